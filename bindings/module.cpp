@@ -1,0 +1,7 @@
+// The extension module: one registration call per header of the core.
+#include "bindings.hpp"
+
+NB_MODULE(TRUEWRENCH_MODULE, m) {
+  m.doc() = "Numerical core of truewrench (C++20). The public face is the truewrench package.";
+  truewrench::python::bind_payload(m);
+}

@@ -1,0 +1,26 @@
+// Cross-product matrices and the shift of a twist from one point of a rigid body to another.
+#pragma once
+
+#include "truewrench/types.hpp"
+
+namespace truewrench {
+
+// [x] with [x] y = x cross y.
+inline Matrix3 cross_matrix(const Vector3& x) {
+  Matrix3 m;
+  m << 0.0, -x.z(), x.y(),  //
+      x.z(), 0.0, -x.x(),   //
+      -x.y(), x.x(), 0.0;
+  return m;
+}
+
+// 6 x 6 map from the twist of a point P to the twist of a point Q of the same rigid body, both in body
+// axes: v_Q = v_P + Omega x r, with r from P to Q. The same constant matrix maps the component-wise
+// derivatives, because r is fixed in the body.
+inline Matrix6 twist_shift(const Vector3& r) {
+  Matrix6 x = Matrix6::Identity();
+  x.topRightCorner<3, 3>() = -cross_matrix(r);
+  return x;
+}
+
+}  // namespace truewrench

@@ -1,0 +1,1 @@
+"""Recalibrate a robot's six-axis force/torque sensor in place, from the motion of a known payload."""
