@@ -1,0 +1,30 @@
+"""The compiled core, in the variant that suits this processor.
+
+The environment variable ``TRUEWRENCH_CORE`` (``baseline`` or ``avx2``) forces a variant, for tests and for
+comparing results between machines.
+"""
+
+import os
+from importlib import import_module
+from importlib.util import find_spec
+
+from truewrench._cpu import supports_x86_64_v3
+
+
+def _choose_variant(requested: str | None) -> str:
+    """Names the variant to load; ``requested`` is the value of ``TRUEWRENCH_CORE``."""
+    available = ["baseline"]
+    if supports_x86_64_v3() and find_spec("truewrench._core_avx2") is not None:
+        available.append("avx2")
+    if requested is None:
+        return available[-1]
+    if requested not in available:
+        raise ImportError(
+            f"TRUEWRENCH_CORE={requested!r} cannot be loaded here; expected one of: {', '.join(available)}"
+        )
+    return requested
+
+
+variant: str = _choose_variant(os.environ.get("TRUEWRENCH_CORE") or None)
+_module = import_module(f"truewrench._core_{variant}")
+globals().update({name: value for name, value in vars(_module).items() if not name.startswith("__")})
