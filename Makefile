@@ -1,0 +1,94 @@
+# Everything a fresh Debian machine with python3, make and git needs: `make demo`, `make test`.
+
+PYTHON ?= python3
+WERROR ?= OFF
+PYTEST_ARGS ?= -n auto
+export PYTHON
+
+VENV := .venv
+BIN := $(abspath $(VENV))/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+# What the compiled modules are made of.
+CORE_SOURCES := pyproject.toml CMakeLists.txt $(wildcard cmake/*) \
+  $(wildcard include/truewrench/*.hpp) $(wildcard bindings/*)
+CXX_FILES = $(shell git ls-files -co --exclude-standard '*.hpp' '*.cpp')
+
+.PHONY: help demo test test-cpp test-python bench lint format stubs lock figures clean
+
+help:
+	@echo "make demo     the case of the paper, from motion to pictures, in out/demo"
+	@echo "make test     all tests, C++ and Python"
+	@echo "make bench    time per sample, beside other filters"
+	@echo "make lint     format, types and static checks; make format repairs what can be repaired"
+	@echo "make stubs    type stubs of the compiled modules, after a change of bindings/"
+	@echo "make figures  the figures of docs/"
+	@echo "make lock     requirements/*.txt from pyproject.toml"
+	@echo "make clean    remove everything that make made"
+
+# Set-up, each step once.
+
+$(VENV)/.created:
+	scripts/system_packages.sh
+	$(PYTHON) -m venv $(VENV)
+	touch $@
+
+$(VENV)/.run: requirements/run.txt | $(VENV)/.created
+	$(PIP) install --require-hashes -r $<
+	touch $@
+
+$(VENV)/.dev: requirements/dev.txt | $(VENV)/.run
+	scripts/system_packages.sh test
+	$(PIP) install --require-hashes -r $<
+	touch $@
+
+$(VENV)/.built: $(CORE_SOURCES) $(VENV)/.run
+	$(PIP) install --no-build-isolation --no-deps -C cmake.define.TRUEWRENCH_WERROR=$(WERROR) -e .
+	touch $@
+
+# What people run.
+
+demo: $(VENV)/.built
+	$(BIN)/truewrench demo -o out/demo
+
+test: test-cpp test-python
+
+build/cpp/build.ninja: CMakeLists.txt | $(VENV)/.dev
+	$(BIN)/cmake -S . -B build/cpp -G Ninja -DCMAKE_MAKE_PROGRAM=$(BIN)/ninja \
+	  -DPython_EXECUTABLE=$(BIN)/python -DCMAKE_EXPORT_COMPILE_COMMANDS=ON -DCMAKE_CXX_FLAGS=-O2 \
+	  -DTRUEWRENCH_TESTS=ON -DTRUEWRENCH_WERROR=$(WERROR)
+
+test-cpp: build/cpp/build.ninja
+	$(BIN)/cmake --build build/cpp
+	$(BIN)/ctest --test-dir build/cpp --output-on-failure
+
+test-python: $(VENV)/.built $(VENV)/.dev
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+bench: $(VENV)/.built $(VENV)/.dev
+	$(BIN)/python -m benchmarks
+
+lint: $(VENV)/.built $(VENV)/.dev build/cpp/build.ninja
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run --Werror $(CXX_FILES)
+	$(BIN)/clang-tidy -p build/cpp --quiet $(wildcard tests/cpp/*.cpp)
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(BIN)/clang-format -i $(CXX_FILES)
+
+stubs: $(VENV)/.built
+	$(BIN)/python scripts/make_stubs.py
+
+figures: $(VENV)/.built
+	$(BIN)/python docs/figures/frames.py
+
+lock: $(VENV)/.created
+	$(PIP) install uv
+	PATH=$(BIN):$$PATH requirements/lock.sh
+
+clean:
+	rm -rf $(VENV) build out
