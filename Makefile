@@ -43,7 +43,7 @@ $(VENV)/.dev: requirements/dev.txt | $(VENV)/.run
 	touch $@
 
 $(VENV)/.built: $(CORE_SOURCES) $(VENV)/.run
-	$(PIP) install --no-build-isolation --no-deps -C cmake.define.TRUEWRENCH_WERROR=$(WERROR) -e .
+	$(PIP) install --no-build-isolation --no-deps --config-settings cmake.define.TRUEWRENCH_WERROR=$(WERROR) -e .
 	touch $@
 
 # What people run.
