@@ -1,0 +1,33 @@
+"""Errors of the package: each says where the fault is, what was found and what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+__all__ = ["InputError", "TruewrenchError", "UnsupportedError"]
+
+
+class TruewrenchError(Exception):
+    """Base of every error the package raises on purpose."""
+
+
+class InputError(TruewrenchError):
+    """Bad input or settings.
+
+    `str(error)` is a block of text ready to be shown to a person, one line per problem.
+    """
+
+    def __init__(self, message: str, *, problems: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.problems: tuple[str, ...] = tuple(problems) or (message,)
+
+    @classmethod
+    def at(cls, file: str | Path | None, place: str, found: str, expected: str) -> InputError:
+        """The usual form: `file: place: found ..., expected ...`."""
+        prefix = ": ".join(str(part) for part in (file, place) if part is not None and str(part))
+        return cls(f"{prefix}: found {found}, expected {expected}")
+
+
+class UnsupportedError(InputError):
+    """The input is valid, but this combination of settings is not supported."""

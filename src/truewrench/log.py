@@ -1,0 +1,51 @@
+"""LOG: what was recorded, as arrays on the log's own time stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Log"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """One recording: N rows, SI units, NaN where a stream has no sample at a row's time.
+
+    Attributes:
+        path: the file it was read from, None when it was not read.
+        payload: which payload of the rig the arm carried.
+        sha256: of the file, empty when it was not read.
+        time_ns: (N,) int64, strictly increasing [ns].
+        raw: (N, n) sensor channels in the order of the rig [raw units].
+        twist: (N, 6) of the point `motion.of`, sensor axes [m/s, rad/s].
+        gravity: (N, 3) acceleration of free fall in sensor axes [m/s^2], None when there is no such column.
+        acceleration: (N, 6) component-wise derivative of the twist, None likewise.
+        temperature: (N,) [degC], None likewise.
+        nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
+        dropped_rows: rows without any measurement, which are not among the N.
+    """
+
+    path: Path | None
+    payload: str
+    sha256: str
+    time_ns: npt.NDArray[np.int64]
+    raw: FloatArray
+    twist: FloatArray | None = None
+    gravity: FloatArray | None = None
+    acceleration: FloatArray | None = None
+    temperature: FloatArray | None = None
+    nan_counts: Mapping[str, int] = field(default_factory=dict)
+    dropped_rows: int = 0
+
+    @property
+    def time(self) -> FloatArray:
+        """(N,) time since the first row [s]."""
+        seconds: FloatArray = (self.time_ns - self.time_ns[0]) * 1e-9
+        return seconds

@@ -1,0 +1,204 @@
+"""Field types of the settings, and error messages that say where, what was found and what was expected."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from pydantic import (
+    AfterValidator,
+    AllowInfNan,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Strict,
+    StringConstraints,
+    Tag,
+    ValidationError,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from truewrench.errors import InputError
+from truewrench.files import Locate
+
+__all__ = [
+    "Listed",
+    "Matrix",
+    "NonNegative",
+    "NonNegatives",
+    "Number",
+    "Numbers",
+    "Positive",
+    "PositiveInteger",
+    "Positives",
+    "Section",
+    "SixNumbers",
+    "SixPositives",
+    "Switch",
+    "Text",
+    "ThreeNumbers",
+    "WholeNumber",
+    "Word",
+    "Zero",
+    "choice",
+    "input_error",
+    "of_length",
+    "refuse",
+    "shown",
+]
+
+
+class Section(BaseModel):
+    """One mapping of a settings file: immutable, and no key that it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+
+def refuse(key: str, found: str, expected: str) -> PydanticCustomError:
+    """The error of one key (`noise`, `channels.2`) of a section, for validators that look at several keys."""
+    return PydanticCustomError("refused", "{expected}", {"key": key, "found": found, "expected": expected})
+
+
+def shown(value: object) -> str:
+    """A value as a person wrote it, cut where it is long."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if value is None:
+        return "nothing"
+    if isinstance(value, str):
+        text = f"the text {value!r}"
+    elif isinstance(value, Mapping):
+        text = f"a mapping with {', '.join(map(str, value)) or 'no key'}"
+    elif isinstance(value, float) and not math.isfinite(value):
+        text = {"nan": "NaN"}.get(str(value), str(value))
+    else:
+        text = str(list(value)) if isinstance(value, tuple) else str(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+_Sized = TypeVar("_Sized", bound=Sequence[Any])
+
+
+def of_length(n: int, what: str) -> Callable[[_Sized], _Sized]:
+    """A validator that wants `n` entries; `what` names them."""
+
+    def check(value: _Sized) -> _Sized:
+        if len(value) != n:
+            entries = "1 entry" if len(value) == 1 else f"{len(value)} entries"
+            raise PydanticCustomError("length", "{expected}", {"found": entries, "expected": f"{n}: {what}"})
+        return value
+
+    return check
+
+
+Number = Annotated[float, Strict(), AllowInfNan(False)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+Switch = Annotated[bool, Strict()]
+Text = Annotated[str, Strict(), StringConstraints(min_length=1)]
+WholeNumber = Annotated[int, Strict(), Field(ge=0)]
+PositiveInteger = Annotated[int, Strict(), Field(ge=1)]
+Numbers = tuple[Number, ...]
+Positives = tuple[Positive, ...]
+NonNegatives = tuple[NonNegative, ...]
+ThreeNumbers = Annotated[Numbers, AfterValidator(of_length(3, "x, y, z"))]
+SixNumbers = Annotated[Numbers, AfterValidator(of_length(6, "one per axis"))]
+SixPositives = Annotated[Positives, AfterValidator(of_length(6, "one per axis"))]
+Matrix = tuple[SixNumbers, ...]
+
+
+def _choice(value: Any) -> str | None:
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return "<zero>" if value == 0 else None
+    return "<word>" if isinstance(value, str) else "<list>"
+
+
+def choice(expected: str) -> Discriminator:
+    """Tells apart the fields that hold a `Word`, a `Zero` or a `Listed` value."""
+    return Discriminator(_choice, custom_error_type="choice", custom_error_message=expected)
+
+
+Word, Zero, Listed = Tag("<word>"), Tag("<zero>"), Tag("<list>")
+_TAGS = ("<word>", "<zero>", "<list>", "[key]")
+
+
+def input_error(
+    error: ValidationError, model: type[BaseModel], path: str | Path | None, locate: Locate | None = None
+) -> InputError:
+    """Every problem that pydantic found, one line each, in the words of the settings file."""
+    problems = [_problem(details, model, path, locate) for details in error.errors(include_url=False)]
+    return InputError("\n".join(problems), problems=problems)
+
+
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "finite_number": "a finite number",
+    "string_type": "text",
+    "string_too_short": "text that is not empty",
+    "tuple_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+}
+
+
+def _problem(
+    details: ErrorDetails, model: type[BaseModel], path: str | Path | None, locate: Locate | None
+) -> str:
+    keys = [key for key in details["loc"] if key not in _TAGS]
+    context: dict[str, Any] = details.get("ctx", {})
+    kind = details["type"]
+    if kind == "refused":
+        keys += [int(part) if part.isdigit() else part for part in context["key"].split(".") if part]
+    place = _key_path(keys)
+    line = locate(keys) if locate else None
+    file = "" if path is None else f"{path}:{line}" if line else f"{path}"
+    where = ": ".join(part for part in (file, place) if part)
+    if kind == "missing":
+        return f"{where}: missing required key"
+    if kind == "extra_forbidden":
+        known = list(_fields_at(model, keys[:-1]))
+        near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.0)[0]
+        return f"{where}: unknown key `{keys[-1]}`; nearest known key: `{near}`"
+    if kind in ("refused", "length"):
+        return f"{where}: found {context['found']}, expected {context['expected']}"
+    return f"{where}: found {shown(details['input'])}, expected {_expectation(kind, context, details['msg'])}"
+
+
+def _expectation(kind: str, context: Mapping[str, Any], message: str) -> str:
+    if kind == "greater_than":
+        return f"a number greater than {context['gt']:g}"
+    if kind == "greater_than_equal":
+        return f"a number of at least {context['ge']:g}"
+    if kind == "literal_error":
+        return str(context["expected"]).replace("'", "`")
+    return _EXPECTED.get(kind, message)
+
+
+def _key_path(keys: Sequence[int | str]) -> str:
+    """`sensor.noise[3]` from ("sensor", "noise", 3)."""
+    text = ""
+    for key in keys:
+        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
+    return text
+
+
+def _fields_at(model: type[BaseModel], keys: Sequence[int | str]) -> Iterator[str]:
+    """The keys that the section at a key path knows."""
+    here: Any = model
+    for key in keys:
+        if isinstance(here, type) and issubclass(here, BaseModel):
+            here = here.model_fields[str(key)].annotation
+        else:  # dict[str, Section]
+            here = get_args(here)[-1]
+        if get_origin(here) in (Union, UnionType):
+            here = next(option for option in get_args(here) if option is not type(None))
+    if isinstance(here, type) and issubclass(here, BaseModel):
+        yield from (field.alias or name for name, field in here.model_fields.items())
