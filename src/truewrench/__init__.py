@@ -1,10 +1,10 @@
 """Recalibrate a robot's six-axis force/torque sensor in place, from the motion of a known payload.
 
-    import truewrench as tw
-    rig = tw.load_rig("rig.yaml")
-    log = tw.read_log("run.csv", rig)
-    calibration = tw.calibrate(rig, log)
-    wrench = calibration.wrench(log.raw)  # (N, 6)
+import truewrench as tw
+rig = tw.load_rig("rig.yaml")
+log = tw.read_log("run.csv", rig)
+calibration = tw.calibrate(rig, log)
+wrench = calibration.wrench(log.raw)  # (N, 6)
 """
 
 from __future__ import annotations
@@ -14,14 +14,12 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from truewrench.apply import apply
     from truewrench.calibration import Calibration, Verdict, load_calibration
     from truewrench.errors import InputError, TruewrenchError, UnsupportedError
     from truewrench.io.tables import read_log
     from truewrench.log import Log
     from truewrench.pipeline import calibrate
     from truewrench.rig import Rig, load_rig
-    from truewrench.simulate import simulate
 
 __version__ = version("truewrench")
 
@@ -33,12 +31,10 @@ _HOMES = {
     "TruewrenchError": "errors",
     "UnsupportedError": "errors",
     "Verdict": "calibration",
-    "apply": "apply",
     "calibrate": "pipeline",
     "load_calibration": "calibration",
     "load_rig": "rig",
     "read_log": "io.tables",
-    "simulate": "simulate",
 }
 
 __all__ = [
@@ -50,12 +46,10 @@ __all__ = [
     "UnsupportedError",
     "Verdict",
     "__version__",
-    "apply",
     "calibrate",
     "load_calibration",
     "load_rig",
     "read_log",
-    "simulate",
 ]
 
 

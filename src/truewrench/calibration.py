@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from truewrench.errors import InputError
+from truewrench.fields import Fields
+from truewrench.files import read_yaml, write_yaml
 from truewrench.rig import Rig
 
 __all__ = [
     "AXES",
+    "FORMAT",
     "AxisImprovement",
     "Bound",
     "Calibration",
@@ -25,6 +29,12 @@ __all__ = [
 
 AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 """The wrench axes, in order."""
+
+FORMAT = "truewrench/1"
+"""What the first line of a calibration file says."""
+
+FORMAT = "truewrench/1"
+"""What the first line of a calibration file says."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -160,18 +170,152 @@ class Calibration:
         return wrench
 
     def write_yaml(self, path: str | Path) -> None:
-        """Write `calibration.yaml`; the file appears whole or not at all."""
-        from truewrench.io.calibration_file import write_calibration
-
-        write_calibration(self, path)
+        """Write `calibration.yaml`, every number to its last bit; the file appears whole or not at all."""
+        write_yaml(path, _to_mapping(self))
 
 
 def load_calibration(path: str | Path) -> Calibration:
     """Read and validate a `calibration.yaml`.
 
     Raises:
-        InputError: naming file, key, what was found and what was expected.
+        InputError: naming file, line, key, what was found and what was expected.
     """
-    from truewrench.io.calibration_file import read_calibration
+    data, locate = read_yaml(path)
+    return _from_fields(Fields(data, path, locate))
 
-    return read_calibration(path)
+
+def _to_mapping(c: Calibration) -> dict[str, Any]:
+    verdict = {
+        "usable": c.verdict.usable,
+        "reasons": list(c.verdict.reasons),
+        "undetermined": [{"direction": u.direction, "words": u.words} for u in c.verdict.undetermined],
+    }
+    logs = [
+        {
+            "path": None if log.path is None else str(log.path),
+            "sha256": log.sha256,
+            "payload": log.payload,
+            "offset": log.offset,
+            "offset_std": log.offset_std,
+            "time_offset": log.time_offset,
+            "samples": {"used": log.used, "gated": dict(log.gated), "rejected": dict(log.rejected)},
+        }
+        for log in c.logs
+    ]
+    return {
+        "format": FORMAT,
+        "verdict": verdict,
+        "gain": c.gain,
+        "gain_std": c.gain_std,
+        "offset": c.offset,
+        "offset_std": c.offset_std,
+        "offset_temperature": c.offset_temperature,
+        "time_offset": c.time_offset,
+        "time_offset_std": c.time_offset_std,
+        "inverse": c.inverse,
+        "improvement": {"axes": {axis: asdict(judged) for axis, judged in c.improvement.items()}},
+        "bound": None if c.bound is None else asdict(c.bound),
+        "payload_posterior": c.payload_posterior,
+        "logs": logs,
+        "figures": c.figures,
+        "timings": c.timings,
+        "estimator": c.estimator,
+        "version": c.version,
+        "created": c.created,
+        "rig": c.rig.to_mapping(),
+        "covariance": c.covariance,
+    }
+
+
+def _from_fields(top: Fields) -> Calibration:
+    if top.get("format") != FORMAT:
+        raise top.error("format", f"`{FORMAT}`")
+    try:
+        rig = Rig.from_mapping(top.section("rig").data, f"{top.path}: rig")
+    except InputError as error:
+        raise InputError(f"{error}\n(the `rig` of a calibration must be a valid rig)") from error
+    n = rig.sensor.n
+    verdict = top.section("verdict")
+    calibration = Calibration(
+        gain=top.array("gain", (n, 6)),
+        gain_std=top.array("gain_std", (n, 6)),
+        offset=top.array("offset", (n,)),
+        offset_std=top.array("offset_std", (n,)),
+        inverse=top.array("inverse", (6, n)),
+        covariance=_covariance(top, n),
+        verdict=Verdict(
+            usable=verdict.flag("usable"),
+            reasons=tuple(verdict.texts("reasons")),
+            undetermined=tuple(
+                Undetermined(direction=item.array("direction", (6 * n,)), words=item.text("words"))
+                for item in verdict.sections("undetermined")
+            ),
+        ),
+        logs=tuple(_log_report(log, n) for log in top.sections("logs")),
+        rig=rig,
+        estimator=top.text("estimator"),
+        improvement={
+            axis: _improvement(top.section("improvement").section("axes").section(axis))
+            for axis in top.section("improvement").section("axes").data
+        },
+        bound=None
+        if top.get("bound") is None
+        else Bound(top.section("bound").number("oracle_rms"), top.section("bound").number("rms")),
+        offset_temperature=None
+        if top.get("offset_temperature") is None
+        else top.array("offset_temperature", (n,)),
+        time_offset=top.number("time_offset"),
+        time_offset_std=top.number("time_offset_std"),
+        payload_posterior=top.section("payload_posterior").data,
+        figures=top.section("figures").data if "figures" in top.data else {},
+        timings=top.section("timings").data if "timings" in top.data else {},
+        version=top.text("version"),
+        created=top.text("created"),
+    )
+    if calibration.verdict.usable:
+        scale = rig.sensor.range_array
+        product = calibration.inverse @ calibration.gain * scale / scale[:, None]
+        if not np.allclose(product, np.eye(6), atol=1e-6):
+            raise top.error("inverse", "the generalised inverse of `gain`", "another matrix")
+    return calibration
+
+
+def _covariance(top: Fields, n: int) -> FloatArray:
+    covariance = top.array("covariance", (7 * n, 7 * n))
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    correlation = covariance / np.outer(scale, scale).clip(min=np.finfo(np.float64).tiny)
+    if np.abs(correlation - correlation.T).max() > 1e-9:
+        raise top.error("covariance", "a symmetric matrix", "a matrix that is not symmetric")
+    smallest = float(np.linalg.eigvalsh(correlation).min())
+    if smallest < -1e-9:
+        found = f"a correlation of eigenvalue {smallest:.3g}"
+        raise top.error("covariance", "a positive semidefinite matrix", found)
+    return covariance
+
+
+def _log_report(log: Fields, n: int) -> LogReport:
+    samples = log.section("samples")
+    return LogReport(
+        path=None if log.get("path") is None else Path(log.text("path")),
+        sha256=log.text("sha256"),
+        payload=log.text("payload"),
+        offset=log.array("offset", (n,)),
+        offset_std=log.array("offset_std", (n,)),
+        time_offset=log.number("time_offset"),
+        used=samples.count("used"),
+        gated=_counts(samples.section("gated")),
+        rejected=_counts(samples.section("rejected")),
+    )
+
+
+def _counts(reasons: Fields) -> dict[str, int]:
+    return {reason: reasons.count(reason) for reason in reasons.data}
+
+
+def _improvement(axis: Fields) -> AxisImprovement:
+    better = axis.get("better")
+    if better is not True and better is not False and better != "unsure":
+        raise axis.error("better", "true, false or `unsure`")
+    return AxisImprovement(
+        nominal=axis.number("nominal"), new=axis.number("new"), held_out=axis.flag("held_out"), better=better
+    )

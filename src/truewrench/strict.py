@@ -47,6 +47,7 @@ __all__ = [
     "Zero",
     "choice",
     "input_error",
+    "key_path",
     "of_length",
     "refuse",
     "shown",
@@ -157,7 +158,7 @@ def _problem(
     kind = details["type"]
     if kind == "refused":
         keys += [int(part) if part.isdigit() else part for part in context["key"].split(".") if part]
-    place = _key_path(keys)
+    place = key_path(keys)
     line = locate(keys) if locate else None
     file = "" if path is None else f"{path}:{line}" if line else f"{path}"
     where = ": ".join(part for part in (file, place) if part)
@@ -182,7 +183,7 @@ def _expectation(kind: str, context: Mapping[str, Any], message: str) -> str:
     return _EXPECTED.get(kind, message)
 
 
-def _key_path(keys: Sequence[int | str]) -> str:
+def key_path(keys: Sequence[int | str]) -> str:
     """`sensor.noise[3]` from ("sensor", "noise", 3)."""
     text = ""
     for key in keys:

@@ -1,0 +1,349 @@
+"""The sections of a rig: every key once, with its default, its meaning and what it must satisfy.
+
+SI units; six-vectors [linear; angular]; sensor axes.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import AfterValidator, model_validator
+
+from truewrench.strict import (
+    Listed,
+    Matrix,
+    NonNegative,
+    NonNegatives,
+    Number,
+    Numbers,
+    Positive,
+    PositiveInteger,
+    Positives,
+    Section,
+    SixPositives,
+    Switch,
+    Text,
+    ThreeNumbers,
+    WholeNumber,
+    Word,
+    Zero,
+    choice,
+    of_length,
+    refuse,
+    shown,
+)
+
+__all__ = [
+    "InertiaSpec",
+    "LimitsSpec",
+    "MotionSpec",
+    "PayloadSpec",
+    "PlanSpec",
+    "RecordingSpec",
+    "RobotSpec",
+    "SensorSpec",
+    "SimulateSpec",
+    "TemperatureSpec",
+    "UncertaintySpec",
+]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class SensorSpec(Section):
+    """The sensor: n >= 6 channels, raw = gain @ w + offset."""
+
+    channels: tuple[Text, ...]
+    feels: Literal["payload_on_sensor", "sensor_on_payload"]
+    noise: Positives
+    range: SixPositives
+    nominal_gain: Annotated[
+        Annotated[Literal["identity"], Word] | Annotated[Matrix, Listed], choice("`identity` or rows of 6")
+    ] = "identity"
+    gain_prior: Positive = 0.3
+    offset_prior: (
+        Annotated[
+            Annotated[NonNegatives, Listed] | Annotated[NonNegative, Zero],
+            choice("a list, one per channel, or 0 for no offset"),
+        ]
+        | None
+    ) = None  # 10% of channel_scale
+    pool_offsets: Switch = False
+    time_offset_prior: NonNegative = 5.0e-3
+    lowpass_hz: Positive | None = None
+    compensated: Switch = False
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        n = self.n
+        if n < 6:
+            raise refuse("channels", f"{n} names", "at least 6 names, in the order of the raw channels")
+        for i, name in enumerate(self.channels):
+            if name in self.channels[:i]:
+                raise refuse(f"channels.{i}", shown(name), "every channel name once")
+        if len(self.noise) != n:
+            raise refuse("noise", f"{len(self.noise)} entries", f"{n}: one per channel")
+        if self.compensated:
+            raise refuse(
+                "compensated",
+                "true",
+                "false: where a driver has already subtracted payload or gravity, the wrench that "
+                "calibrates the gain is gone; log the sensor's raw output",
+            )
+        self._check_nominal_gain()
+        if isinstance(self.offset_prior, tuple) and len(self.offset_prior) != n:
+            raise refuse(
+                "offset_prior",
+                f"{len(self.offset_prior)} entries",
+                f"{n}: one per channel, or 0 for no offset",
+            )
+        return self
+
+    def _check_nominal_gain(self) -> None:
+        if self.nominal_gain == "identity":
+            if self.n != 6:
+                raise refuse(
+                    "nominal_gain", "`identity`", f"{self.n} rows of 6: only 6 channels can be the identity"
+                )
+            return
+        rows = self.nominal_gain
+        if len(rows) != self.n:
+            raise refuse("nominal_gain", f"{len(rows)} rows", f"{self.n} rows of 6: one per channel")
+        for i, row in enumerate(rows):
+            if not any(row):
+                raise refuse(f"nominal_gain.{i}", shown(row), "a channel that feels at least one wrench axis")
+        normalised = self.nominal_gain_array * self.range_array / self.channel_scale[:, None]
+        rank = int(np.linalg.matrix_rank(normalised))
+        if rank < 6:
+            raise refuse("nominal_gain", f"rows of rank {rank}", "rank 6: every wrench axis must be felt")
+
+    @property
+    def n(self) -> int:
+        """Number of raw channels."""
+        return len(self.channels)
+
+    @property
+    def sign(self) -> int:
+        """+1 when the sensor feels the payload's reaction w, -1 when it feels the opposite."""
+        return 1 if self.feels == "payload_on_sensor" else -1
+
+    @property
+    def noise_array(self) -> FloatArray:
+        """(n,) 1 sigma of one sample of each channel [raw units]."""
+        return np.array(self.noise)
+
+    @property
+    def range_array(self) -> FloatArray:
+        """(6,) full scale of each wrench axis [N, N m]."""
+        return np.array(self.range)
+
+    @property
+    def nominal_gain_array(self) -> FloatArray:
+        """(n, 6) gain that the sensor was believed to have [raw units per N or N m]."""
+        return np.eye(6) if self.nominal_gain == "identity" else np.array(self.nominal_gain)
+
+    @property
+    def channel_scale(self) -> FloatArray:
+        """(n,) full scale of each channel, |nominal_gain| @ range [raw units]."""
+        scale: FloatArray = np.abs(self.nominal_gain_array) @ self.range_array
+        return scale
+
+    @property
+    def offset_prior_array(self) -> FloatArray:
+        """(n,) 1 sigma of each channel's offset [raw units]; 0 where there is none."""
+        if self.offset_prior is None:
+            return 0.1 * self.channel_scale
+        return np.array(self.offset_prior) if isinstance(self.offset_prior, tuple) else np.zeros(self.n)
+
+
+class InertiaSpec(Section):
+    """Elements of the inertia tensor about the centre of mass, sensor axes [kg m^2]."""
+
+    xx: Positive
+    yy: Positive
+    zz: Positive
+    xy: Number = 0.0
+    xz: Number = 0.0
+    yz: Number = 0.0
+
+
+class UncertaintySpec(Section):
+    """1 sigma of what is known of a payload; 0 means exact."""
+
+    mass: NonNegative = 1.0e-3  # relative
+    center_of_mass: NonNegative = 5.0e-4  # [m]
+    inertia: NonNegative = 1.0e-2  # of I_ij, relative to sqrt(I_ii I_jj)
+
+
+class PayloadSpec(Section):
+    """Everything beyond the sensing element, as one rigid body."""
+
+    mass: Positive
+    center_of_mass: ThreeNumbers
+    inertia: InertiaSpec
+    uncertainty: UncertaintySpec = UncertaintySpec()
+
+    @model_validator(mode="after")
+    def _physical(self) -> Self:
+        principal = np.linalg.eigvalsh(self.inertia_matrix)
+        found = "principal moments " + ", ".join(f"{moment:.6g}" for moment in principal) + " kg m^2"
+        if principal[0] <= 0:
+            raise refuse("inertia", found, "a positive definite tensor")
+        # 1e-9 forgives the rounding of a table, as the core does.
+        if principal.sum() < 2 * principal[2] * (1 - 1e-9):
+            raise refuse(
+                "inertia",
+                found,
+                "no principal moment larger than the sum of the other two (triangle inequality)",
+            )
+        return self
+
+    @property
+    def center_of_mass_array(self) -> FloatArray:
+        """(3,) centre of mass seen from the sensor origin, sensor axes [m]."""
+        return np.array(self.center_of_mass)
+
+    @property
+    def inertia_matrix(self) -> FloatArray:
+        """(3, 3) inertia about the centre of mass, sensor axes [kg m^2]."""
+        i = self.inertia
+        return np.array([[i.xx, i.xy, i.xz], [i.xy, i.yy, i.yz], [i.xz, i.yz, i.zz]])
+
+    @property
+    def exact(self) -> bool:
+        """Whether mass, centre of mass and inertia are all stated without uncertainty."""
+        u = self.uncertainty
+        return u.mass == 0 and u.center_of_mass == 0 and u.inertia == 0
+
+
+class RobotSpec(Section):
+    """The arm that carries the sensor."""
+
+    urdf: Text
+    sensor_frame: Text
+
+
+class MotionSpec(Section):
+    """What is logged of the motion, and how well."""
+
+    source: Literal["twist", "joints"] = "twist"
+    of: Literal["com", "sensor"] = "com"
+    noise: Positives | None = None
+    position_noise: Positives | None = None
+    initial_position: Numbers | None = None
+    acceleration_noise: Positives | None = None
+    robot: RobotSpec | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.acceleration_noise is not None and len(self.acceleration_noise) not in (3, 6):
+            found = f"{len(self.acceleration_noise)} entries"
+            raise refuse("acceleration_noise", found, "6, for ax ... alz, or 3, for accel_*")
+        if self.source == "twist":
+            for key in ("position_noise", "initial_position", "robot"):
+                if getattr(self, key) is not None:
+                    raise refuse(key, shown(getattr(self, key)), "this key only with `source: joints`")
+            if self.noise is None:
+                raise refuse(
+                    "noise",
+                    "nothing",
+                    "6 numbers, 1 sigma of v [m/s] and Omega [rad/s]: required with `source: twist`",
+                )
+            if len(self.noise) != 6:
+                raise refuse("noise", f"{len(self.noise)} entries", "6: of v [m/s] and of Omega [rad/s]")
+            return self
+        if "of" in self.model_fields_set:
+            raise refuse("of", shown(self.of), "this key only with `source: twist`")
+        if self.robot is None:
+            raise refuse("robot", "nothing", "{urdf, sensor_frame}: required with `source: joints`")
+        if self.noise is None and self.position_noise is None:
+            raise refuse(
+                "noise",
+                "nothing",
+                "noise, position_noise or both, one number per joint, with `source: joints`",
+            )
+        lengths = {
+            key: len(getattr(self, key))
+            for key in ("noise", "position_noise", "initial_position")
+            if getattr(self, key) is not None
+        }
+        first, joints = next(iter(lengths.items()))
+        for key, length in lengths.items():
+            if length != joints or length == 0:
+                raise refuse(key, f"{length} entries", f"one per joint, as many as in `{first}` ({joints})")
+        return self
+
+    @property
+    def noise_array(self) -> FloatArray:
+        """1 sigma per sample: (6,) of the twist, or one per joint [rad/s]."""
+        return np.array(self.noise if self.noise is not None else (), dtype=np.float64)
+
+
+class TemperatureSpec(Section):
+    """How the offset depends on temperature."""
+
+    reference: Number = 25.0  # [degC]
+    prior: NonNegative = 0.0  # 1 sigma of the offset's slope, fraction of range per K
+
+
+def _interval(value: tuple[float, ...]) -> tuple[float, ...]:
+    if len(value) == 2 and not value[0] < value[1]:
+        raise refuse("", shown(value), "[min, max] with min < max")
+    return of_length(2, "[min, max]")(value)
+
+
+class LimitsSpec(Section):
+    """What the motion must keep to: per joint, or per axis of the twist."""
+
+    position: Positives | None = None
+    velocity: Positives | None = None
+    acceleration: Positives | None = None
+    jerk: Positives | None = None
+    wrench_fraction: Positive | None = None
+    workspace: (
+        Annotated[
+            tuple[Annotated[Numbers, AfterValidator(_interval)], ...],
+            AfterValidator(of_length(3, "[min, max] of x, y and z")),
+        ]
+        | None
+    ) = None
+
+
+class PlanSpec(Section):
+    """How a motion is planned."""
+
+    duration: Positive = 20.0  # [s]
+    rate: Positive = 40.0  # [Hz]
+    harmonics: PositiveInteger = 6
+    seed: WholeNumber = 0
+    rest_to_rest: Switch = True
+
+
+class SimulateSpec(Section):
+    """What a simulated run is made of."""
+
+    rate: Positive = 100.0  # [Hz] of the motion
+    sensor_rate: Positive = 100.0  # [Hz] of the sensor
+    seed: WholeNumber = 0
+    gain: Annotated[
+        Annotated[Literal["nominal", "random"], Word] | Annotated[Matrix, Listed],
+        choice("`nominal`, `random` or rows of 6"),
+    ] = "random"
+    offset: Annotated[
+        Annotated[Literal["none", "random"], Word]
+        | Annotated[Numbers, Listed]
+        | Annotated[NonNegative, Zero],
+        choice("`none`, `random` or a list, one per channel"),
+    ] = "random"
+    time_offset: Number = 0.0  # [s]
+    payload: Literal["nominal", "random"] = "nominal"
+
+
+class RecordingSpec(Section):
+    """Which topics of a recording hold sensor and motion."""
+
+    wrench_topic: Text | None = None
+    joint_topic: Text | None = None
+    stamps: Literal["header", "receive"] = "header"
