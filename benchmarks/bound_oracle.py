@@ -1,14 +1,15 @@
-"""The Cramer-Rao bound of a calibration at its truth, without a line of the core (docs/method.md, "The bound").
+"""The Cramer-Rao bound of a calibration at its truth, without a line of the core (docs/method.md).
 
 The wrench and its Jacobians come from Pinocchio's RNEA by finite differences; motion and gain are inferred
 together: the information of (spline coefficients of the twist, gains, offsets) is reduced onto the gains and
-offsets by a Schur complement. Everything is in normalised units: gain_ij range_j / scale_i, offset_i / scale_i.
+offsets by a Schur complement. All in normalised units: gain_ij range_j / scale_i, offset_i / scale_i.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -35,13 +36,14 @@ class Rnea:
         self.to_sensor[:3, 3:] = pin.skew(point)
 
     def __call__(self, twist: Array, acceleration: Array, gravity: Array) -> Array:
+        """Wrench (6,) of the payload on the sensor, at the sensor origin."""
         self.model.gravity.linear = gravity
         nu, a = self.to_sensor @ twist, self.to_sensor @ acceleration
         return np.asarray(-pin.rnea(self.model, self.data, self.neutral, nu, a))
 
     def jacobians(self, twist: Array, acceleration: Array, gravity: Array) -> tuple[Array, Array]:
-        """dw/dnu and dw/da. The wrench is quadratic in nu and linear in a: central differences of any step are exact."""
-        h = 0.5
+        """dw/dnu and dw/da (6, 6) each."""
+        h = 0.5  # the wrench is quadratic in nu and linear in a: central differences of any step are exact
         by_twist, by_acceleration = np.empty((6, 6)), np.empty((6, 6))
         for j, e in enumerate(h * np.eye(6)):
             plus, minus = self(twist + e, acceleration, gravity), self(twist - e, acceleration, gravity)
@@ -106,13 +108,13 @@ class MotionInformation:
         by_coefficients = np.einsum("km,kpc->kpmc", basis, by_twist)
         by_coefficients += np.einsum("km,kpc->kpmc", slope, by_acceleration)
         blocks = np.zeros((intervals, 6 * ACTIVE, 6 * ACTIVE))
-        for i, (a, b) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
+        for i, (a, b) in enumerate(pairwise(starts)):
             blocks[i] = np.kron(basis[a:b].T @ basis[a:b], np.diag(twist_noise**-2.0))
         normalised = by_coefficients.reshape(time.size, 6, 6 * ACTIVE) / scale[None, :, None]
         return cls(sign * wrench / scale, sign * normalised, starts, blocks)
 
     def schur(self, gain: Array, noise: Array, offset: bool) -> Array:
-        """Information on [gain row by row with its offset last, if any] of a normalised gain (n, 6) and noise (n,)."""
+        """Information on the rows of the normalised gain (n, 6), each followed by its offset if any."""
         columns = np.column_stack([self.wrench, np.ones(len(self.wrench))]) if offset else self.wrench
         n, width = len(gain), columns.shape[1]
         by_coefficients = (gain / noise[:, None]) @ self.by_coefficients  # (N, n, 36), over the noise
@@ -120,7 +122,7 @@ class MotionInformation:
         band = np.zeros((6 * ACTIVE, 6 * (intervals + DEGREE)))
         cross = np.zeros((6 * (intervals + DEGREE), n, width))
         rows, cols = np.tril_indices(6 * ACTIVE)
-        for i, (a, b) in enumerate(zip(self.starts[:-1], self.starts[1:], strict=True)):
+        for i, (a, b) in enumerate(pairwise(self.starts)):
             j = by_coefficients[a:b]
             flat = j.reshape(-1, 6 * ACTIVE)
             block = self.twist_blocks[i] + flat.T @ flat

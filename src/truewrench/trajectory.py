@@ -17,9 +17,6 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 Array = NDArray[np.float64]
 
-# How far beyond [0, duration] an integrated motion is known, so that sensor clocks may be shifted [s].
-_MARGIN = 0.25
-
 
 class Trajectory(Protocol):
     """A twist of one body-fixed point in sensor axes, known at every time."""
@@ -135,12 +132,11 @@ class WrenchMotion:
     wrench: WrenchSinusoids
     body: Body
     duration: float
-    forward: OdeSolution  # state [v; Omega; r; quaternion xyzw], times 0 .. duration + margin
-    backward: OdeSolution  # the same, times -margin .. 0
+    state: OdeSolution  # [v; Omega; r; quaternion xyzw] as a function of time
 
     def twist(self, time: Array) -> Array:
         """Twist of the centre of mass (N, 6) at the times (N,) [s]."""
-        return self._state(time)[:, :6]
+        return np.asarray(self.state(time)[:6].T)
 
     def acceleration(self, time: Array) -> Array:
         """Component-wise derivative of the twist (N, 6), from the equations of motion."""
@@ -149,19 +145,9 @@ class WrenchMotion:
 
     def pose(self, time: Array) -> tuple[Array, Array]:
         """Position of the centre of mass (N, 3) [m] and attitude quaternion xyzw (N, 4), inertial frame."""
-        state = self._state(time)
+        state = self.state(time).T
         quaternion = state[:, 9:13]
         return state[:, 6:9], quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-
-    def _state(self, time: Array) -> Array:
-        t = np.asarray(time, dtype=np.float64)
-        if t.size and (t.min() < -_MARGIN or t.max() > self.duration + _MARGIN):
-            raise ValueError(f"time {t.min()} .. {t.max()} s lies outside the motion of {self.duration} s")
-        return np.asarray(
-            np.where(
-                (t >= 0.0)[:, None], self.forward(np.maximum(t, 0.0)).T, self.backward(np.minimum(t, 0.0)).T
-            )
-        )
 
 
 def motion_of_wrench(body: Body, wrench: Array, twist: Array) -> Array:
@@ -204,22 +190,18 @@ def integrate_wrench(
     start[:6] = 0.0 if initial_twist is None else initial_twist
     start[12] = 1.0
 
-    forward = _integrate(rate, duration + _MARGIN, start)
-    return WrenchMotion(wrench, body, float(duration), forward, _integrate(rate, -_MARGIN, start))
+    return WrenchMotion(wrench, body, float(duration), _integrate(rate, duration, start))
 
 
 def attitude(trajectory: Trajectory, time: Array) -> Array:
-    """Rotations R_root_sensor (N, 3, 3) at the times (N,), integrated from Omega; the identity at time 0."""
+    """Rotations R_root_sensor (N, 3, 3) at times (N,) >= 0, integrated from Omega; the identity at time 0."""
     t = np.asarray(time, dtype=np.float64)
 
     def rate(at: float, q: Array) -> Array:
         return _quaternion_rate(q, trajectory.twist(np.array([at]))[0, 3:])
 
-    quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (t.size, 1))
-    for side in (t < 0.0, t > 0.0):
-        if side.any():
-            until = float(t[side][np.argmax(np.abs(t[side]))])
-            quaternion[side] = _integrate(rate, until, np.array([0.0, 0.0, 0.0, 1.0]))(t[side]).T
+    start = np.array([0.0, 0.0, 0.0, 1.0])
+    quaternion = _integrate(rate, max(float(t.max()), 1e-9), start)(t).T
     return rotation_matrix(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
 
 
@@ -257,7 +239,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _integrate(rate: Callable[[float, Array], Array], until: float, start: Array) -> OdeSolution:
-    """Solution of ``dx/dt = rate(t, x)`` from time 0 to `until`, of either sign, far below any noise."""
+    """Solution of ``dx/dt = rate(t, x)`` from time 0 to `until`, with errors far below any noise."""
     solution = solve_ivp(
         rate,
         (0.0, until),
