@@ -32,7 +32,7 @@ GRAVITY_COLUMNS = ("gx", "gy", "gz")
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a log was made with: gain (n, 6) and offset (n,) in raw units, clock offset [s], payloads, seed."""
+    """What a log was made with: gain (n, 6) and offset (n,) [raw units], clock offset [s], payloads."""
 
     gain: Array
     offset: Array
