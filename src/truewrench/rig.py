@@ -1,6 +1,6 @@
 """RIG: what is known of sensor, payload and motion before a calibration, validated (docs/formats.md).
 
-SI units; six-vectors [linear; angular]; sensor axes. The sections stand in sections.py, every key once with its default.
+SI units; six-vectors [linear; angular]; sensor axes. sections.py holds every key once, with its default.
 """
 
 from __future__ import annotations

@@ -1,0 +1,64 @@
+"""Parquet: typed columns, null where a stream has no sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from truewrench.errors import InputError
+from truewrench.io.cells import Column
+from truewrench.io.table import Chunk, Table
+
+__all__ = ["ParquetTable"]
+
+_ROWS = 1 << 15  # read at once
+
+
+class _ParquetChunk(Chunk):
+    def __init__(self, table: ParquetTable, batch: pa.RecordBatch, first_row: int) -> None:
+        self.rows = batch.num_rows
+        self._table = table
+        self._batch = batch
+        self._first_row = first_row
+
+    def column(self, name: str) -> Column:
+        cells = self._batch.column(self._batch.schema.get_field_index(name))
+        if pa.types.is_dictionary(cells.type):
+            cells = cells.dictionary_decode()
+        return Column(self._table.path, name, cells, lambda i: f"row {self._first_row + i + 1}")
+
+    def batch(self) -> pa.RecordBatch:
+        return self._batch
+
+
+class ParquetTable(Table):
+    """A Parquet file; reading it costs one batch of rows, or one of its row groups."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = self._open(path)
+        super().__init__(path, self._file.schema_arrow.names)
+
+    @staticmethod
+    def _open(path: Path) -> pq.ParquetFile:
+        try:
+            return pq.ParquetFile(path, buffer_size=1 << 20, pre_buffer=False)
+        except (pa.ArrowException, OSError) as error:
+            raise InputError.at(path, "", f"a broken file ({error})", "Parquet") from error
+
+    def chunks(self, names: Sequence[str] | None = None) -> Iterator[Chunk]:
+        """Batches of rows."""
+        row = 0
+        columns = None if names is None else list(names)
+        batches = self._file.iter_batches(batch_size=_ROWS, columns=columns, use_threads=False)
+        while True:
+            try:
+                batch = next(batches, None)
+            except (pa.ArrowException, OSError) as error:
+                raise InputError.at(self.path, f"after row {row}", f"a fault ({error})", "Parquet") from error
+            if batch is None:
+                return
+            yield _ParquetChunk(self, batch, row)
+            row += batch.num_rows

@@ -1,0 +1,53 @@
+"""What CSV and Parquet have in common: a table that is read in chunks of rows."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pyarrow as pa
+
+from truewrench.errors import InputError
+from truewrench.io.cells import Column
+
+__all__ = ["ACCELERATION", "GRAVITY", "TWIST", "Chunk", "Table"]
+
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+ACCELERATION = ("ax", "ay", "az", "alx", "aly", "alz")
+GRAVITY = ("gx", "gy", "gz")
+
+
+class Chunk(ABC):
+    """Consecutive rows of a table."""
+
+    rows: int
+
+    @abstractmethod
+    def column(self, name: str) -> Column:
+        """The cells of one column."""
+
+    @abstractmethod
+    def batch(self) -> pa.RecordBatch:
+        """All columns, with the types that a table file would give them."""
+
+
+class Table(ABC):
+    """A table file, of any size.
+
+    Attributes:
+        path: of the file.
+        names: of the columns, each once, in order.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        self.path = path
+        self.names = tuple(names)
+        for i, name in enumerate(self.names):
+            if name in self.names[:i]:
+                found = f"`{name}` a second time"
+                raise InputError.at(path, f"header, column {i + 1}", found, "every column name once")
+
+    @abstractmethod
+    def chunks(self, names: Sequence[str] | None = None) -> Iterator[Chunk]:
+        """The rows in order, in chunks of bounded size; with `names`, these columns alone."""

@@ -1,0 +1,201 @@
+"""Logs as tables, CSV or Parquet (docs/formats.md)."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.io.cells import numbers, to_nanoseconds
+from truewrench.io.csv_table import CsvTable
+from truewrench.io.output import write_batches
+from truewrench.io.parquet_table import ParquetTable
+from truewrench.io.table import ACCELERATION, GRAVITY, TWIST, Chunk, Table
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = [
+    "ACCELERATION",
+    "GRAVITY",
+    "TWIST",
+    "TimeReader",
+    "open_table",
+    "raw_columns",
+    "read_log",
+    "split_payload",
+    "write_table",
+]
+
+_RECORDINGS = (".mcap", ".db3", ".bag")
+
+
+def open_table(path: str | Path) -> Table:
+    """A table file, its format recognised by its first bytes.
+
+    Raises:
+        InputError: there is no such file, or it is not a table.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            magic = file.read(4)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if path.suffix in _RECORDINGS:
+        raise UnsupportedError.at(path, "", f"a recording ({path.suffix})", "a table: CSV or Parquet")
+    return ParquetTable(path) if magic == b"PAR1" else CsvTable(path)
+
+
+def split_payload(source: str | Path, rig: Rig) -> tuple[Path, str]:
+    """`LOG@PAYLOAD` as path and payload; without a payload, the rig's `default` or only one.
+
+    Raises:
+        InputError: the rig has several payloads, none of them `default`, and none is named.
+    """
+    text = str(source)
+    for name in sorted(rig.payloads, key=len, reverse=True):
+        if text.endswith(f"@{name}") and len(text) > len(name) + 1:
+            return Path(text[: -len(name) - 1]), name
+    known = ", ".join(rig.payloads)
+    path = Path(text)
+    if "@" in path.name and not path.exists():
+        name = path.name.rpartition("@")[2]
+        raise InputError.at(text, "", f"no such file, and no payload `{name}` in the rig", f"one of: {known}")
+    if "default" in rig.payloads:
+        return path, "default"
+    if len(rig.payloads) == 1:
+        return path, next(iter(rig.payloads))
+    raise InputError.at(text, "", "no payload named", f"`{text}@PAYLOAD` with PAYLOAD one of: {known}")
+
+
+def raw_columns(table: Table, n: int) -> tuple[str, ...]:
+    """The names raw_0 ... raw_{n-1}, after checking that the table has exactly these."""
+    names = tuple(f"raw_{i}" for i in range(n))
+    require(table, names)
+    for name in table.names:
+        if re.fullmatch(r"raw_\d+", name) and name not in names:
+            expected = f"the {n} channels of the rig, raw_0 to raw_{n - 1}"
+            raise InputError.at(table.path, f"column `{name}`", "one raw channel too many", expected)
+    return names
+
+
+def require(table: Table, names: Iterable[str]) -> None:
+    """Check that columns are present; those that are not are named with the nearest one present."""
+    missing = [name for name in names if name not in table.names]
+    if missing:
+        near = {name: difflib.get_close_matches(name, table.names, n=1, cutoff=0.0)[0] for name in missing}
+        found = ", ".join(f"no column `{name}` (nearest: `{close}`)" for name, close in near.items())
+        raise InputError.at(table.path, "header", found, "every required column")
+
+
+class TimeReader:
+    """Time stamps of consecutive chunks, checked to increase strictly over the whole table."""
+
+    def __init__(self, table: Table) -> None:
+        if "time_ns" not in table.names and "time_s" not in table.names:
+            near = difflib.get_close_matches("time_ns", table.names, n=1, cutoff=0.0)[0]
+            expected = "a column `time_ns` or `time_s`"
+            raise InputError.at(table.path, "header", f"no time (nearest column: `{near}`)", expected)
+        self.name = "time_ns" if "time_ns" in table.names else "time_s"
+        self._last: int | None = None
+
+    def read(self, chunk: Chunk) -> npt.NDArray[np.int64]:
+        """(rows,) stamps of a chunk [ns]."""
+        column = chunk.column(self.name)
+        time = to_nanoseconds(column, per_second=self.name == "time_s")
+        if not len(time):
+            return time
+        before = np.concatenate([time[:1] - 1 if self._last is None else [self._last], time[:-1]])
+        if (time <= before).any():
+            i = int(np.flatnonzero(time <= before)[0])
+            raise column.error(i, f"{time[i]} ns after {before[i]} ns", "time that strictly increases")
+        self._last = int(time[-1])
+        return time
+
+
+def read_log(source: str | Path, rig: Rig) -> Log:
+    """Read a log of a twist rig.
+
+    Args:
+        source: path of a CSV or Parquet file, or `path@payload`.
+        rig: says how many raw channels there are and whether gravity acts.
+
+    Raises:
+        InputError: naming file, row and column, what was found and what was expected.
+    """
+    if rig.motion.source != "twist":
+        raise UnsupportedError.at(rig.path, "motion.source", "`joints`", "`twist`, which alone is supported")
+    path, payload = split_payload(source, rig)
+    table = open_table(path)
+    raw = raw_columns(table, rig.sensor.n)
+    require(table, TWIST)
+    if rig.in_gravity:
+        require(table, GRAVITY)
+    groups: dict[str, tuple[str, ...]] = {"raw": raw, "twist": TWIST}
+    optional = {"gravity": GRAVITY, "acceleration": ACCELERATION, "temperature": ("temperature",)}
+    for group, names in optional.items():
+        if any(name in table.names for name in names):
+            require(table, names)
+            groups[group] = names
+    columns = [name for names in groups.values() for name in names]
+    time_ns, values, nan_counts = _read_columns(table, columns)
+    if len(time_ns) < 2:
+        found = "no row" if len(time_ns) == 0 else "one row"
+        raise InputError.at(path, "", found, "at least two rows below the header")
+    for j, name in enumerate(columns):
+        if np.isnan(values[:, j]).all():
+            raise InputError.at(path, f"column `{name}`", "not one number", "a number in at least one row")
+    kept = ~np.isnan(values).all(axis=1)
+    if kept.sum() < 2:
+        raise InputError.at(path, "", "a measurement in one row only", "at least two rows with measurements")
+    arrays = {
+        group: np.ascontiguousarray(values[kept][:, [columns.index(name) for name in names]])
+        for group, names in groups.items()
+    }
+    with path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    return Log(
+        path=path,
+        payload=payload,
+        sha256=sha256,
+        time_ns=time_ns[kept],
+        raw=arrays["raw"],
+        twist=arrays["twist"],
+        gravity=arrays.get("gravity"),
+        acceleration=arrays.get("acceleration"),
+        temperature=arrays["temperature"][:, 0] if "temperature" in arrays else None,
+        nan_counts={name: count for name, count in nan_counts.items() if count},
+        dropped_rows=int((~kept).sum()),
+    )
+
+
+def write_table(path: str | Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write columns of equal length as CSV, or Parquet where the name ends so; NaN becomes an empty cell."""
+    arrays = {name: pa.array(values, from_pandas=True) for name, values in columns.items()}
+    batch = pa.RecordBatch.from_pydict(arrays)
+    write_batches(path, batch.schema, [batch])
+
+
+def _read_columns(
+    table: Table, columns: Sequence[str]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64], dict[str, int]]:
+    reader = TimeReader(table)
+    times: list[npt.NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
+    values: list[npt.NDArray[np.float64]] = [np.empty((0, len(columns)))]
+    nan_counts = dict.fromkeys(columns, 0)
+    for chunk in table.chunks([reader.name, *columns]):
+        times.append(reader.read(chunk))
+        block = np.empty((chunk.rows, len(columns)))
+        for j, name in enumerate(columns):
+            block[:, j], count = numbers(chunk.column(name))
+            nan_counts[name] += count
+        values.append(block)
+    return np.concatenate(times), np.concatenate(values), nan_counts
