@@ -13,5 +13,6 @@ using Array1 = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::
 using Array2 = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 void bind_payload(nb::module_& m);
+void bind_estimator(nb::module_& m);
 
 }  // namespace truewrench::python

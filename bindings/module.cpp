@@ -4,4 +4,5 @@
 NB_MODULE(TRUEWRENCH_MODULE, m) {
   m.doc() = "Numerical core of truewrench (C++20). The public face is the truewrench package.";
   truewrench::python::bind_payload(m);
+  truewrench::python::bind_estimator(m);
 }

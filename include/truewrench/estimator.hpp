@@ -1,0 +1,446 @@
+// The two estimators over windows of motion (docs/method.md, "Online and map").
+//
+// `online`: windows in sequence; each is solved jointly with the gain under what the ones before left.
+// `map`:    all windows share one gain; given it they are independent, and only their small matrices are added.
+#pragma once
+
+#include "truewrench/common.hpp"
+#include "truewrench/parallel.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+namespace truewrench {
+
+struct EstimatorSettings {
+  KnotSettings knots;
+  double window = 1.0;           // shortest window of `online` [s]; doubled while a window has fewer knot
+  int window_intervals = 4;      // intervals than this
+  int map_window_intervals = 64; // knot intervals of a window of `map`, about
+  double gap_periods = 5.0;      // no window spans a longer gap
+  double dependence_sigma = 3.1; // the gain must not depend on the knot spacing by more than this (99.9%)
+  int max_rounds = 6;
+  int max_iterations = 25;
+  double tolerance = 1e-9;       // last Gauss-Newton decrement of the common parameters
+  int threads = 0;               // 0: all
+};
+
+struct WindowReport {
+  int log = 0;
+  double begin = 0.0;
+  double end = 0.0;
+  WindowStatus status = WindowStatus::too_short;
+  int intervals = 0;
+  double samples_per_coefficient = 0.0;
+  std::size_t samples = 0;  // rows of the sensor
+  Groups groups{};
+  double nested = 0.0;
+  double nested_expected = 0.0;
+};
+
+struct HistoryEntry {
+  int log = 0;
+  double time = 0.0;       // end of the window [s]
+  Eigen::VectorXd mean;    // [gain, offset], normalised
+  Eigen::VectorXd sigma;
+};
+
+struct Estimate {
+  Status status = Status::ok;
+  bool converged = false;
+  Posterior posterior;               // normalised
+  std::vector<WindowReport> windows;
+  std::vector<HistoryEntry> history;  // `online`: after every window
+  double knot_dependence = 0.0;       // deviate of the gain against that of halved knots
+  double window_dependence = 0.0;     // `map`: and against that of doubled windows
+  int iterations = 0;
+};
+
+template <int N>
+class Estimator {
+ public:
+  Estimator(std::vector<LogData> logs, SensorScale<N> sensor, CommonPrior prior, EstimatorSettings settings)
+      : logs_(std::move(logs)), sensor_(std::move(sensor)), prior_(std::move(prior)), settings_(settings) {
+    for (const LogData& log : logs_) {
+      models_.emplace_back(log, sensor_, prior_.layout);
+      finest_.push_back(settings_.knots.samples_per_coefficient * period(log));
+    }
+  }
+  Estimator(const Estimator&) = delete;
+  Estimator& operator=(const Estimator&) = delete;
+
+  Estimate online() {
+    Estimate out;
+    std::vector<InformationSum> coarse, fine;
+    out.converged = sequence(out, coarse, fine);
+    conclude(out, coarse, fine);
+    return out;
+  }
+
+  Estimate map() {
+    Estimate out;
+    std::vector<InformationSum> coarse, fine;
+    sequence(out, coarse, fine);
+    out.posterior = combine(prior_, coarse);
+    out.status = out.posterior.status;
+    out.history.clear();
+    if (out.status != Status::ok) return out;
+    const std::vector<double> spacing = spacings(out.windows);
+    std::vector<Item> items;
+    for (int round = 0; round < settings_.max_rounds; ++round) {
+      if (round < 2) items = lay_out(spacing, out.posterior.mean);
+      const auto searched = out.posterior.mean;
+      out.converged = iterate(items, out, coarse);
+      if (out.status != Status::ok) return out;
+      review(items, out.posterior.mean);
+      sum(items, coarse, fine);
+      conclude(out, coarse, fine);
+      report(items, out.windows);
+      if (round == 0 && moved(searched, out.posterior) > 0.1) continue;  // knots were judged at another gain
+      round = std::max(round, 1);
+      if (std::max(out.knot_dependence, nested_deviate(items)) < settings_.dependence_sigma) break;
+      if (!halve(items)) break;
+    }
+    return out;
+  }
+
+ private:
+  struct Item {
+    std::size_t log;
+    WindowRange range;
+    WindowFit fit;
+  };
+
+  // The longer of the streams' median periods.
+  static double period(const LogData& log) {
+    const auto median = [](std::span<const double> t) {
+      if (t.size() < 2) return 0.0;
+      std::vector<double> d(t.size() - 1);
+      for (std::size_t i = 0; i + 1 < t.size(); ++i) d[i] = t[i + 1] - t[i];
+      std::nth_element(d.begin(), d.begin() + static_cast<std::ptrdiff_t>(d.size() / 2), d.end());
+      return d[d.size() / 2];
+    };
+    double longest = median(log.wrench.time);
+    for (const MotionSeries& s : log.motion) longest = std::max(longest, median(s.time));
+    return longest;
+  }
+
+  // Stretches that every stream covers without a gap.
+  std::vector<std::pair<double, double>> segments(const LogData& log) const {
+    const auto covered = [&](std::span<const double> t) {
+      std::vector<std::pair<double, double>> out;
+      if (t.empty()) return out;
+      std::vector<double> d;
+      for (std::size_t i = 0; i + 1 < t.size(); ++i) d.push_back(t[i + 1] - t[i]);
+      double limit = 0.0;
+      if (!d.empty()) {
+        std::vector<double> sorted = d;
+        const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+        std::nth_element(sorted.begin(), middle, sorted.end());
+        limit = settings_.gap_periods * *middle;
+      }
+      double begin = t.front();
+      for (std::size_t i = 0; i < d.size(); ++i) {
+        if (d[i] <= limit) continue;
+        out.emplace_back(begin, t[i]);
+        begin = t[i + 1];
+      }
+      out.emplace_back(begin, t.back());
+      return out;
+    };
+    auto common = covered(log.wrench.time);
+    for (const MotionSeries& s : log.motion) {
+      std::vector<std::pair<double, double>> next;
+      for (const auto& a : common) {
+        for (const auto& b : covered(s.time)) {
+          const double begin = std::max(a.first, b.first);
+          const double end = std::min(a.second, b.second);
+          if (end > begin) next.emplace_back(begin, end);
+        }
+      }
+      common = std::move(next);
+    }
+    return common;
+  }
+
+  // Samples in [begin, end), or up to and including the end of a segment.
+  static WindowRange range(const LogData& log, double begin, double end, bool closed) {
+    const auto within = [&](std::span<const double> t) {
+      const auto first = std::lower_bound(t.begin(), t.end(), begin);
+      const auto last = closed ? std::upper_bound(first, t.end(), end) : std::lower_bound(first, t.end(), end);
+      return std::pair(static_cast<std::size_t>(first - t.begin()), static_cast<std::size_t>(last - t.begin()));
+    };
+    WindowRange w;
+    w.begin = begin;
+    w.end = end;
+    w.wrench = within(log.wrench.time);
+    for (const MotionSeries& s : log.motion) w.motion.push_back(within(s.time));
+    return w;
+  }
+
+  static bool enough_samples(const WindowRange& w) {
+    std::size_t motion = 0;
+    for (const auto& m : w.motion) motion = std::max(motion, m.second - m.first);
+    return motion > kActive && w.wrench.second - w.wrench.first > kActive;
+  }
+
+  // One pass over all logs, windows in sequence. False where some window did not converge.
+  bool sequence(Estimate& out, std::vector<InformationSum>& coarse, std::vector<InformationSum>& fine) {
+    const int p = prior_.layout.size();
+    const int c = prior_.shared();
+    bool converged = true;
+    Prior prior{Eigen::MatrixXd(prior_.information.asDiagonal()), prior_.mean};
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      coarse.emplace_back(p);
+      fine.emplace_back(p);
+      if (l > 0) prior = next_log(prior, c);
+      double length = settings_.window;
+      double spacing = 0.0;
+      WindowSolver<N> solver(models_[l], settings_.knots);
+      for (const auto& [begin, end] : segments(logs_[l])) {
+        bool may_extend = true;
+        for (double t = begin; t < end;) {
+          const double stop = end - (t + length) < 0.5 * length ? end : t + length;
+          const WindowRange window = range(logs_[l], t, stop, stop == end);
+          WindowFit fit;
+          if (enough_samples(window)) {
+            const int start = spacing > 0.0 ? static_cast<int>((stop - t) / (2.0 * spacing)) : 1;
+            fit = solver.search(window, BSpline(BSpline::uniform(t, stop, std::max(1, start))), prior.mean, &prior,
+                                finest_[l]);
+          }
+          const bool fitted = fit.status == WindowStatus::fitted;
+          // Motion that is slow for the window: a longer one determines it better.
+          if (fitted && may_extend && stop < end && fit.spline.intervals() < settings_.window_intervals) {
+            length *= 2.0;
+            continue;
+          }
+          if (!fitted && length > settings_.window) {
+            length = std::max(settings_.window, 0.5 * length);
+            may_extend = false;
+            continue;
+          }
+          out.windows.push_back(report(l, window, fit));
+          if (fitted) {
+            coarse[l].add(fit.information, fit.theta);
+            fine[l].add(fit.finer, fit.theta);
+            prior.information += fit.information.matrix;
+            prior.mean = fit.theta;
+            spacing = (stop - t) / fit.spline.intervals();
+            out.history.push_back(history(l, stop, prior));
+            if (fit.spline.intervals() > 4 * settings_.window_intervals) {
+              length = std::max(settings_.window, 0.5 * length);
+            }
+          } else if (fit.status == WindowStatus::not_converged) {
+            converged = false;
+          }
+          out.iterations += fit.iterations;
+          may_extend = true;
+          t = stop;
+        }
+      }
+    }
+    return converged;
+  }
+
+  // What one log's posterior says about the next: the shared parameters, with the log's own marginalised out.
+  Prior next_log(const Prior& last, int shared) const {
+    Prior next{Eigen::MatrixXd(prior_.information.asDiagonal()), prior_.mean};
+    const auto own = last.information.rows() - shared;
+    next.mean.head(shared) = last.mean.head(shared);
+    Eigen::MatrixXd a = last.information.topLeftCorner(shared, shared);
+    if (own > 0) {
+      a -= last.information.topRightCorner(shared, own) *
+           last.information.bottomRightCorner(own, own).llt().solve(last.information.bottomLeftCorner(own, shared));
+    }
+    next.information.topLeftCorner(shared, shared) = a;
+    return next;
+  }
+
+  static HistoryEntry history(std::size_t log, double time, const Prior& posterior) {
+    const Eigen::MatrixXd p =
+        posterior.information.llt().solve(Eigen::MatrixXd::Identity(posterior.mean.size(), posterior.mean.size()));
+    return {static_cast<int>(log), time, posterior.mean, p.diagonal().cwiseMax(0.0).cwiseSqrt()};
+  }
+
+  WindowReport report(std::size_t log, const WindowRange& w, const WindowFit& fit) const {
+    WindowReport r;
+    r.log = static_cast<int>(log);
+    r.begin = w.begin;
+    r.end = w.end;
+    r.status = fit.status;
+    r.samples = w.wrench.second - w.wrench.first;
+    if (fit.status == WindowStatus::too_short) return r;
+    r.intervals = fit.spline.intervals();
+    double narrowest = w.end - w.begin;
+    for (int i = 0; i < r.intervals; ++i) narrowest = std::min(narrowest, fit.spline.width(i));
+    r.samples_per_coefficient = settings_.knots.samples_per_coefficient * narrowest / finest_[log];
+    r.groups = fit.groups;
+    r.nested = fit.nested;
+    r.nested_expected = fit.nested_expected;
+    return r;
+  }
+
+  void report(const std::vector<Item>& items, std::vector<WindowReport>& out) const {
+    out.clear();
+    for (const Item& i : items) out.push_back(report(i.log, i.range, i.fit));
+  }
+
+  // Typical knot spacing of every log in the pass before.
+  std::vector<double> spacings(const std::vector<WindowReport>& windows) const {
+    std::vector<double> out;
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      std::vector<double> h;
+      for (const WindowReport& w : windows) {
+        if (w.log == static_cast<int>(l) && w.intervals > 0) h.push_back((w.end - w.begin) / w.intervals);
+      }
+      std::sort(h.begin(), h.end());
+      out.push_back(h.empty() ? settings_.window / settings_.window_intervals : h[h.size() / 2]);
+    }
+    return out;
+  }
+
+  // Windows of `map` with their knots, searched at a given gain. A window that does not fit is cut in two, down to
+  // the length of a window of `online`, so that a disturbance costs only its surroundings.
+  std::vector<Item> lay_out(const std::vector<double>& spacing, const std::vector<Eigen::VectorXd>& theta) const {
+    std::vector<Item> items;
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      const double target = std::max(settings_.window, settings_.map_window_intervals * spacing[l]);
+      for (const auto& [begin, end] : segments(logs_[l])) {
+        const int count = std::max(1, static_cast<int>(std::ceil((end - begin) / target)));
+        const std::vector<double> edges = BSpline::uniform(begin, end, count);
+        for (int i = 0; i < count; ++i) {
+          const auto k = static_cast<std::size_t>(i);
+          items.push_back({l, range(logs_[l], edges[k], edges[k + 1], i + 1 == count), {}});
+        }
+      }
+    }
+    std::vector<std::vector<Item>> parts(items.size());
+    parallel_for(items.size(), settings_.threads, [&](std::size_t i) {
+      search(items[i], spacing[items[i].log], theta[items[i].log], parts[i]);
+    });
+    std::vector<Item> out;
+    for (auto& part : parts) std::move(part.begin(), part.end(), std::back_inserter(out));
+    return out;
+  }
+
+  void search(Item item, double spacing, const Eigen::VectorXd& theta, std::vector<Item>& out) const {
+    const WindowRange& w = item.range;
+    const double length = w.end - w.begin;
+    if (enough_samples(w)) {
+      const int start = std::max(1, static_cast<int>(length / (4.0 * spacing)));
+      WindowSolver<N> solver(models_[item.log], settings_.knots);
+      item.fit = solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, start)), theta, nullptr, finest_[item.log]);
+      if (item.fit.status != WindowStatus::fitted && length >= 2.0 * settings_.window) {
+        const double middle = 0.5 * (w.begin + w.end);
+        const bool closed = w.wrench.second == range(logs_[item.log], w.begin, w.end, true).wrench.second;
+        search({item.log, range(logs_[item.log], w.begin, middle, false), {}}, spacing, theta, out);
+        search({item.log, range(logs_[item.log], middle, w.end, closed), {}}, spacing, theta, out);
+        return;
+      }
+    }
+    out.push_back(std::move(item));
+  }
+
+  // Gauss-Newton on the common parameters with the knots held.
+  bool iterate(std::vector<Item>& items, Estimate& out, std::vector<InformationSum>& sums) {
+    for (int i = 0; i < settings_.max_iterations; ++i) {
+      parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
+        Item& item = items[k];
+        if (item.fit.status != WindowStatus::fitted) return;
+        WindowSolver<N> solver(models_[item.log], settings_.knots);
+        if (solver.relinearise(item.fit, item.range, out.posterior.mean[item.log]) != Status::ok) {
+          item.fit.status = WindowStatus::motion_undetermined;
+        }
+      });
+      std::vector<InformationSum> unused;
+      sum(items, sums, unused);
+      Posterior next = combine(prior_, sums);
+      out.status = next.status;
+      if (out.status != Status::ok) return false;
+      const double decrement = moved(out.posterior.mean, next);
+      out.posterior = std::move(next);
+      ++out.iterations;
+      if (decrement < settings_.tolerance) return true;
+    }
+    return false;
+  }
+
+  // Squared distance of two estimates in units of the covariance.
+  static double moved(const std::vector<Eigen::VectorXd>& from, const Posterior& to) {
+    double most = 0.0;
+    for (std::size_t l = 0; l < from.size(); ++l) {
+      const Eigen::VectorXd d = to.mean[l] - from[l];
+      most = std::max(most, d.dot(to.covariance[l].llt().solve(d)));
+    }
+    return most;
+  }
+
+  // Judges every window at the common gain.
+  void review(std::vector<Item>& items, const std::vector<Eigen::VectorXd>& theta) const {
+    parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
+      Item& item = items[k];
+      if (item.fit.status != WindowStatus::fitted) return;
+      WindowSolver<N> solver(models_[item.log], settings_.knots);
+      item.fit.theta = theta[item.log];
+      solver.finish(item.fit, item.range, nullptr);
+    });
+  }
+
+  void sum(const std::vector<Item>& items, std::vector<InformationSum>& coarse,
+           std::vector<InformationSum>& fine) const {
+    coarse.assign(logs_.size(), InformationSum(prior_.layout.size()));
+    fine = coarse;
+    for (const Item& i : items) {
+      if (i.fit.status != WindowStatus::fitted) continue;
+      coarse[i.log].add(i.fit.information, i.fit.theta);
+      if (i.fit.finer.matrix.size() > 0) fine[i.log].add(i.fit.finer, i.fit.theta);
+    }
+  }
+
+  void conclude(Estimate& out, const std::vector<InformationSum>& coarse,
+                const std::vector<InformationSum>& fine) const {
+    out.posterior = combine(prior_, coarse);
+    out.status = out.posterior.status;
+    const Posterior finer = combine(prior_, fine);
+    if (out.status != Status::ok || finer.status != Status::ok) return;
+    out.knot_dependence = disagreement(out.posterior, finer, prior_.layout.gains());
+  }
+
+  static double nested_deviate(const std::vector<Item>& items) {
+    GroupStatistics g;
+    for (const Item& i : items) {
+      if (i.fit.status != WindowStatus::fitted) continue;
+      g.sum_of_squares += i.fit.nested;
+      g.count += i.fit.nested_expected;
+    }
+    return g.deviate();
+  }
+
+  // Halves every interval that the samples still resolve; false where there is none.
+  bool halve(std::vector<Item>& items) const {
+    bool any = false;
+    for (Item& item : items) {
+      if (item.fit.status != WindowStatus::fitted) continue;
+      std::vector<char> marked(static_cast<std::size_t>(item.fit.spline.intervals()), 0);
+      for (std::size_t i = 0; i < marked.size(); ++i) {
+        marked[i] = 0.5 * item.fit.spline.width(static_cast<int>(i)) >= finest_[item.log];
+        any = any || marked[i];
+      }
+      BSpline finer(item.fit.spline.halved(marked));
+      item.fit.x = item.fit.spline.template refined<kCoordinates>(item.fit.x, finer);
+      item.fit.spline = std::move(finer);
+    }
+    return any;
+  }
+
+  std::vector<LogData> logs_;
+  SensorScale<N> sensor_;
+  CommonPrior prior_;
+  EstimatorSettings settings_;
+  std::vector<WindowModel<N>> models_;
+  std::vector<double> finest_;
+};
+
+}  // namespace truewrench

@@ -1,0 +1,379 @@
+// One window solved: Gauss-Newton on (motion, common parameters), and the search for the coarsest knots that the
+// data accept (docs/method.md, "Knots").
+//
+// Coarse to fine. At every spacing two questions are asked of each interval: are the residuals of every stream
+// as large as their noise says, and would halving the interval lower the cost by more than chance (the score
+// test of the nested, finer spline: one linearisation, no second fit)? An interval that fails is halved.
+#pragma once
+
+#include "truewrench/window.hpp"
+
+#include <array>
+#include <cmath>
+#include <optional>
+
+namespace truewrench {
+
+struct KnotSettings {
+  int blocks_per_interval = 12;         // samples of an interval are averaged into this many blocks, if it has more
+  double samples_per_coefficient = 2;   // the finest spacing, in periods of the slower stream
+  double interval_sigma = 4;            // an interval is halved when its score test exceeds its mean by this much,
+  double window_sigma = 3;              // all that exceed their mean, when the window's sum exceeds its own by this
+  double residual_sigma = 5;            // or when a stream's residuals on it exceed their noise by this
+  double reject_sigma = 5;              // a window is rejected when a stream's residuals exceed their noise by this
+  int max_iterations = 12;
+  double tolerance = 1e-3;              // remaining decrease of the cost (chi-square units) that counts as converged
+  int max_levels = 30;
+};
+
+enum class WindowStatus : std::uint8_t {
+  fitted,
+  too_short,             // fewer samples than coefficients of the coarsest spline
+  motion_undetermined,   // the streams present do not determine the motion
+  not_converged,
+  misfit,                // residuals above their noise at every admissible spacing
+  unresolved,            // finer knots would still fit better, but the samples do not resolve them
+};
+
+// Groups of residuals that are judged apart: the sensor's forces and moments (or all channels, when there are not
+// six), and the motion's linear and angular parts.
+enum Group : std::uint8_t { kForce, kMoment, kLinear, kAngular, kGroups };
+
+struct GroupStatistics {
+  double sum_of_squares = 0.0;  // of residuals over their sigma
+  double count = 0.0;
+  double leverage = 0.0;        // degrees of freedom that the motion took from this group
+
+  double degrees_of_freedom() const { return count - leverage; }
+
+  // Standard normal deviate of the sum of squares (Wilson and Hilferty's cube root).
+  double deviate() const {
+    const double k = degrees_of_freedom();
+    if (k < 1.0) return 0.0;
+    const double v = 2.0 / (9.0 * k);
+    return (std::cbrt(sum_of_squares / k) - (1.0 - v)) / std::sqrt(v);
+  }
+
+  GroupStatistics& operator+=(const GroupStatistics& o) {
+    sum_of_squares += o.sum_of_squares;
+    count += o.count;
+    leverage += o.leverage;
+    return *this;
+  }
+};
+using Groups = std::array<GroupStatistics, kGroups>;
+
+inline Group wrench_group(int channel, int channels) {
+  return channels == 6 && channel >= 3 ? kMoment : kForce;
+}
+inline Group motion_group(int coordinate) { return coordinate < 3 ? kLinear : kAngular; }
+
+// Information on the common parameters that one window leaves, linearised at theta.
+struct Information {
+  Eigen::MatrixXd matrix;  // S
+  Eigen::VectorXd score;   // s: the Gauss-Newton step is (S + prior)^-1 (s + ...)
+};
+
+struct Prior {
+  Eigen::MatrixXd information;
+  Eigen::VectorXd mean;
+};
+
+struct WindowFit {
+  WindowStatus status = WindowStatus::too_short;
+  BSpline spline;
+  Coefficients x;
+  Eigen::VectorXd theta;
+  Information information;
+  Information finer;             // the same with every interval halved
+  double nested = 0.0;           // decrease of the cost by halving every interval,
+  double nested_expected = 0.0;  // and what chance alone gives
+  Groups groups{};
+  int iterations = 0;
+};
+
+template <int N>
+class WindowSolver {
+ public:
+  WindowSolver(const WindowModel<N>& model, const KnotSettings& settings) : model_(model), settings_(settings) {}
+
+  // Searches knots from `start` on. With `prior` theta is solved for, else it is held.
+  WindowFit search(const WindowRange& window, const BSpline& start, const Eigen::VectorXd& theta,
+                   const Prior* prior, double finest) {
+    WindowFit fit;
+    fit.spline = start;
+    fit.theta = theta;
+    fit.x = Coefficients::Zero(start.coefficients(), kCoordinates);
+    // The motion alone first: linear, independent of theta, and a safe start for the joint solution.
+    if (!refine(fit, window, Terms::motion, nullptr, finest)) return fit;
+    if (!refine(fit, window, Terms::all, prior, finest)) return fit;
+    finish(fit, window, prior);
+    return fit;
+  }
+
+  // One Gauss-Newton step of the motion at a given theta and the information there, on fixed knots.
+  Status relinearise(WindowFit& fit, const WindowRange& window, const Eigen::VectorXd& theta) {
+    fit.theta = theta;
+    blocks_.build(model_, window, fit.spline, settings_.blocks_per_interval);
+    normal_.assemble(model_, blocks_, fit.spline, fit.x, theta, Terms::all, true);
+    if (const Status st = normal_.reduce(); st != Status::ok) return st;
+    fit.information = {normal_.information(), normal_.score()};
+    fit.x += normal_.motion_step({});
+    return Status::ok;
+  }
+
+  // Statistics of a converged fit: the score test of halved knots, residuals at every sample, leverage; and the
+  // verdict on the window.
+  void finish(WindowFit& fit, const WindowRange& window, const Prior* prior) {
+    const Refinement r = test(fit, window, Terms::all, prior, true);
+    fit.nested = r.nested;
+    fit.nested_expected = r.expected;
+    fit.groups = Groups{};
+    for (const Groups& g : r.residuals) {
+      for (std::size_t k = 0; k < kGroups; ++k) fit.groups[k] += g[k];
+    }
+    add_leverage(fit, window);
+    fit.status = WindowStatus::fitted;
+    for (const GroupStatistics& g : fit.groups) {
+      if (g.deviate() > settings_.reject_sigma) fit.status = WindowStatus::misfit;
+    }
+    if (fit.status == WindowStatus::fitted &&
+        fit.nested - fit.nested_expected > settings_.reject_sigma * std::sqrt(2.0 * fit.nested_expected)) {
+      fit.status = WindowStatus::unresolved;
+    }
+  }
+
+ private:
+  struct Refinement {
+    std::vector<double> gain;  // decrease of the cost per interval by halving all of them
+    std::vector<Groups> residuals;
+    double nested = 0.0;
+    double expected = 0.0;
+  };
+
+  bool refine(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior, double finest) {
+    for (int level = 0; level < settings_.max_levels; ++level) {
+      if (const WindowStatus st = solve(fit, window, terms, prior); st != WindowStatus::fitted) {
+        // At a spacing that is still too coarse the joint problem may be misled; a finer one is tried.
+        if (st != WindowStatus::not_converged) {
+          fit.status = st;
+          return false;
+        }
+      }
+      const Refinement r = test(fit, window, terms, prior, false);
+      const std::vector<char> marked = mark(fit.spline, r, finest);
+      if (std::none_of(marked.begin(), marked.end(), [](char m) { return m; })) return true;
+      BSpline finer(fit.spline.halved(marked));
+      fit.x = fit.spline.refined<kCoordinates>(fit.x, finer);
+      fit.spline = std::move(finer);
+    }
+    return true;
+  }
+
+  WindowStatus solve(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior) {
+    blocks_.build(model_, window, fit.spline, settings_.blocks_per_interval);
+    for (int i = 0; i < settings_.max_iterations; ++i) {
+      normal_.assemble(model_, blocks_, fit.spline, fit.x, fit.theta, terms, prior != nullptr);
+      if (normal_.reduce() != Status::ok) return WindowStatus::motion_undetermined;
+      ++fit.iterations;
+      double decrement = normal_.motion_decrement();
+      Eigen::VectorXd dtheta;
+      if (prior != nullptr) {
+        const Eigen::VectorXd pull = prior->information * (prior->mean - fit.theta);
+        const Eigen::VectorXd g = normal_.score() + pull;
+        dtheta = (normal_.information() + prior->information).llt().solve(g);
+        decrement += g.dot(dtheta);
+      }
+      if (!std::isfinite(decrement)) return WindowStatus::not_converged;
+      const Coefficients dx = normal_.motion_step(dtheta);
+      if (terms == Terms::motion) {  // linear: one step is the solution
+        fit.x += dx;
+        return WindowStatus::fitted;
+      }
+      const double before = normal_.cost() + prior_cost(fit.theta, prior);
+      double step = 1.0;
+      for (; step > 1e-3; step *= 0.5) {
+        const Coefficients x = fit.x + step * dx;
+        const Eigen::VectorXd theta = prior != nullptr ? Eigen::VectorXd(fit.theta + step * dtheta) : fit.theta;
+        if (decrement < settings_.tolerance ||
+            cost(fit.spline, x, theta) + prior_cost(theta, prior) < before - 1e-4 * step * decrement) {
+          fit.x = x;
+          fit.theta = theta;
+          break;
+        }
+      }
+      if (decrement < settings_.tolerance) return WindowStatus::fitted;
+      if (step <= 1e-3) return WindowStatus::not_converged;
+    }
+    return WindowStatus::not_converged;
+  }
+
+  static double prior_cost(const Eigen::VectorXd& theta, const Prior* prior) {
+    if (prior == nullptr) return 0.0;
+    const Eigen::VectorXd d = theta - prior->mean;
+    return d.dot(prior->information * d);
+  }
+
+  double cost(const BSpline&, const Coefficients& x, const Eigen::VectorXd& theta) const {
+    double sum = 0.0;
+    for (const MotionBlock& b : blocks_.motion) {
+      const Vector6 r = b.value - x.middleRows<kActive>(b.interval).transpose() * b.basis;
+      sum += b.weight.dot(r.cwiseAbs2());
+    }
+    for (const WrenchBlock<N>& b : blocks_.wrench) {
+      sum += b.weight.dot((b.raw - predict(b, x, theta)).cwiseAbs2());
+    }
+    return sum;
+  }
+
+  ChannelVector<N> predict(const WrenchBlock<N>& b, const Coefficients& x, const Eigen::VectorXd& theta) const {
+    const auto xi = x.middleRows<kActive>(b.interval);
+    return model_.predict(
+        theta, model_.wrench_at(xi.transpose() * b.basis, xi.transpose() * b.basis_rate, b.gravity, b.spread));
+  }
+
+  // The score test of the spline with every interval halved. `keep`: leave its information in fit.finer and that
+  // of the present knots in fit.information.
+  Refinement test(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior, bool keep) {
+    Refinement out;
+    out.residuals = residuals(fit, window, terms);
+    out.gain.assign(static_cast<std::size_t>(fit.spline.intervals()), 0.0);
+    const bool common = keep || prior != nullptr;
+    if (keep) {
+      blocks_.build(model_, window, fit.spline, settings_.blocks_per_interval);
+      normal_.assemble(model_, blocks_, fit.spline, fit.x, fit.theta, terms, true);
+      if (normal_.reduce() == Status::ok) fit.information = {normal_.information(), normal_.score()};
+      fit.finer = fit.information;
+    }
+    const std::vector<char> all(out.gain.size(), 1);
+    const BSpline finer(fit.spline.halved(all));
+    const Coefficients x = fit.spline.refined<kCoordinates>(fit.x, finer);
+    fine_blocks_.build(model_, window, finer, settings_.blocks_per_interval);
+    fine_normal_.assemble(model_, fine_blocks_, finer, x, fit.theta, terms, common);
+    if (fine_normal_.reduce() != Status::ok) return out;  // too few samples to ask
+    if (keep) fit.finer = {fine_normal_.information(), fine_normal_.score()};
+    Eigen::VectorXd dtheta;
+    if (prior != nullptr) {
+      dtheta = (fine_normal_.information() + prior->information)
+                   .llt()
+                   .solve(fine_normal_.score() + prior->information * (prior->mean - fit.theta));
+    }
+    const Coefficients x_new = x + fine_normal_.motion_step(dtheta);
+    const Eigen::VectorXd theta_new = prior != nullptr ? Eigen::VectorXd(fit.theta + dtheta) : fit.theta;
+    for (const MotionBlock& b : fine_blocks_.motion) {
+      const Vector6 d =
+          (x_new - x).middleRows<kActive>(b.interval).transpose() * b.basis;
+      out.gain[static_cast<std::size_t>(b.interval / 2)] += b.weight.dot(d.cwiseAbs2());
+    }
+    if (terms == Terms::all) {
+      for (const WrenchBlock<N>& b : fine_blocks_.wrench) {
+        const ChannelVector<N> d = predict(b, x_new, theta_new) - predict(b, x, fit.theta);
+        out.gain[static_cast<std::size_t>(b.interval / 2)] += b.weight.dot(d.cwiseAbs2());
+      }
+    }
+    for (const double g : out.gain) out.nested += g;
+    out.expected = kCoordinates * static_cast<double>(out.gain.size());
+    return out;
+  }
+
+  std::vector<char> mark(const BSpline& spline, const Refinement& r, double finest) const {
+    std::vector<char> marked(r.gain.size(), 0);
+    const double local_limit = kCoordinates + settings_.interval_sigma * std::sqrt(2.0 * kCoordinates);
+    const bool pooled =
+        r.nested - r.expected > settings_.window_sigma * std::sqrt(2.0 * std::max(r.expected, 1.0));
+    const double lost = kCoordinates * (1.0 + kDegree / static_cast<double>(spline.intervals()));
+    for (std::size_t i = 0; i < marked.size(); ++i) {
+      bool bad = r.gain[i] > local_limit || (pooled && r.gain[i] > kCoordinates);
+      double total = 0.0;
+      for (const GroupStatistics& g : r.residuals[i]) total += g.count;
+      for (GroupStatistics g : r.residuals[i]) {
+        g.leverage = total > 0.0 ? lost * g.count / total : 0.0;
+        bad = bad || g.deviate() > settings_.residual_sigma;
+      }
+      marked[i] = bad && 0.5 * spline.width(static_cast<int>(i)) >= finest;
+    }
+    return marked;
+  }
+
+  // Residuals at every sample, per interval and group.
+  std::vector<Groups> residuals(const WindowFit& fit, const WindowRange& window, Terms terms) const {
+    std::vector<Groups> out(static_cast<std::size_t>(fit.spline.intervals()));
+    const auto add = [](GroupStatistics& g, double r) {
+      if (!std::isfinite(r)) return;
+      g.sum_of_squares += r * r;
+      g.count += 1.0;
+    };
+    for (std::size_t m = 0; m < window.motion.size(); ++m) {
+      const MotionSeries& series = model_.log().motion[m];
+      for (std::size_t k = window.motion[m].first; k < window.motion[m].second; ++k) {
+        const int i = fit.spline.interval(series.time[k]);
+        const BasisRow b = fit.spline.basis(i, powers(fit.spline.local(i, series.time[k])), series.order);
+        const Vector6 s = fit.x.middleRows<kActive>(i).transpose() * b;
+        for (int c = 0; c < 6; ++c) {
+          add(out[static_cast<std::size_t>(i)][motion_group(c)],
+              (series.value[6 * k + static_cast<std::size_t>(c)] - s[c]) / series.sigma[c]);
+        }
+      }
+    }
+    if (terms == Terms::motion) return out;
+    const int n = model_.layout().channels;
+    for (std::size_t k = window.wrench.first; k < window.wrench.second; ++k) {
+      const double t = model_.log().wrench.time[k];
+      const int i = fit.spline.interval(t);
+      const Powers u = powers(fit.spline.local(i, t));
+      const auto xi = fit.x.middleRows<kActive>(i);
+      const Vector6 w = model_.wrench_at(xi.transpose() * fit.spline.basis(i, u, 0),
+                                         xi.transpose() * fit.spline.basis(i, u, 1), model_.gravity(k));
+      const ChannelVector<N> r = (model_.raw(k) - model_.predict(fit.theta, w)).cwiseQuotient(model_.sigma());
+      for (int c = 0; c < n; ++c) add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
+    }
+    return out;
+  }
+
+  // trace(W J Hxx^-1 J^T) per group. normal_ holds the factor of the present knots.
+  void add_leverage(WindowFit& fit, const WindowRange&) const {
+    const MotionNormal z = normal_.covariance_band();
+    const auto covariance = [&](int interval, const BasisRow& a, const BasisRow& b) {
+      Matrix6 sum = Matrix6::Zero();
+      for (int k = 0; k < kActive; ++k) {
+        for (int l = 0; l < kActive; ++l) {
+          if (k >= l) {
+            sum += (a[k] * b[l]) * z(interval + k, interval + l);
+          } else {
+            sum += (a[k] * b[l]) * z(interval + l, interval + k).transpose();
+          }
+        }
+      }
+      return sum;
+    };
+    for (const MotionBlock& b : blocks_.motion) {
+      const Vector6 variance = covariance(b.interval, b.basis, b.basis).diagonal();
+      for (int c = 0; c < 6; ++c) fit.groups[motion_group(c)].leverage += b.weight[c] * variance[c];
+    }
+    const int n = model_.layout().channels;
+    const ChannelMatrix<N> gain = model_.gain(fit.theta);
+    const ChannelMatrix<N> by_rate = gain * model_.wrench_by_rates();
+    for (const WrenchBlock<N>& b : blocks_.wrench) {
+      const Vector6 s = fit.x.middleRows<kActive>(b.interval).transpose() * b.basis;
+      const ChannelMatrix<N> by_coordinate = gain * model_.wrench_by_coordinates(s);
+      const Matrix6 cc = covariance(b.interval, b.basis, b.basis);
+      const Matrix6 cr = covariance(b.interval, b.basis, b.basis_rate);
+      const Matrix6 rr = covariance(b.interval, b.basis_rate, b.basis_rate);
+      for (int c = 0; c < n; ++c) {
+        const auto jc = by_coordinate.row(c);
+        const auto jr = by_rate.row(c);
+        const double variance = (jc * cc * jc.transpose() + 2.0 * jc * cr * jr.transpose() + jr * rr * jr.transpose())(0);
+        fit.groups[wrench_group(c, n)].leverage += b.weight[c] * variance;
+      }
+    }
+  }
+
+  const WindowModel<N>& model_;
+  KnotSettings settings_;
+  Blocks<N> blocks_;
+  Blocks<N> fine_blocks_;
+  WindowNormal<N> normal_;
+  WindowNormal<N> fine_normal_;
+};
+
+}  // namespace truewrench
