@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
-import yaml
 from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
+from truewrench.files import write_yaml
+from truewrench.io.cells import numbers
+from truewrench.io.table import ACCELERATION, GRAVITY, TWIST
+from truewrench.io.tables import TimeReader, open_table, require, write_table
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
 from truewrench.trajectory import Body, HarmonicTwist, SplineTwist, Trajectory, attitude
@@ -25,9 +26,7 @@ __all__ = ["SimulatedRun", "Truth", "default_trajectory", "read_plan", "simulate
 
 Array = NDArray[np.float64]
 
-TWIST_COLUMNS = ("vx", "vy", "vz", "wx", "wy", "wz")
-ACCELERATION_COLUMNS = ("ax", "ay", "az", "alx", "aly", "alz")
-GRAVITY_COLUMNS = ("gx", "gy", "gz")
+_FEWEST_ROWS = 6  # of a plan: what a quintic spline needs
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +39,7 @@ class Truth:
     payloads: dict[str, Body]
     seed: int
 
-    def to_mapping(self) -> dict[str, object]:
+    def to_mapping(self) -> dict[str, Any]:
         """Plain numbers and lists, as LOG.truth.yaml holds them."""
         return {
             "gain": self.gain.tolist(),
@@ -77,21 +76,14 @@ class SimulatedRun:
         """Write the log (CSV, or Parquet by its suffix) and PATH.truth.yaml beside it; return both paths."""
         target = Path(path)
         target.parent.mkdir(parents=True, exist_ok=True)
-        columns: dict[str, object] = {"time_ns": self.log.time_ns}
+        columns: dict[str, NDArray[np.int64] | Array] = {"time_ns": self.log.time_ns}
         columns |= {f"raw_{i}": channel for i, channel in enumerate(self.log.raw.T)}
-        for names, block in ((TWIST_COLUMNS, self.log.twist), (GRAVITY_COLUMNS, self.log.gravity)):
+        for names, block in ((TWIST, self.log.twist), (GRAVITY, self.log.gravity)):
             if block is not None:
                 columns |= dict(zip(names, block.T, strict=True))
-        # a stream without a sample at a row's time is an empty cell, not a NaN
-        table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
-        if target.suffix == ".parquet":
-            pyarrow.parquet.write_table(table, target)
-        else:
-            with target.open("wb") as file:
-                file.write((",".join(columns) + "\n").encode())  # pyarrow would quote the names
-                pyarrow.csv.write_csv(table, file, pyarrow.csv.WriteOptions(include_header=False))
+        write_table(target, columns)
         truth = target.with_name(target.name + ".truth.yaml")
-        truth.write_text(yaml.safe_dump(self.truth.to_mapping(), sort_keys=False), encoding="utf-8")
+        write_yaml(truth, self.truth.to_mapping())
         return target, truth
 
 
@@ -213,55 +205,44 @@ def default_trajectory(rig: Rig) -> HarmonicTwist:
 
 
 def read_plan(path: str | Path) -> SplineTwist:
-    """Read the planned twist of a PLAN table (CSV or Parquet): time_s, vx ... wz and, checked, ax ... alz.
+    """Read the planned twist of a PLAN table (CSV or Parquet): vx ... wz and, checked, ax ... alz.
 
     Raises:
-        InputError: for missing columns, gaps, time that does not increase, or accelerations that are not the
-            derivative of the twist.
+        InputError: for missing columns or numbers, time that does not increase, or accelerations that are
+            not the derivative of the twist.
     """
-    file = Path(path)
-    try:
-        table = pyarrow.parquet.read_table(file) if file.suffix == ".parquet" else pyarrow.csv.read_csv(file)
-    except (OSError, pa.ArrowException) as error:
-        raise InputError.at(file, "", str(error), "a CSV or Parquet table") from None
-    names = ("time_s", *TWIST_COLUMNS)
-    for name in names:
-        if name not in table.column_names:
-            raise InputError.at(file, name, "no such column", "time_s and " + " ".join(TWIST_COLUMNS))
-    stated = all(name in table.column_names for name in ACCELERATION_COLUMNS)
-    try:
-        data = np.column_stack(
-            [
-                table[name].to_numpy().astype(np.float64)
-                for name in (names + ACCELERATION_COLUMNS if stated else names)
-            ]
-        )
-    except ValueError as error:
-        raise InputError.at(file, "", str(error), "numbers") from None
-    if len(data) < 6:
-        raise InputError.at(file, "", f"{len(data)} rows", "at least 6")
-    for row, column in np.argwhere(~np.isfinite(data)):
+    table = open_table(path)
+    stated = any(name in table.names for name in ACCELERATION)
+    names = TWIST + ACCELERATION if stated else TWIST
+    require(table, names)
+    reader = TimeReader(table)
+    stamps, blocks = [], []
+    for chunk in table.chunks([reader.name, *names]):
+        stamps.append(reader.read(chunk))
+        blocks.append(np.column_stack([numbers(chunk.column(name))[0] for name in names]))
+    rows = sum(map(len, stamps))
+    if rows < _FEWEST_ROWS:
+        raise InputError.at(path, "", f"{rows} rows", f"at least {_FEWEST_ROWS}")
+    time, data = _seconds(np.concatenate(stamps)), np.concatenate(blocks)
+    if np.isnan(data).any():
+        row, column = np.argwhere(np.isnan(data))[0]
         raise InputError.at(
-            file, f"row {row + 1}, {(names + ACCELERATION_COLUMNS)[column]}", "no number", "a number"
+            path, f"row {row + 1}, column `{names[column]}`", "no number", "a number in every row"
         )
-    steps = np.diff(data[:, 0])
-    if steps.min() <= 0.0:
-        row = int(np.argmin(steps)) + 2
-        raise InputError.at(file, f"row {row}, time_s", f"{data[row - 1, 0]}", "time that strictly increases")
-    trajectory = SplineTwist.through(data[:, 0], data[:, 1:7])
+    trajectory = SplineTwist.through(time, data[:, :6])
     if stated:
-        _check_derivative(file, data[:, 7:], trajectory.acceleration(data[:, 0] - data[0, 0]))
+        _check_derivative(path, data[:, 6:], trajectory.acceleration(time - time[0]))
     return trajectory
 
 
-def _check_derivative(file: Path, stated: Array, derivative: Array) -> None:
+def _check_derivative(path: str | Path, stated: Array, derivative: Array) -> None:
     # 2% of the largest forgives a coarse table, not a wrong unit or the derivative in another frame
     excess = np.abs(derivative - stated) - 0.02 * np.abs(stated).max(axis=0) - 1e-6
     row, axis = np.unravel_index(np.argmax(excess), excess.shape)
     if excess[row, axis] > 0.0:
-        place = f"row {row + 1}, {ACCELERATION_COLUMNS[axis]}"
-        expected = f"{derivative[row, axis]:.6g}, the derivative of {TWIST_COLUMNS[axis]}"
-        raise InputError.at(file, place, f"{stated[row, axis]:.6g}", expected)
+        place = f"row {row + 1}, column `{ACCELERATION[axis]}`"
+        expected = f"{derivative[row, axis]:.6g}, the derivative of {TWIST[axis]}"
+        raise InputError.at(path, place, f"{stated[row, axis]:.6g}", expected)
 
 
 def _check_supported(rig: Rig) -> None:
