@@ -1,0 +1,169 @@
+"""Least squares on a differentiated twist ([A00] 9-11): the simple competitor of the window estimator.
+
+The model ``raw = C w + b`` is linear in the gain once the wrench is taken for known. It is not: the noise of
+the twist enters w through the differentiation, and noise in a regressor shrinks the gain. `smooth="spline"`
+removes most of that noise beforehand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.log import Log
+from truewrench.rig import PayloadSpec, Rig
+from truewrench.smooth import segments, smooth_twist
+
+__all__ = ["LeastSquaresEstimate", "least_squares"]
+
+Array = NDArray[np.float64]
+
+_SHORTEST = 8  # rows that a piece of the record must have to be differentiated
+_INCOMPLETE = 0.1  # share of rows that may lack a stream
+
+
+@dataclass(frozen=True, slots=True)
+class LeastSquaresEstimate:
+    """Gain and offsets by least squares, in SI and raw units.
+
+    Attributes:
+        gain: (n, 6).
+        covariance: (7n, 7n) of [gain row by row, offset of the last log]: that of the sensor noise alone.
+        offset: (n,) of the last log.
+        offsets: (L, n), one per log.
+        chi_square: (n,) residual chi-square per degree of freedom of each channel.
+        samples: (L,) rows used of each log.
+        spacing: (L, 6) coarsest knot spacing of the smoothed twist [s], None with plain differences.
+    """
+
+    gain: Array
+    covariance: Array
+    offset: Array
+    offsets: Array
+    chi_square: Array
+    samples: NDArray[np.int64]
+    spacing: Array | None
+
+
+def least_squares(
+    rig: Rig, logs: Sequence[Log], smooth: Literal["spline"] | None = None
+) -> LeastSquaresEstimate:
+    """Estimate one gain and an offset per log by weighted least squares with an orthogonal factorisation.
+
+    Directions of the gain that the motion does not excite keep their nominal value and prior variance.
+
+    Args:
+        rig: sensor and payloads, taken for exact.
+        logs: rows with raw channels and twist together.
+        smooth: None for central differences of the twist, "spline" for splines fitted to it beforehand.
+
+    Raises:
+        UnsupportedError: for streams of different rates.
+        InputError: for a log without enough complete rows.
+    """
+    sensor = rig.sensor
+    parts = [_regressors(rig, log, smooth) for log in logs]
+    samples = np.array([len(wrench) for wrench, _, _ in parts])
+    wrench = np.concatenate([w for w, _, _ in parts]) / sensor.range_array
+    nominal = sensor.nominal_gain_array * sensor.range_array / sensor.channel_scale[:, None]
+    departure = np.concatenate([raw for _, raw, _ in parts]) / sensor.channel_scale - wrench @ nominal.T
+    log_of = (
+        np.zeros(len(wrench), dtype=np.int64)
+        if sensor.pool_offsets
+        else np.repeat(np.arange(len(logs)), samples)
+    )
+    ones = (log_of[:, None] == np.arange(log_of[-1] + 1)).astype(np.float64)
+
+    n, offset_prior = sensor.n, sensor.offset_prior_array / sensor.channel_scale
+    gain, offsets = nominal.copy(), np.zeros((n, ones.shape[1]))
+    covariance, chi_square = np.zeros((7 * n, 7 * n)), np.empty(n)
+    for with_offset in (True, False):
+        channels = np.flatnonzero((offset_prior > 0.0) == with_offset)
+        if channels.size == 0:
+            continue
+        design = np.column_stack([wrench, ones]) if with_offset else wrench
+        q, r = np.linalg.qr(design)
+        u, s, vt = np.linalg.svd(r)
+        seen = s > s[0] * 1e-12
+        solution = vt[seen].T @ ((u[:, seen].T @ (q.T @ departure[:, channels])) / s[seen, None])
+        residual = departure[:, channels] - design @ solution
+        for k, i in enumerate(channels):
+            sigma = sensor.noise_array[i] / sensor.channel_scale[i]
+            prior = np.full(design.shape[1], sensor.gain_prior)
+            prior[6:] = offset_prior[i]
+            unseen = vt[~seen].T @ vt[~seen]
+            of_row = (vt[seen].T * (sigma / s[seen]) ** 2) @ vt[seen] + unseen @ np.diag(prior**2) @ unseen
+            gain[i] += solution[:6, k]
+            chi_square[i] = np.sum((residual[:, k] / sigma) ** 2) / max(1, len(design) - seen.sum())
+            where = 6 * i + np.arange(6)
+            if with_offset:
+                offsets[i] = solution[6:, k]
+                of_row = np.delete(np.delete(of_row, slice(6, -1), 0), slice(6, -1), 1)
+                where = np.append(where, 6 * n + i)
+            covariance[np.ix_(where, where)] = of_row
+    unit = sensor.channel_scale[:, None] / sensor.range_array
+    units = np.concatenate([unit.ravel(), sensor.channel_scale])
+    in_si = (offsets * sensor.channel_scale[:, None]).T
+    return LeastSquaresEstimate(
+        gain=gain * unit,
+        covariance=covariance * units[:, None] * units,
+        offset=in_si[-1],
+        offsets=np.broadcast_to(in_si, (len(logs), n)).copy(),
+        chi_square=chi_square,
+        samples=samples,
+        spacing=np.array([spacing for _, _, spacing in parts]) if smooth else None,
+    )
+
+
+def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array, Array]:
+    """Wrench (N, 6) with the sign of the rig, raw channels (N, n) and knot spacing (6,) of one log."""
+    time, raw, twist, gravity = _complete_rows(rig, log)
+    wrenches, raws, spacing = [], [], np.zeros(6)
+    payload = rig.payloads[log.payload]
+    # v_C = v_S + Omega x c: shift of the logged twist, and of its derivative, to the centre of mass
+    lever = payload.center_of_mass_array if rig.motion.of == "sensor" else np.zeros(3)
+    for piece in segments(time):
+        t, nu, g = time[piece], twist[piece], gravity[piece]
+        if t.size < _SHORTEST:
+            continue
+        if smooth == "spline":
+            fit = smooth_twist(t, nu, rig.motion.noise_array)
+            nu, a, inside = fit.twist, fit.acceleration, slice(None)
+            spacing = np.maximum(spacing, fit.spacing)
+        else:
+            a, inside = np.gradient(nu, t, axis=0), slice(1, -1)  # the ends have no central difference
+        at_mass = [np.column_stack([x[:, :3] + np.cross(x[:, 3:], lever), x[:, 3:]])[inside] for x in (nu, a)]
+        wrenches.append(rig.sensor.sign * _core.payload_wrench(_in_core(payload), *at_mass, g[inside]))
+        raws.append(raw[piece][inside])
+    if not wrenches:
+        raise InputError.at(
+            log.path, "", "no stretch of complete rows", f"at least {_SHORTEST} rows in a row"
+        )
+    return np.concatenate(wrenches), np.concatenate(raws), spacing
+
+
+def _in_core(spec: PayloadSpec) -> _core.Payload:
+    payload = _core.Payload()
+    payload.mass = spec.mass
+    payload.center_of_mass = spec.center_of_mass_array
+    payload.inertia = spec.inertia_matrix
+    return payload
+
+
+def _complete_rows(rig: Rig, log: Log) -> tuple[Array, Array, Array, Array]:
+    if log.twist is None:
+        raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
+    gravity = np.zeros((len(log.raw), 3)) if log.gravity is None else log.gravity
+    complete = np.isfinite(np.column_stack([log.raw, log.twist, gravity])).all(axis=1)
+    if np.count_nonzero(~complete) > _INCOMPLETE * complete.size:
+        found = (
+            f"{np.count_nonzero(~complete)} of {complete.size} rows without raw channels, twist or gravity"
+        )
+        raise UnsupportedError.at(log.path, "", found, "streams of one rate: `ls` does not merge streams")
+    return log.time[complete], log.raw[complete], log.twist[complete], gravity[complete]

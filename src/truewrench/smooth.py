@@ -1,0 +1,71 @@
+"""The motion behind a logged twist, from the twist alone: where it breaks, and splines fitted to each piece."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_lsq_spline
+
+__all__ = ["SmoothTwist", "segments", "smooth_twist"]
+
+Array = NDArray[np.float64]
+
+_DEGREE = 5
+_SAMPLES_PER_COEFFICIENT = 3.0
+_GAP = 5.0  # nominal periods
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothTwist:
+    """A twist fitted by one spline per component."""
+
+    twist: Array  # (N, 6)
+    acceleration: Array  # (N, 6) its component-wise derivative
+    spacing: Array  # (6,) of the knots [s]
+    chi_square: Array  # (6,) of the residuals, per degree of freedom
+
+
+def segments(time: Array) -> list[slice]:
+    """Pieces of a record that no gap of more than five nominal (median) periods interrupts."""
+    steps = np.diff(time)
+    if steps.size == 0:
+        return [slice(0, time.size)]
+    ends = np.concatenate([[0], np.flatnonzero(steps > _GAP * np.median(steps)) + 1, [time.size]])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+
+def smooth_twist(time: Array, twist: Array, noise: Array) -> SmoothTwist:
+    """Fit each component by the coarsest quintic spline whose residuals its noise explains.
+
+    The number of knot intervals grows by a third from one to about three samples per coefficient; the first
+    whose chi-square per degree of freedom is within three standard deviations of 1 is taken, else the last.
+
+    Args:
+        time: sample times (N,), N >= 8, strictly increasing, without gaps [s].
+        twist: measured twist (N, 6).
+        noise: 1 sigma per component (6,).
+    """
+    fits = [_fit(time, y, sigma) for y, sigma in zip(twist.T, noise, strict=True)]
+    return SmoothTwist(
+        np.column_stack([spline(time) for spline, _, _ in fits]),
+        np.column_stack([spline(time, nu=1) for spline, _, _ in fits]),
+        np.array([(time[-1] - time[0]) / intervals for _, intervals, _ in fits]),
+        np.array([chi_square for _, _, chi_square in fits]),
+    )
+
+
+def _fit(time: Array, values: Array, sigma: float) -> tuple[BSpline, int, float]:
+    finest = max(1, int(time.size / _SAMPLES_PER_COEFFICIENT) - _DEGREE)
+    intervals = 1
+    while True:
+        inner = np.linspace(time[0], time[-1], intervals + 1)[1:-1]
+        knots = np.concatenate([np.full(_DEGREE + 1, time[0]), inner, np.full(_DEGREE + 1, time[-1])])
+        spline = make_lsq_spline(time, values, knots, k=_DEGREE)
+        freedom = time.size - intervals - _DEGREE
+        chi_square = float(np.sum(((values - spline(time)) / sigma) ** 2) / freedom)
+        if intervals == finest or chi_square < 1.0 + 3.0 * np.sqrt(2.0 / freedom):
+            return spline, intervals, chi_square
+        intervals = min(finest, max(intervals + 1, int(np.ceil(intervals * 4 / 3))))
