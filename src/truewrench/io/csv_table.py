@@ -19,7 +19,6 @@ from truewrench.io.table import ACCELERATION, GRAVITY, TWIST, Chunk, Table
 __all__ = ["CsvChunk", "CsvTable"]
 
 _BLOCK = 4 << 20  # bytes read at once
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 class CsvChunk(Chunk):
@@ -67,12 +66,19 @@ NUMERIC = frozenset(
 
 
 class CsvTable(Table):
-    """A CSV file; reading it costs one block of memory."""
+    """A CSV file; reading it costs one block of memory.
+
+    Attributes:
+        header: its first line as it stands in the file, without the line end.
+        newline: the line end.
+    """
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
-            header = _read_header(path, file)
-        super().__init__(path, header)
+            line, names = _read_header(path, file)
+        self.newline = b"\r\n" if line.endswith(b"\r\n") else b"\n"
+        self.header = line.rstrip(b"\r\n")
+        super().__init__(path, names)
 
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[CsvChunk]:
         """Blocks of whole lines; blank lines are skipped."""
@@ -147,10 +153,10 @@ class CsvTable(Table):
                 raise InputError.at(self.path, f"line {number}", "an unclosed quote", "one row a line")
 
 
-def _read_header(path: Path, file: BinaryIO) -> list[str]:
-    line = file.readline(1 << 20).removeprefix(_BYTE_ORDER_MARK)
+def _read_header(path: Path, file: BinaryIO) -> tuple[bytes, list[str]]:
+    line = file.readline(1 << 20)
     try:
-        text = line.decode("utf-8")
+        text = line.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError.at(path, "line 1", "bytes that are not text", "a CSV header, or Parquet") from None
     if not text.strip():
@@ -159,7 +165,4 @@ def _read_header(path: Path, file: BinaryIO) -> list[str]:
     names = [name.strip() for name in next(csv.reader(io.StringIO(text)))]
     if len(names) == 1:
         raise InputError.at(path, "line 1", f"one column, {names[0][:60]!r}", "columns separated by commas")
-    for i, name in enumerate(names):
-        if not name:
-            raise InputError.at(path, f"line 1, column {i + 1}", "no name", "a name for every column")
-    return names
+    return line, names

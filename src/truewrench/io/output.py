@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
+from truewrench.errors import InputError
 from truewrench.files import atomic_output
 
 __all__ = ["is_parquet", "write_batches", "write_lines"]
@@ -19,19 +21,24 @@ def is_parquet(path: str | Path) -> bool:
     return Path(path).suffix.lower() in (".parquet", ".pq")
 
 
-def write_batches(path: str | Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> None:
-    """Write batches of one schema; the file appears whole or not at all."""
-    with atomic_output(path) as temporary:
-        if is_parquet(path):
-            with pq.ParquetWriter(temporary, schema) as parquet:
-                for batch in batches:
-                    parquet.write_batch(batch)
-        else:
-            plain = not any(set(name) & set(',"\r\n') for name in schema.names)
-            options = pacsv.WriteOptions(quoting_header="none" if plain else "needed")
-            with pacsv.CSVWriter(temporary, schema, write_options=options) as writer:
-                for batch in batches:
-                    writer.write_batch(batch)
+def write_batches(path: str | Path, batches: Iterable[pa.RecordBatch]) -> None:
+    """Write one or more batches of one schema; the file appears whole or not at all."""
+    rest = iter(batches)
+    first = next(rest)
+    with atomic_output(path) as temporary, _writer(path, temporary, first.schema) as writer:
+        try:
+            for batch in chain([first], rest):
+                writer.write_batch(batch)
+        except pa.ArrowException as error:
+            raise InputError(f"{path}: cannot be written: {error}") from error
+
+
+def _writer(path: str | Path, temporary: Path, schema: pa.Schema) -> pq.ParquetWriter | pacsv.CSVWriter:
+    if is_parquet(path):
+        return pq.ParquetWriter(temporary, schema)
+    plain = not any(set(name) & set(',"\r\n') for name in schema.names)
+    options = pacsv.WriteOptions(quoting_header="none" if plain else "needed")
+    return pacsv.CSVWriter(temporary, schema, write_options=options)
 
 
 def write_lines(path: str | Path, blocks: Iterable[bytes]) -> None:

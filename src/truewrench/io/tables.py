@@ -27,6 +27,7 @@ __all__ = [
     "GRAVITY",
     "TWIST",
     "TimeReader",
+    "named_payload",
     "open_table",
     "raw_columns",
     "read_log",
@@ -54,18 +55,25 @@ def open_table(path: str | Path) -> Table:
     return ParquetTable(path) if magic == b"PAR1" else CsvTable(path)
 
 
+def named_payload(source: str | Path, rig: Rig) -> tuple[Path, str | None]:
+    """`LOG@PAYLOAD` as path and payload; None when it ends in no payload of the rig."""
+    text = str(source)
+    for name in sorted(rig.payloads, key=len, reverse=True):
+        if text.endswith(f"@{name}") and len(text) > len(name) + 1:
+            return Path(text[: -len(name) - 1]), name
+    return Path(text), None
+
+
 def split_payload(source: str | Path, rig: Rig) -> tuple[Path, str]:
     """`LOG@PAYLOAD` as path and payload; without a payload, the rig's `default` or only one.
 
     Raises:
         InputError: the rig has several payloads, none of them `default`, and none is named.
     """
-    text = str(source)
-    for name in sorted(rig.payloads, key=len, reverse=True):
-        if text.endswith(f"@{name}") and len(text) > len(name) + 1:
-            return Path(text[: -len(name) - 1]), name
-    known = ", ".join(rig.payloads)
-    path = Path(text)
+    path, named = named_payload(source, rig)
+    if named is not None:
+        return path, named
+    text, known = str(source), ", ".join(rig.payloads)
     if "@" in path.name and not path.exists():
         name = path.name.rpartition("@")[2]
         raise InputError.at(text, "", f"no such file, and no payload `{name}` in the rig", f"one of: {known}")
@@ -181,7 +189,7 @@ def write_table(path: str | Path, columns: Mapping[str, npt.NDArray[Any]]) -> No
     """Write columns of equal length as CSV, or Parquet where the name ends so; NaN becomes an empty cell."""
     arrays = {name: pa.array(values, from_pandas=True) for name, values in columns.items()}
     batch = pa.RecordBatch.from_pydict(arrays)
-    write_batches(path, batch.schema, [batch])
+    write_batches(path, [batch])
 
 
 def _read_columns(

@@ -1,0 +1,180 @@
+"""What is in a log: streams, rates, gaps, ranges."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.errors import InputError
+from truewrench.io.cells import numbers
+from truewrench.io.table import ACCELERATION, GRAVITY, TWIST, Table
+from truewrench.io.tables import TimeReader, open_table
+
+__all__ = ["ColumnContent", "Gap", "LogContent", "Stream", "inspect_log"]
+
+GAP_PERIODS = 5.0
+"""A stream pauses where this many nominal periods pass without a sample."""
+
+_STREAMS = (
+    ("raw channels", r"raw_\d+"),
+    ("twist", "|".join(TWIST)),
+    ("joint positions", r"q_.+"),
+    ("joint velocities", r"dq_.+"),
+    ("gravity", "|".join(GRAVITY)),
+    ("twist derivative", "|".join(ACCELERATION)),
+    ("accelerometer", r"accel_[xyz]"),
+    ("base", r"base_(v[xyz]|w[xyz]|q[wxyz])"),
+    ("reference wrench", r"ref_[fm][xyz]"),
+    ("temperature", r"temperature"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnContent:
+    """One column: its numbers and the cells that hold none; without numbers the range is NaN."""
+
+    name: str
+    smallest: float
+    largest: float
+    numbers: int
+    empty: int
+    nan: int
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A pause of a stream: when it begins, from the first row, and how long it is [s]."""
+
+    start: float
+    duration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Columns that are sampled together.
+
+    Attributes:
+        name: for a person.
+        columns: in the order of the file.
+        samples: rows in which at least one of the columns has a number.
+        rate: samples a second, from the median period; 0 with fewer than two samples.
+        jitter: standard deviation of the period over its median.
+        gaps: pauses of more than five nominal periods.
+    """
+
+    name: str
+    columns: tuple[ColumnContent, ...]
+    samples: int
+    rate: float
+    jitter: float
+    gaps: tuple[Gap, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LogContent:
+    """A whole log; `unknown` are columns that this package gives no meaning."""
+
+    path: Path
+    rows: int
+    start_ns: int
+    duration: float
+    streams: tuple[Stream, ...]
+    unknown: tuple[str, ...]
+
+
+def inspect_log(path: str | Path) -> LogContent:
+    """Read a table once and say what is in it; no rig is needed.
+
+    Raises:
+        InputError: naming file, row and column.
+    """
+    table = open_table(path)
+    groups = {
+        name: [column for column in table.names if re.fullmatch(pattern, column)]
+        for name, pattern in _STREAMS
+    }
+    time, counters = _read(table, groups)
+    if not len(time):
+        raise InputError.at(path, "", "no row", "at least one row below the header")
+    known = {column for columns in groups.values() for column in columns} | {"time_ns", "time_s"}
+    return LogContent(
+        path=Path(path),
+        rows=len(time),
+        start_ns=int(time[0]),
+        duration=float(time[-1] - time[0]) * 1e-9,
+        streams=tuple(
+            counters[name].stream(name, int(time[0])) for name, columns in groups.items() if columns
+        ),
+        unknown=tuple(name for name in table.names if name not in known),
+    )
+
+
+def _read(
+    table: Table, groups: dict[str, list[str]]
+) -> tuple[npt.NDArray[np.int64], dict[str, _StreamCounter]]:
+    reader = TimeReader(table)
+    counters = {name: _StreamCounter(columns) for name, columns in groups.items() if columns}
+    times: list[npt.NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
+    columns = [column for group in groups.values() for column in group]
+    for chunk in table.chunks([reader.name, *columns]):
+        time = reader.read(chunk)
+        times.append(time)
+        for counter in counters.values():
+            cells = [numbers(chunk.column(name)) for name in counter.names]
+            counter.add(time, np.column_stack([c[0] for c in cells]), [c[1] for c in cells])
+    return np.concatenate(times), counters
+
+
+class _StreamCounter:
+    """What one pass over the chunks gathers of a stream."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        self._rows = 0
+        self._times: list[npt.NDArray[np.int64]] = []
+        self._smallest = np.full(len(names), np.inf)
+        self._largest = np.full(len(names), -np.inf)
+        self._numbers = np.zeros(len(names), dtype=np.int64)
+        self._nan = np.zeros(len(names), dtype=np.int64)
+
+    def add(
+        self, time: npt.NDArray[np.int64], values: npt.NDArray[np.float64], nan_counts: Sequence[int]
+    ) -> None:
+        present = ~np.isnan(values)
+        self._rows += len(time)
+        self._times.append(time[present.any(axis=1)])
+        self._smallest = np.fmin(self._smallest, np.fmin.reduce(values, axis=0, initial=np.inf))
+        self._largest = np.fmax(self._largest, np.fmax.reduce(values, axis=0, initial=-np.inf))
+        self._numbers += present.sum(axis=0)
+        self._nan += np.asarray(nan_counts)
+
+    def stream(self, name: str, start_ns: int) -> Stream:
+        time = np.concatenate(self._times)
+        period = np.diff(time)
+        median = float(np.median(period)) if len(period) else 0.0
+        pauses = np.flatnonzero(period > GAP_PERIODS * median)
+        steady = period[period <= GAP_PERIODS * median]
+        return Stream(
+            name=name,
+            columns=tuple(self._column(j) for j in range(len(self.names))),
+            samples=len(time),
+            rate=1e9 / median if median else 0.0,
+            jitter=float(steady.std()) / median if median else 0.0,
+            gaps=tuple(Gap(float(time[i] - start_ns) * 1e-9, float(period[i]) * 1e-9) for i in pauses),
+        )
+
+    def _column(self, j: int) -> ColumnContent:
+        count, nan = int(self._numbers[j]), int(self._nan[j])
+        return ColumnContent(
+            name=self.names[j],
+            smallest=float(self._smallest[j]) if count else np.nan,
+            largest=float(self._largest[j]) if count else np.nan,
+            numbers=count,
+            empty=self._rows - count - nan,
+            nan=nan,
+        )

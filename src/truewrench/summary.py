@@ -1,0 +1,151 @@
+"""Results in words and tables that a person reads in a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from rich import box
+from rich.console import Console, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from truewrench.calibration import AXES, Calibration
+from truewrench.inspect_log import LogContent
+
+__all__ = ["calibration_summary", "log_summary", "show", "with_uncertainty"]
+
+_UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
+
+
+def show(console: Console, parts: Iterator[RenderableType]) -> None:
+    """Print the parts of a summary, an empty line between two."""
+    for i, part in enumerate(parts):
+        if i:
+            console.print()
+        console.print(part, markup=False)  # names from files are not ours to interpret
+
+
+def with_uncertainty(value: float, std: float) -> str:
+    """`1.0023 ± 0.0004`: as many digits as the uncertainty deserves, which is two of its own."""
+    if std == 0 or not math.isfinite(std) or not math.isfinite(value):
+        return f"{value:.6g} ± {std:.2g}"
+    decimals = 1 - math.floor(math.log10(std))
+    if decimals > 8 or abs(value) >= 1e7 or std >= 1e7:
+        return f"{value:.4e} ± {std:.1e}"
+    return f"{value:.{max(decimals, 0)}f} ± {std:.{max(decimals, 0)}f}"
+
+
+def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
+    """The verdict first, then gain, offset, what they improve, and what they rest on."""
+    yield _verdict(calibration)
+    for axes in (AXES[:3], AXES[3:]):
+        yield _gain(calibration, axes)
+    yield _offset(calibration)
+    if calibration.improvement:
+        yield _improvement(calibration)
+    if calibration.bound is not None:
+        stated, oracle = calibration.bound.rms, calibration.bound.oracle_rms
+        yield Text(
+            f"Accuracy: {100 * stated:.2g} % of range (1 sigma, RMS over the gains), "
+            f"{stated / oracle:.2f} times what a perfectly known motion would allow."
+        )
+    yield _logs(calibration)
+    if calibration.timings:
+        spent = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in calibration.timings.items())
+        yield Text(f"Time: {spent}")
+
+
+def _verdict(calibration: Calibration) -> RenderableType:
+    verdict = calibration.verdict
+    text = Text()
+    if verdict.usable:
+        text.append("USABLE", style="bold green")
+        text.append(": gain and offset may be used as they stand.")
+    else:
+        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
+    for reason in verdict.reasons:
+        text.append(f"\n  - {reason}")
+    if verdict.undetermined:
+        text.append("\nThe data do not determine:")
+        for direction in verdict.undetermined:
+            text.append(f"\n  - {direction.words}")
+    return text
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column(columns[0], overflow="fold")
+    for column in columns[1:]:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table
+
+
+def _gain(calibration: Calibration, axes: Sequence[str]) -> RenderableType:
+    table = _table(f"Gain, raw per {_UNITS[axes[0]]} (± 1 sigma)", ["channel", *axes])
+    columns = [AXES.index(axis) for axis in axes]
+    for i, channel in enumerate(calibration.rig.sensor.channels):
+        cells = [with_uncertainty(calibration.gain[i, j], calibration.gain_std[i, j]) for j in columns]
+        table.add_row(Text(channel), *cells)
+    return table
+
+
+def _offset(calibration: Calibration) -> RenderableType:
+    table = _table("Offset, raw (± 1 sigma)", ["channel", "at the end of the last log"])
+    for i, channel in enumerate(calibration.rig.sensor.channels):
+        table.add_row(Text(channel), with_uncertainty(calibration.offset[i], calibration.offset_std[i]))
+    return table
+
+
+def _improvement(calibration: Calibration) -> RenderableType:
+    held_out = all(axis.held_out for axis in calibration.improvement.values())
+    data = "held-out data" if held_out else "the data it was fitted to"
+    table = _table(f"RMS error on {data}", ["axis", "nominal gain", "new gain", "better"])
+    words = {True: "yes", False: "no", "unsure": "unsure"}
+    for name, axis in calibration.improvement.items():
+        unit = _UNITS.get(name, "")
+        better = words[axis.better]
+        table.add_row(name, f"{axis.nominal:.4g} {unit}", f"{axis.new:.4g} {unit}", better)
+    return table
+
+
+def _logs(calibration: Calibration) -> RenderableType:
+    table = _table("Logs", ["path", "payload", "samples used", "left out"])
+    for log in calibration.logs:
+        reasons = {**log.gated, **log.rejected}
+        left_out = ", ".join(f"{count} ({reason})" for reason, count in reasons.items() if count) or "none"
+        table.add_row(Text(str(log.path or "-")), Text(log.payload), str(log.used), Text(left_out))
+    return table
+
+
+def log_summary(content: LogContent) -> Iterator[RenderableType]:
+    """Streams with their rates and gaps, then every column with its range."""
+    yield Text(f"{content.path}: {content.rows} rows in {content.duration:.6g} s")
+    titles = ["stream", "columns", "samples", "rate, Hz", "jitter", "gaps", "longest gap, s"]
+    streams = _table("Streams", titles)
+    for stream in content.streams:
+        longest = max((gap.duration for gap in stream.gaps), default=0.0)
+        streams.add_row(
+            stream.name,
+            str(len(stream.columns)),
+            str(stream.samples),
+            f"{stream.rate:.6g}",
+            f"{100 * stream.jitter:.2g} %",
+            str(len(stream.gaps)),
+            f"{longest:.4g}" if stream.gaps else "-",
+        )
+    yield streams
+    columns = _table("Columns", ["column", "smallest", "largest", "numbers", "empty", "NaN"])
+    for stream in content.streams:
+        for column in stream.columns:
+            columns.add_row(
+                Text(column.name),
+                f"{column.smallest:.6g}",
+                f"{column.largest:.6g}",
+                str(column.numbers),
+                str(column.empty),
+                str(column.nan),
+            )
+    yield columns
+    if content.unknown:
+        yield Text(f"Columns without a meaning here: {', '.join(content.unknown)}")
