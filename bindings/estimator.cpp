@@ -168,6 +168,9 @@ void bind_estimator(nb::module_& m) {
       .def_ro("window_dependence", &Estimate::window_dependence)
       .def_ro("iterations", &Estimate::iterations);
 
+  m.def("twist_shift", &twist_shift, nb::arg("r"),
+        "6 x 6 map from the twist of a point to that of another of the same body, r [m] from the first to it.");
+
   m.def("estimate", &estimate, nb::arg("method"), nb::arg("logs"), nb::arg("channel_scale"), nb::arg("sigma"),
         nb::arg("wrench_scale"), nb::arg("prior_mean"), nb::arg("prior_information"), nb::arg("pool_offsets"),
         nb::arg("settings"),
