@@ -1,4 +1,4 @@
-"""The motion behind a logged twist, from the twist alone: where it breaks, and splines fitted to each piece."""
+"""The motion behind a logged twist, from the twist alone: where it breaks, and splines through each piece."""
 
 from __future__ import annotations
 

@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench import _core
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
-from truewrench.rig import PayloadSpec, Rig
+from truewrench.payload import payload_wrench
+from truewrench.rig import Rig
 from truewrench.smooth import segments, smooth_twist
 
 __all__ = ["LeastSquaresEstimate", "least_squares"]
@@ -125,9 +125,6 @@ def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array, A
     """Wrench (N, 6) with the sign of the rig, raw channels (N, n) and knot spacing (6,) of one log."""
     time, raw, twist, gravity = _complete_rows(rig, log)
     wrenches, raws, spacing = [], [], np.zeros(6)
-    payload = rig.payloads[log.payload]
-    # v_C = v_S + Omega x c: shift of the logged twist, and of its derivative, to the centre of mass
-    lever = payload.center_of_mass_array if rig.motion.of == "sensor" else np.zeros(3)
     for piece in segments(time):
         t, nu, g = time[piece], twist[piece], gravity[piece]
         if t.size < _SHORTEST:
@@ -138,22 +135,13 @@ def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array, A
             spacing = np.maximum(spacing, fit.spacing)
         else:
             a, inside = np.gradient(nu, t, axis=0), slice(1, -1)  # the ends have no central difference
-        at_mass = [np.column_stack([x[:, :3] + np.cross(x[:, 3:], lever), x[:, 3:]])[inside] for x in (nu, a)]
-        wrenches.append(rig.sensor.sign * _core.payload_wrench(_in_core(payload), *at_mass, g[inside]))
+        wrenches.append(payload_wrench(rig, log.payload, nu[inside], a[inside], g[inside]))
         raws.append(raw[piece][inside])
     if not wrenches:
         raise InputError.at(
             log.path, "", "no stretch of complete rows", f"at least {_SHORTEST} rows in a row"
         )
     return np.concatenate(wrenches), np.concatenate(raws), spacing
-
-
-def _in_core(spec: PayloadSpec) -> _core.Payload:
-    payload = _core.Payload()
-    payload.mass = spec.mass
-    payload.center_of_mass = spec.center_of_mass_array
-    payload.inertia = spec.inertia_matrix
-    return payload
 
 
 def _complete_rows(rig: Rig, log: Log) -> tuple[Array, Array, Array, Array]:

@@ -1,0 +1,131 @@
+"""Claims about the Cramer-Rao bound, against a dense textbook version with Pinocchio's wrench."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.interpolate import BSpline
+
+from truewrench.bound import bound
+from truewrench.rig import Rig
+from truewrench.simulate import simulate
+from truewrench.trajectory import HarmonicTwist
+
+INERTIA = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
+FREQUENCY = np.array([[0.30, 0.51, 0.69, 0.39, 0.60, 0.87]])
+PHASE = np.array([[0, 1, 2, 0.5, 1.5, 2.5]])
+MOTION = HarmonicTwist(np.full((1, 6), 0.25), FREQUENCY, PHASE, 10.0)  # the scenario of the benchmarks
+
+
+def rig_of(sf: float, sv: float, **sensor: Any) -> Rig:
+    exact = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+    return Rig.from_mapping(
+        {
+            "sensor": {
+                "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+                "feels": "payload_on_sensor",
+                "noise": [sf] * 3 + [sf / 10] * 3,
+                "range": [500, 500, 500, 50, 50, 50],
+                "offset_prior": 0,
+                **sensor,
+            },
+            "payloads": {
+                "p": {"mass": 50, "center_of_mass": [0.2, 0, 0], "inertia": INERTIA, "uncertainty": exact}
+            },
+            "motion": {"noise": [sv] * 6},
+            "simulate": {"gain": "nominal", "offset": "none"},
+        }
+    )
+
+
+def dense_bound(rig: Rig, offset: bool) -> tuple[float, float]:
+    """Bound and oracle by a dense Jacobian of all residuals with respect to all unknowns."""
+    model = pin.Model()
+    model.gravity.linear[:] = 0
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "sensor")
+    lever = np.array([0.2, 0, 0])
+    body = pin.Inertia(50.0, lever, np.diag([1.5, 1.5, 0.4]))
+    model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    data, q, shift = model.createData(), pin.neutral(model), np.eye(6)
+    shift[:3, 3:] = pin.skew(lever)
+
+    def wrench(nu: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return -pin.rnea(model, data, q, shift @ nu, shift @ a) / rig.sensor.range_array
+
+    t = np.arange(1000) / 100
+    knots = np.arange(-5, 40 + 6) * (t[-1] / 40)
+    splines = BSpline(knots, np.eye(45), 5)
+    value, slope = splines(t), splines(t, nu=1)
+    nu, a = MOTION.twist(t), MOTION.acceleration(t)
+    noise = rig.sensor.noise_array / rig.sensor.channel_scale
+    w = np.array([wrench(*x) for x in zip(nu, a, strict=True)])
+    columns = np.column_stack([w, np.ones(1000)]) if offset else w
+    rows = [np.kron(value, np.diag(1 / rig.motion.noise_array))]
+    by_motion = np.empty((1000, 6, 270))
+    for k in range(1000):
+        by_nu, by_a = np.empty((6, 6)), np.empty((6, 6))
+        for c, e in enumerate(np.eye(6) * 0.3):
+            by_nu[:, c] = (wrench(nu[k] + e, a[k]) - wrench(nu[k] - e, a[k])) / 0.6
+            by_a[:, c] = (wrench(nu[k], a[k] + e) - wrench(nu[k], a[k] - e)) / 0.6
+        by_motion[k] = (np.kron(value[k], by_nu) + np.kron(slope[k], by_a)) / noise[:, None]
+    rows.append(by_motion.reshape(6000, 270))
+    parameters = np.einsum("ij,km->kijm", np.diag(1 / noise), columns).reshape(6000, -1)
+    jacobian = np.block([[rows[0], np.zeros((6000, parameters.shape[1]))], [rows[1], parameters]])
+    width = columns.shape[1]
+    gains = 270 + (np.arange(6)[:, None] * width + np.arange(6)).ravel()
+    prior = np.zeros(jacobian.shape[1])
+    prior[gains] = rig.sensor.gain_prior**-2
+    if offset:
+        prior[270 + np.arange(6) * width + 6] = (
+            rig.sensor.channel_scale / rig.sensor.offset_prior_array
+        ) ** 2
+    full = np.linalg.inv(jacobian.T @ jacobian + np.diag(prior))
+    oracle = np.linalg.inv(parameters.T @ parameters + np.diag(prior[270:]))
+    return (
+        float(np.sqrt(np.mean(np.diag(full)[gains]))),
+        float(np.sqrt(np.mean(np.diag(oracle)[gains - 270]))),
+    )
+
+
+@pytest.mark.parametrize(("sf", "sv"), [(0.02, 1e-4), (0.5, 1e-3)])
+@pytest.mark.parametrize("offset", [False, True])
+def test_bound_agrees_with_a_dense_one_at_the_truth(sf: float, sv: float, offset: bool) -> None:
+    rig = rig_of(sf, sv, **({"offset_prior": [5.0] * 3 + [0.5] * 3} if offset else {}))
+    log = simulate(rig, MOTION).log
+    expected, expected_oracle = dense_bound(rig, offset)
+    found = bound(rig, [log], np.eye(6))
+    assert found.rms == pytest.approx(expected, rel=0.03)  # the motion here is fitted, not the true one
+    assert found.oracle_rms == pytest.approx(expected_oracle, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("sf", "sv", "oracle", "rms"),
+    [(0.02, 1e-4, 1.7e-4, 3.4e-4), (0.1, 1e-4, 8.3e-4, 8.9e-4), (0.5, 1e-3, 4.2e-3, 5.2e-3)],
+)
+def test_bound_of_the_scenario_is_what_the_documentation_says(
+    sf: float, sv: float, oracle: float, rms: float
+) -> None:
+    found = bound(rig_of(sf, sv), [simulate(rig_of(sf, sv), MOTION).log], np.eye(6))
+    assert found.oracle_rms == pytest.approx(oracle, rel=0.03)
+    assert found.rms == pytest.approx(rms, rel=0.03)
+
+
+def test_a_second_log_adds_its_information() -> None:
+    rig = rig_of(0.5, 1e-3, offset_prior=[5.0] * 3 + [0.5] * 3)
+    logs = [simulate(rig, MOTION, seed=s).log for s in range(2)]
+    one, two = bound(rig, logs[:1], np.eye(6)), bound(rig, logs, np.eye(6))
+    assert two.rms == pytest.approx(one.rms / np.sqrt(2), rel=0.05)
+
+
+def test_bound_accepts_streams_of_different_rates() -> None:
+    rig = rig_of(0.5, 1e-3)
+    fast = rig.model_copy(update={"simulate": rig.simulate.model_copy(update={"sensor_rate": 400.0})})
+    found, once = (
+        bound(rig, [simulate(fast, MOTION).log], np.eye(6)),
+        bound(rig, [simulate(rig, MOTION).log], np.eye(6)),
+    )
+    assert found.oracle_rms == pytest.approx(once.oracle_rms / 2, rel=0.02)
+    assert found.oracle_rms < found.rms < once.rms
