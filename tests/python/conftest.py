@@ -1,0 +1,97 @@
+"""What many tests start from: a valid rig and a valid log, to be spoilt one fault at a time."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from truewrench.rig import Rig, load_rig
+
+SETTINGS: dict[str, Any] = {
+    "sensor": {
+        "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+        "feels": "payload_on_sensor",
+        "noise": [0.5, 0.5, 0.5, 0.05, 0.05, 0.05],
+        "range": [500, 500, 500, 50, 50, 50],
+    },
+    "payloads": {
+        "default": {
+            "mass": 50,
+            "center_of_mass": [0.2, 0, 0],
+            "inertia": {"xx": 1.5, "yy": 1.5, "zz": 0.4, "xy": 0, "xz": 0, "yz": 0},
+        }
+    },
+    "motion": {"source": "twist", "of": "com", "noise": [1e-3] * 6},
+}
+
+
+@pytest.fixture(scope="session")
+def valid_settings() -> dict[str, Any]:
+    """The settings of a valid rig, to be copied."""
+    return SETTINGS
+
+
+@pytest.fixture
+def settings() -> dict[str, Any]:
+    """The settings of a valid rig, free to change."""
+    return deepcopy(SETTINGS)
+
+
+@pytest.fixture
+def rig_of(tmp_path: Path) -> Callable[[Mapping[str, Any]], Rig]:
+    """Write settings to a file and load it."""
+
+    def load(content: Mapping[str, Any]) -> Rig:
+        path = tmp_path / "rig.yaml"
+        path.write_text(yaml.safe_dump(dict(content)), encoding="utf-8")
+        return load_rig(path)
+
+    return load
+
+
+@pytest.fixture
+def rig(settings: dict[str, Any]) -> Rig:
+    """A valid rig."""
+    return Rig.from_mapping(settings)
+
+
+@pytest.fixture
+def cells() -> dict[str, list[str]]:
+    """The cells of a valid log of ten rows, column by column, as text."""
+    draw = np.random.default_rng(0)
+    names = [*(f"raw_{i}" for i in range(6)), "vx", "vy", "vz", "wx", "wy", "wz"]
+    columns = {"time_ns": [str(10_000_000 * k) for k in range(10)]}
+    return columns | {name: [repr(float(x)) for x in draw.normal(size=10)] for name in names}
+
+
+@pytest.fixture
+def csv_of(tmp_path: Path) -> Callable[..., Path]:
+    """Write cells as a CSV file."""
+
+    def write(columns: Mapping[str, Sequence[str]], name: str = "run.csv") -> Path:
+        path = tmp_path / name
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+        return path
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def external_data() -> Path:
+    """Recorded data that is not part of the repository."""
+    default = Path(__file__).parents[2].parent / "shared" / "data"
+    path = Path(os.environ.get("TRUEWRENCH_EXTERNAL_DATA", default))
+    if not path.is_dir():
+        pytest.skip(f"no external data at {path} (set TRUEWRENCH_EXTERNAL_DATA)")
+    return path
