@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -26,7 +26,16 @@ Locate = Callable[[Sequence[str | int]], int | None]
 """Line (from 1) at which a key path such as ("sensor", "noise", 3) stands, None when it does not."""
 
 
-class _StrictLoader(yaml.SafeLoader):
+# Parsing and emitting in C, where PyYAML was built with it: a covariance of many channels is a long file.
+if TYPE_CHECKING:
+    from yaml import SafeDumper as _Dumper
+    from yaml import SafeLoader as _Loader
+else:
+    _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _StrictLoader(_Loader):
     """YAML 1.2 numbers; duplicate keys are errors."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
@@ -121,7 +130,7 @@ def _line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
     return line
 
 
-class _ExactDumper(yaml.SafeDumper):
+class _ExactDumper(_Dumper):
     """Keeps the order of keys, writes a list of scalars on one line and no anchors."""
 
     def ignore_aliases(self, data: Any) -> bool:

@@ -78,8 +78,8 @@ class SensorSpec(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         n = self.n
-        if n < 6:
-            raise refuse("channels", f"{n} names", "at least 6 names, in the order of the raw channels")
+        if not 6 <= n <= 32:  # 32: max_channels of the core
+            raise refuse("channels", f"{n} names", "6 to 32 names, in the order of the raw channels")
         for i, name in enumerate(self.channels):
             if name in self.channels[:i]:
                 raise refuse(f"channels.{i}", shown(name), "every channel name once")

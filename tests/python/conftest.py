@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+from truewrench.calibration import AxisImprovement, Bound, Calibration, LogReport, Undetermined, Verdict
 from truewrench.rig import Rig, load_rig
 
 SETTINGS: dict[str, Any] = {
@@ -95,3 +96,32 @@ def external_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"no external data at {path} (set TRUEWRENCH_EXTERNAL_DATA)")
     return path
+
+
+@pytest.fixture
+def calibration(rig: Rig) -> Calibration:
+    """A usable calibration with every field filled."""
+    draw = np.random.default_rng(7)
+    gain = np.eye(6) + 0.1 * draw.normal(size=(6, 6))
+    factor = 1e-3 * draw.normal(size=(42, 42))
+    covariance = factor @ factor.T
+    covariance = (covariance + covariance.T) / 2
+    std = np.sqrt(np.diag(covariance))
+    offset = draw.normal(size=6)
+    log = LogReport(
+        path=Path("run.csv"), sha256="ab" * 32, payload="default", offset=offset, offset_std=std[36:],
+        time_offset=1e-3, used=990, gated={"contact": 4}, rejected={"no fit": 6},
+    )  # fmt: skip
+    unit = np.zeros(36)
+    unit[17] = 1.0
+    return Calibration(
+        gain=gain, gain_std=std[:36].reshape(6, 6), offset=offset, offset_std=std[36:],
+        inverse=np.linalg.inv(gain), covariance=covariance,
+        verdict=Verdict(usable=True, undetermined=(Undetermined(unit, "moment about z: gain of fz"),)),
+        logs=(log,), rig=rig, estimator="map",
+        improvement={"fx": AxisImprovement(nominal=3.0, new=0.5, held_out=True, better=True),
+                     "mz": AxisImprovement(nominal=0.1, new=0.1, held_out=True, better="unsure")},
+        bound=Bound(oracle_rms=1e-3, rms=1.1e-3), offset_temperature=np.zeros(6), time_offset=1e-3,
+        time_offset_std=1e-5, payload_posterior={"default": {"mass": 50.1}}, figures={"chi_square": 1.01},
+        timings={"estimate": 0.5}, version="0.1.0", created="2026-01-01T00:00:00+00:00",
+    )  # fmt: skip

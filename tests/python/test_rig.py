@@ -108,19 +108,11 @@ def test_offset_prior_of_zero_means_no_offset(settings: dict[str, Any], prior: o
 @pytest.mark.parametrize(
     "key",
     [
-        "sensor",
-        "payloads",
-        "motion",
-        "sensor.channels",
-        "sensor.feels",
-        "sensor.noise",
-        "sensor.range",
-        "payloads.default.mass",
-        "payloads.default.center_of_mass",
-        "payloads.default.inertia",
+        "sensor", "payloads", "motion", "sensor.channels", "sensor.feels", "sensor.noise", "sensor.range",
+        "payloads.default.mass", "payloads.default.center_of_mass", "payloads.default.inertia",
         "payloads.default.inertia.yy",
     ],
-)
+)  # fmt: skip
 def test_missing_required_key_is_named(settings: dict[str, Any], rig_of: RigOf, key: str) -> None:
     *parents, last = key.split(".")
     here = settings
@@ -165,7 +157,7 @@ def test_unknown_key_is_named_with_the_nearest_known_one(
         ("sensor.noise", [0.5] * 5, "sensor.noise", "5 entries", "6"),
         ("sensor.range", [500] * 7, "sensor.range", "7 entries", "6"),
         ("sensor.channels", ["a"] * 6, "sensor.channels[1]", "'a'", "once"),
-        ("sensor.channels", list("abcde"), "sensor.channels", "5 names", "at least 6"),
+        ("sensor.channels", list("abcde"), "sensor.channels", "5 names", "6 to 32 names"),
         ("sensor.channels[2]", 3, "sensor.channels[2]", "3", "text"),
         (
             "sensor.feels",

@@ -1,0 +1,139 @@
+"""The true wrench beside the raw channels of a log, in one pass and constant memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.csv as pacsv
+
+from truewrench import _core
+from truewrench.calibration import AXES, Calibration
+from truewrench.errors import InputError
+from truewrench.io.cells import numbers
+from truewrench.io.csv_table import CsvTable
+from truewrench.io.output import is_parquet, write_batches, write_lines
+from truewrench.io.table import Chunk, Table
+from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
+
+__all__ = ["Applied", "apply"]
+
+NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What `apply` did: rows of the log, and how many of them have a wrench."""
+
+    rows: int
+    corrected: int
+
+
+def apply(
+    calibration: Calibration,
+    log: str | Path,
+    output: str | Path,
+    *,
+    progress: Callable[[int], object] | None = None,
+) -> Applied:
+    """Write a log with the columns fx ... mz and fx_std ... mz_std added [N, N m].
+
+    The wrench acts at the sensor origin, along the sensor axes, in the sign of the rig's `sensor.feels`. All
+    columns of the log are kept as they are, from CSV to CSV to the letter; rows in which a raw channel has no
+    sample get empty cells.
+
+    Args:
+        calibration: gives the rig's channels, gain, offset and uncertainty.
+        log: CSV or Parquet.
+        output: CSV, or Parquet where the name ends so; appears whole or not at all.
+        progress: called with the number of rows done so far.
+
+    Raises:
+        InputError: naming file, row and column.
+    """
+    source = named_payload(log, calibration.rig)[0]
+    table = open_table(source)
+    if Path(output).exists() and Path(output).samefile(source):
+        raise InputError.at(output, "", "the log itself", "another file to write")
+    for name in NEW_COLUMNS:
+        if name in table.names:
+            raise InputError.at(source, f"column `{name}`", "a column to be written", "a log without it")
+    run = _Run(calibration, table, progress)
+    if isinstance(table, CsvTable) and not is_parquet(output):
+        write_lines(output, run.lines(table))
+    else:
+        write_batches(output, run.batches())
+    return Applied(run.rows, run.corrected)
+
+
+class _Run:
+    """One pass over a table."""
+
+    def __init__(
+        self, calibration: Calibration, table: Table, progress: Callable[[int], object] | None
+    ) -> None:
+        self.rows = 0
+        self.corrected = 0
+        self._corrector = _corrector(calibration, table.path)
+        self._table = table
+        self._raw = raw_columns(table, calibration.n)
+        self._time = TimeReader(table)
+        self._progress = progress
+
+    def lines(self, table: CsvTable) -> Iterator[bytes]:
+        """The log's own lines, the new cells at their ends."""
+        yield table.header + b"," + ",".join(NEW_COLUMNS).encode() + table.newline
+        for chunk in table.chunks([self._time.name, *self._raw]):
+            cells = _as_csv(self._new_columns(chunk))
+            yield b"".join(
+                line + b"," + new + table.newline for line, new in zip(chunk.lines, cells, strict=True)
+            )
+        self._check_rows()
+
+    def batches(self) -> Iterator[pa.RecordBatch]:
+        """The log's batches, the new columns at their ends."""
+        for chunk in self._table.chunks():
+            batch = chunk.batch()
+            for name, column in zip(NEW_COLUMNS, self._new_columns(chunk).T, strict=True):
+                batch = batch.append_column(name, pa.array(column, from_pandas=True))
+            yield batch
+        self._check_rows()
+
+    def _new_columns(self, chunk: Chunk) -> FloatArray:
+        self._time.read(chunk)
+        raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
+        new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
+        complete = ~np.isnan(raw).any(axis=1)
+        new[complete] = np.hstack(self._corrector.correct(raw[complete]))
+        self.rows += chunk.rows
+        self.corrected += int(complete.sum())
+        if self._progress is not None:
+            self._progress(self.rows)
+        return new
+
+    def _check_rows(self) -> None:
+        if self.rows == 0:
+            raise InputError.at(self._table.path, "", "no row", "at least one row below the header")
+
+
+def _corrector(calibration: Calibration, path: Path) -> _core.Corrector:
+    noise = calibration.rig.sensor.noise_array
+    try:
+        return _core.Corrector(calibration.gain, calibration.offset, noise, calibration.covariance)
+    except ValueError as error:
+        raise InputError(f"{path}: cannot be corrected: {error}") from error
+
+
+def _as_csv(columns: FloatArray) -> list[bytes]:
+    names = [str(j) for j in range(columns.shape[1])]
+    batch = pa.RecordBatch.from_arrays([pa.array(column, from_pandas=True) for column in columns.T], names)
+    sink = pa.BufferOutputStream()
+    pacsv.write_csv(batch, sink, pacsv.WriteOptions(include_header=False))
+    lines: list[bytes] = sink.getvalue().to_pybytes().split(b"\n")
+    return lines[:-1]

@@ -1,0 +1,154 @@
+"""A calibration file gives back what was written, to the last bit, and nothing that cannot be right."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from truewrench.calibration import Calibration, load_calibration
+from truewrench.errors import InputError
+from truewrench.files import write_yaml
+from truewrench.rig import Rig
+
+finite = st.floats(-1e9, 1e9, allow_subnormal=False)
+
+
+def test_wrench_undoes_gain_and_offset(calibration: Calibration) -> None:
+    wrench = np.random.default_rng(3).normal(size=(50, 6))
+    raw = np.array([calibration.gain @ w + calibration.offset for w in wrench])
+    np.testing.assert_allclose(calibration.wrench(raw), wrench, atol=1e-12)
+
+
+def test_wrench_without_a_sample_is_nan(calibration: Calibration) -> None:
+    raw = np.zeros((3, 6))
+    raw[1, 4] = np.nan
+    np.testing.assert_array_equal(np.isnan(calibration.wrench(raw)).all(axis=1), [False, True, False])
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equality to the last bit, through dataclasses, arrays and mappings."""
+    if hasattr(a, "__dataclass_fields__"):
+        return all(same(getattr(a, name), getattr(b, name)) for name in a.__dataclass_fields__)
+    if isinstance(a, np.ndarray):
+        return a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, Rig):
+        return a.to_mapping() == b.to_mapping()
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    return bool(a == b)
+
+
+def test_file_gives_back_every_field(calibration: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "new" / "calibration.yaml"
+    calibration.write_yaml(path)
+    assert same(load_calibration(path), calibration)
+    assert [entry.name for entry in path.parent.iterdir()] == ["calibration.yaml"]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30, deadline=None)
+@given(offset=hnp.arrays(np.float64, 6, elements=finite), reason=st.text(max_size=20))
+def test_file_keeps_every_bit_and_every_character(
+    calibration: Calibration, tmp_path: Path, offset: Any, reason: str
+) -> None:
+    path = tmp_path / "calibration.yaml"
+    verdict = replace(calibration.verdict, usable=False, reasons=(reason, "1e-3", "off", "2026-01-01"))
+    written = replace(calibration, offset=offset, verdict=verdict, estimator=reason or "map")
+    written.write_yaml(path)
+    assert same(load_calibration(path), written)
+
+
+def test_other_programs_read_the_same_numbers(calibration: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    calibration.write_yaml(path)
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert data["format"] == "truewrench/1"
+    assert np.array(data["gain"]).tobytes() == calibration.gain.tobytes()
+    assert np.array(data["covariance"]).tobytes() == calibration.covariance.tobytes()
+    assert np.array(data["inverse"]).shape == (6, 6)
+    assert data["verdict"]["usable"] is True
+    assert data["improvement"]["axes"]["fx"] == {"nominal": 3.0, "new": 0.5, "held_out": True, "better": True}
+    assert data["logs"][0]["samples"] == {"used": 990, "gated": {"contact": 4}, "rejected": {"no fit": 6}}
+
+
+def edit(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
+    def change(data: dict[str, Any]) -> None:
+        here: Any = data
+        *parents, last = [int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key)]
+        for part in parents:
+            here = here[part]
+        if value is None:
+            del here[last]
+        else:
+            here[last] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (edit("format", "truewrench/2"), r"format: found the text 'truewrench/2', expected `truewrench/1`"),
+        (edit("format", None), r"format: found nothing, expected this key"),
+        (edit("gain", None), r"gain: found nothing, expected this key"),
+        (edit("gain[5]", None), r"gain: found 5 entries, expected a list of 6"),
+        (edit("gain[2][1]", float("nan")), r"gain\[2\]\[1\]: found NaN, expected a finite number"),
+        (edit("gain[2][1]", "1.0"), r"gain\[2\]\[1\]: found the text '1.0', expected a finite number"),
+        (edit("offset", [0.0] * 7), r"offset: found 7 entries, expected a list of 6"),
+        (edit("covariance[3][4]", 9.0), r"covariance: found a matrix that is not symmetric"),
+        (edit("covariance[3][3]", -1.0), r"covariance: found .* expected a positive semidefinite matrix"),
+        (edit("inverse[0][0]", 7.0), r"inverse: found another matrix"),
+        (edit("verdict.usable", "yes!"), r"verdict\.usable: found the text 'yes!', expected true or false"),
+        (edit("verdict.reasons", "none"), r"verdict\.reasons: found the text 'none', expected a list"),
+        (
+            edit("verdict.undetermined[0].direction", [1.0]),
+            r"verdict\.undetermined\[0\]\.direction: found 1 en",
+        ),
+        (
+            edit("improvement.axes.fx.better", "maybe"),
+            r"improvement\.axes\.fx\.better: found the text 'maybe', expected true, false",
+        ),
+        (edit("logs[0].samples.used", -1), r"logs\[0\]\.samples\.used: found -1, expected a whole number"),
+        (edit("rig.sensor.feels", "nothing"), r"sensor\.feels: found the text 'nothing', expected"),
+        (edit("rig", "rig.yaml"), r"rig: found the text 'rig.yaml', expected a mapping"),
+    ],
+)
+def test_file_that_cannot_be_right_is_refused_with_its_place(
+    calibration: Calibration, tmp_path: Path, change: Callable[[dict[str, Any]], None], message: str
+) -> None:
+    path = tmp_path / "calibration.yaml"
+    calibration.write_yaml(path)
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    change(data)
+    write_yaml(path, data)
+    with pytest.raises(InputError, match=rf"calibration\.yaml.*: {message}"):
+        load_calibration(path)
+
+
+def test_failed_write_leaves_the_old_file_and_nothing_else(calibration: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    calibration.write_yaml(path)
+    before = path.read_bytes()
+    broken = replace(calibration, figures={"what": object()})
+    with pytest.raises(yaml.YAMLError):
+        broken.write_yaml(path)
+    assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["calibration.yaml"]
+
+
+def test_failed_write_leaves_no_folder_behind(calibration: Calibration, tmp_path: Path) -> None:
+    broken = replace(calibration, figures={"what": object()})
+    with pytest.raises(yaml.YAMLError):
+        broken.write_yaml(tmp_path / "a" / "b" / "calibration.yaml")
+    assert list(tmp_path.iterdir()) == []
