@@ -3,6 +3,10 @@
 
 NB_MODULE(TRUEWRENCH_MODULE, m) {
   m.doc() = "Numerical core of truewrench (C++20). The public face is the truewrench package.";
+  truewrench::python::bind_status(m);
   truewrench::python::bind_payload(m);
+  truewrench::python::bind_sensor(m);
+  truewrench::python::bind_ekf(m);
+  truewrench::python::bind_corrector(m);
   truewrench::python::bind_estimator(m);
 }

@@ -4,15 +4,62 @@
 #include "truewrench/payload.hpp"
 
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/pair.h>
+
+#include <utility>
 
 namespace truewrench::python {
+namespace {
+
+using Row3 = Eigen::Map<const Vector3>;
+using Row6 = Eigen::Map<const Vector6>;
+
+ArrayOut payload_wrench(const Payload& payload, const Array2& nu, const Array2& a, const Array2& gravity) {
+  const std::size_t n = nu.shape(0);
+  expect_shape(nu, n, 6, "nu");
+  expect_shape(a, n, 6, "a");
+  expect_shape(gravity, n, 3, "gravity");
+  ArrayOut out = new_array({n, 6});
+  const nb::gil_scoped_release unlocked;
+  for (std::size_t i = 0; i < n; ++i) {
+    Eigen::Map<Vector6>(out.data() + 6 * i) =
+        wrench(payload, Row6(nu.data() + 6 * i), Row6(a.data() + 6 * i), Row3(gravity.data() + 3 * i));
+  }
+  return out;
+}
+
+std::pair<ArrayOut, ArrayOut> payload_jacobians(const Payload& payload, const Array2& nu) {
+  using RowMatrix6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+  const std::size_t n = nu.shape(0);
+  expect_shape(nu, n, 6, "nu");
+  ArrayOut acceleration = new_array({n, 6, 6});
+  ArrayOut twist = new_array({n, 6, 6});
+  const nb::gil_scoped_release unlocked;
+  const RowMatrix6 constant = wrench_jacobian_acceleration(payload);
+  for (std::size_t i = 0; i < n; ++i) {
+    Eigen::Map<RowMatrix6>(acceleration.data() + 36 * i) = constant;
+    Eigen::Map<RowMatrix6>(twist.data() + 36 * i) = wrench_jacobian_twist(payload, Row6(nu.data() + 6 * i));
+  }
+  return {acceleration, twist};
+}
+
+}  // namespace
 
 void bind_payload(nb::module_& m) {
-  nb::class_<Payload>(m, "Payload", "A rigid payload: mass [kg], centre of mass [m] and inertia about it [kg m^2], sensor axes.")
+  nb::class_<Payload>(
+      m, "Payload",
+      "A rigid payload: mass [kg], centre of mass [m] and inertia about it [kg m^2], sensor axes.")
       .def(nb::init<>())
       .def_rw("mass", &Payload::mass)
       .def_rw("center_of_mass", &Payload::center_of_mass)
       .def_rw("inertia", &Payload::inertia);
+  m.def("payload_wrench", &payload_wrench, nb::arg("payload"), nb::arg("nu"), nb::arg("a"),
+        nb::arg("gravity"),
+        "The reaction of the payload on the sensor, (N, 6) [N, N m], from the twist of the centre of mass "
+        "(N, 6), its\n"
+        "component-wise derivative (N, 6) and gravity (N, 3), all in sensor axes.");
+  m.def("payload_jacobians", &payload_jacobians, nb::arg("payload"), nb::arg("nu"),
+        "Jacobians of payload_wrench, two (N, 6, 6): by the acceleration and by the twist.");
 }
 
 }  // namespace truewrench::python

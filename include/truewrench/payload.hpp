@@ -38,7 +38,8 @@ inline Vector6 wrench(const Payload& p, const Vector6& nu, const Vector6& a, con
   const Vector3 f = p.mass * (a.head<3>() + omega.cross(v) - g);                       // [A00] 5
   const Vector3 n = p.inertia * a.tail<3>() + omega.cross(p.inertia * omega);           // [A00] 6
   Vector6 w;
-  w << -f, -(p.center_of_mass.cross(f) + n);                                            // [A00] 7-8
+  w.head<3>() = -f;                                                                     // [A00] 7
+  w.tail<3>() = -(p.center_of_mass.cross(f) + n);                                       // [A00] 8
   return w;
 }
 
