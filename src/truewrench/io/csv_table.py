@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
@@ -162,7 +161,9 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[bytes, list[str]]:
     if not text.strip():
         found = "an empty line" if line else "an empty file"
         raise InputError.at(path, "line 1", found, "a header with the names of the columns")
-    names = [name.strip() for name in next(csv.reader(io.StringIO(text)))]
+    if "\r" in text.removesuffix("\n").removesuffix("\r"):
+        raise InputError.at(path, "line 1", "a carriage return within", "one row a line")
+    names = [name.strip() for name in next(csv.reader([text]))]
     if len(names) == 1:
         raise InputError.at(path, "line 1", f"one column, {names[0][:60]!r}", "columns separated by commas")
     return line, names
