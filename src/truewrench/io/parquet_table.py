@@ -35,7 +35,7 @@ class _ParquetChunk(Chunk):
 
 
 class ParquetTable(Table):
-    """A Parquet file; reading it costs one batch of rows, or one of its row groups."""
+    """A Parquet file; reading it costs a batch of rows and a page of each column."""
 
     def __init__(self, path: Path) -> None:
         self._file = self._open(path)
@@ -44,7 +44,7 @@ class ParquetTable(Table):
     @staticmethod
     def _open(path: Path) -> pq.ParquetFile:
         try:
-            return pq.ParquetFile(path, buffer_size=1 << 20, pre_buffer=False)
+            return pq.ParquetFile(path, buffer_size=1 << 16, pre_buffer=False)
         except (pa.ArrowException, OSError) as error:
             raise InputError.at(path, "", f"a broken file ({error})", "Parquet") from error
 
