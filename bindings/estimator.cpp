@@ -118,6 +118,7 @@ void bind_estimator(nb::module_& m) {
       .def_rw("map_window_intervals", &EstimatorSettings::map_window_intervals)
       .def_rw("gap_periods", &EstimatorSettings::gap_periods)
       .def_rw("dependence_sigma", &EstimatorSettings::dependence_sigma)
+      .def_rw("few_samples", &EstimatorSettings::few_samples)
       .def_rw("max_rounds", &EstimatorSettings::max_rounds)
       .def_rw("max_iterations", &EstimatorSettings::max_iterations)
       .def_rw("tolerance", &EstimatorSettings::tolerance)
@@ -164,6 +165,8 @@ void bind_estimator(nb::module_& m) {
       .def_prop_ro("covariance", [](const Estimate& e) { return e.posterior.covariance; })
       .def_ro("windows", &Estimate::windows)
       .def_ro("history", &Estimate::history)
+      .def_prop_ro("wrench", [](const Estimate& e) { return e.wrench; },
+                   "Per log: the payload's wrench (rows of set_wrench, 6), SI, NaN where no window fits.")
       .def_ro("knot_dependence", &Estimate::knot_dependence)
       .def_ro("window_dependence", &Estimate::window_dependence)
       .def_ro("iterations", &Estimate::iterations);

@@ -64,18 +64,27 @@ class BSpline {
 
   double local(int i, double t) const { return (2.0 * t - at(i) - at(i + 1)) / width(i); }
 
+  // The polynomials in u, rows of `x` being coefficients: column k holds the factors of u^k.
+  template <int D>
+  Eigen::Matrix<double, D, kActive> polynomial(
+      int i, const Eigen::Matrix<double, Eigen::Dynamic, D, Eigen::RowMajor>& x) const {
+    return x.template middleRows<kActive>(i).transpose() * pieces_[static_cast<std::size_t>(i)];
+  }
+
+  // Powers of u differentiated with respect to time: what `polynomial` is multiplied with for the derivative.
+  Powers rate(int i, const Powers& u) const {
+    const double scale = 2.0 / width(i);
+    Powers d;
+    d[0] = 0.0;
+    for (int k = 1; k < kActive; ++k) d[k] = scale * k * u[k - 1];
+    return d;
+  }
+
   // The six active basis functions, or their d-th time derivative, from the (mean) powers of u.
   BasisRow basis(int i, const Powers& u, int derivative) const {
     const auto& m = pieces_[static_cast<std::size_t>(i)];
     if (derivative == 0) return m * u;
-    const double scale = 2.0 / width(i);  // du/dt
-    Powers d = Powers::Zero();
-    if (derivative == 1) {
-      for (int k = 1; k < kActive; ++k) d[k] = scale * k * u[k - 1];
-    } else {
-      for (int k = 2; k < kActive; ++k) d[k] = scale * scale * k * (k - 1) * u[k - 2];
-    }
-    return m * d;
+    return m * (derivative == 1 ? rate(i, u) : rate(i, rate(i, u)));
   }
 
   // The same spline on other breakpoints, of which this one's are a subset: rows of `x` are coefficients.

@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -20,7 +21,8 @@ struct EstimatorSettings {
   int window_intervals = 4;      // intervals than this
   int map_window_intervals = 64; // knot intervals of a window of `map`, about
   double gap_periods = 5.0;      // no window spans a longer gap
-  double dependence_sigma = 3.1; // the gain must not depend on the knot spacing by more than this (99.9%)
+  double dependence_sigma = 3.1; // the gain must not depend on knots or windows by more than this (99.9%)
+  double few_samples = 10.0;     // below so many samples per coefficient, doubled windows are tried as well
   int max_rounds = 6;
   int max_iterations = 25;
   double tolerance = 1e-9;       // last Gauss-Newton decrement of the common parameters
@@ -53,8 +55,9 @@ struct Estimate {
   Posterior posterior;               // normalised
   std::vector<WindowReport> windows;
   std::vector<HistoryEntry> history;  // `online`: after every window
+  std::vector<RowMatrix> wrench;      // per log: the payload's wrench at the sensor's samples, NaN where no window
   double knot_dependence = 0.0;       // deviate of the gain against that of halved knots
-  double window_dependence = 0.0;     // `map`: and against that of doubled windows
+  double window_dependence = 0.0;     // and against that of doubled windows, where there are few samples
   int iterations = 0;
 };
 
@@ -73,36 +76,30 @@ class Estimator {
 
   Estimate online() {
     Estimate out;
+    std::vector<Item> items;
     std::vector<InformationSum> coarse, fine;
-    out.converged = sequence(out, coarse, fine);
+    out.converged = sequence(out, items, coarse, fine);
     conclude(out, coarse, fine);
+    if (out.status == Status::ok) out.window_dependence = doubled(items, out.posterior);
     return out;
   }
 
   Estimate map() {
     Estimate out;
+    std::vector<Item> items;
     std::vector<InformationSum> coarse, fine;
-    sequence(out, coarse, fine);
+    sequence(out, items, coarse, fine);
     out.posterior = combine(prior_, coarse);
     out.status = out.posterior.status;
     out.history.clear();
-    if (out.status != Status::ok) return out;
     const std::vector<double> spacing = spacings(out.windows);
-    std::vector<Item> items;
-    for (int round = 0; round < settings_.max_rounds; ++round) {
-      if (round < 2) items = lay_out(spacing, out.posterior.mean);
-      const auto searched = out.posterior.mean;
-      out.converged = iterate(items, out, coarse);
-      if (out.status != Status::ok) return out;
-      review(items, out.posterior.mean);
-      sum(items, coarse, fine);
-      conclude(out, coarse, fine);
-      report(items, out.windows);
-      if (round == 0 && moved(searched, out.posterior) > 0.1) continue;  // knots were judged at another gain
-      round = std::max(round, 1);
-      if (std::max(out.knot_dependence, nested_deviate(items)) < settings_.dependence_sigma) break;
-      if (!halve(items)) break;
+    for (int intervals = settings_.map_window_intervals; out.status == Status::ok; intervals *= 2) {
+      share(out, items, spacing, intervals);
+      if (out.status != Status::ok) break;
+      out.window_dependence = doubled(items, out.posterior);
+      if (out.window_dependence < settings_.dependence_sigma || intervals >= 8 * settings_.map_window_intervals) break;
     }
+    predict(items, out);
     return out;
   }
 
@@ -186,12 +183,37 @@ class Estimator {
     return motion > kActive && w.wrench.second - w.wrench.first > kActive;
   }
 
+  // `map` on windows of about so many knot intervals: knots at the gain of the pass before, then the gain on all of
+  // them; once more where the gain has moved; and finer knots while the data ask for them.
+  void share(Estimate& out, std::vector<Item>& items, const std::vector<double>& spacing, int intervals) {
+    std::vector<InformationSum> coarse, fine;
+    bool search_again = true;
+    for (int round = 0; round < settings_.max_rounds; ++round) {
+      const std::vector<Eigen::VectorXd> before = out.posterior.mean;
+      if (search_again) items = lay_out(spacing, intervals, before);
+      out.converged = iterate(items, out, coarse);
+      if (out.status != Status::ok) return;
+      review(items, out.posterior.mean);
+      sum(items, coarse, fine);
+      conclude(out, coarse, fine);
+      out.windows.clear();
+      for (const Item& i : items) out.windows.push_back(report(i.log, i.range, i.fit));
+      if (out.status != Status::ok) return;
+      search_again = round == 0 && moved(before, out.posterior) > 0.1;
+      if (search_again) continue;
+      if (std::max(out.knot_dependence, nested_deviate(items)) < settings_.dependence_sigma) return;
+      if (!halve(items)) return;
+    }
+  }
+
   // One pass over all logs, windows in sequence. False where some window did not converge.
-  bool sequence(Estimate& out, std::vector<InformationSum>& coarse, std::vector<InformationSum>& fine) {
+  bool sequence(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
+                std::vector<InformationSum>& fine) {
     const int p = prior_.layout.size();
     const int c = prior_.shared();
     bool converged = true;
     Prior prior{Eigen::MatrixXd(prior_.information.asDiagonal()), prior_.mean};
+    prepare_wrench(out);
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       coarse.emplace_back(p);
       fine.emplace_back(p);
@@ -229,6 +251,7 @@ class Estimator {
             prior.mean = fit.theta;
             spacing = (stop - t) / fit.spline.intervals();
             out.history.push_back(history(l, stop, prior));
+            solver.predict(fit, window, out.wrench[l]);
             if (fit.spline.intervals() > 4 * settings_.window_intervals) {
               length = std::max(settings_.window, 0.5 * length);
             }
@@ -236,6 +259,9 @@ class Estimator {
             converged = false;
           }
           out.iterations += fit.iterations;
+          items.push_back({l, window, {}});
+          items.back().fit.status = fit.status;
+          items.back().fit.spline = std::move(fit.spline);
           may_extend = true;
           t = stop;
         }
@@ -273,18 +299,11 @@ class Estimator {
     r.samples = w.wrench.second - w.wrench.first;
     if (fit.status == WindowStatus::too_short) return r;
     r.intervals = fit.spline.intervals();
-    double narrowest = w.end - w.begin;
-    for (int i = 0; i < r.intervals; ++i) narrowest = std::min(narrowest, fit.spline.width(i));
-    r.samples_per_coefficient = settings_.knots.samples_per_coefficient * narrowest / finest_[log];
+    r.samples_per_coefficient = samples_per_coefficient(log, fit.spline);
     r.groups = fit.groups;
     r.nested = fit.nested;
     r.nested_expected = fit.nested_expected;
     return r;
-  }
-
-  void report(const std::vector<Item>& items, std::vector<WindowReport>& out) const {
-    out.clear();
-    for (const Item& i : items) out.push_back(report(i.log, i.range, i.fit));
   }
 
   // Typical knot spacing of every log in the pass before.
@@ -303,10 +322,11 @@ class Estimator {
 
   // Windows of `map` with their knots, searched at a given gain. A window that does not fit is cut in two, down to
   // the length of a window of `online`, so that a disturbance costs only its surroundings.
-  std::vector<Item> lay_out(const std::vector<double>& spacing, const std::vector<Eigen::VectorXd>& theta) const {
+  std::vector<Item> lay_out(const std::vector<double>& spacing, int intervals,
+                            const std::vector<Eigen::VectorXd>& theta) const {
     std::vector<Item> items;
     for (std::size_t l = 0; l < logs_.size(); ++l) {
-      const double target = std::max(settings_.window, settings_.map_window_intervals * spacing[l]);
+      const double target = std::max(settings_.window, intervals * spacing[l]);
       for (const auto& [begin, end] : segments(logs_[l])) {
         const int count = std::max(1, static_cast<int>(std::ceil((end - begin) / target)));
         const std::vector<double> edges = BSpline::uniform(begin, end, count);
@@ -406,6 +426,90 @@ class Estimator {
     const Posterior finer = combine(prior_, fine);
     if (out.status != Status::ok || finer.status != Status::ok) return;
     out.knot_dependence = disagreement(out.posterior, finer, prior_.layout.gains());
+  }
+
+  void prepare_wrench(Estimate& out) const {
+    out.wrench.clear();
+    for (const LogData& log : logs_) {
+      out.wrench.push_back(RowMatrix::Constant(static_cast<Eigen::Index>(log.wrench.time.size()), 6,
+                                               std::numeric_limits<double>::quiet_NaN()));
+    }
+  }
+
+  void predict(const std::vector<Item>& items, Estimate& out) const {
+    prepare_wrench(out);
+    parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
+      const Item& item = items[k];
+      if (item.fit.status != WindowStatus::fitted) return;
+      WindowSolver<N>(models_[item.log], settings_.knots).predict(item.fit, item.range, out.wrench[item.log]);
+    });
+  }
+
+  double samples_per_coefficient(std::size_t log, const BSpline& spline) const {
+    double narrowest = spline.end() - spline.begin();
+    for (int i = 0; i < spline.intervals(); ++i) narrowest = std::min(narrowest, spline.width(i));
+    return settings_.knots.samples_per_coefficient * narrowest / finest_[log];
+  }
+
+  // Deviate of the gain against that of neighbouring windows joined in pairs on the same knots, which have fewer
+  // coefficients and less noise in the motion. Asked where windows have few samples per coefficient, for there the
+  // residuals cannot show that the noise of the inferred motion passes for excitation.
+  double doubled(const std::vector<Item>& items, const Posterior& posterior) const {
+    struct Pair {
+      const Item* first;
+      const Item* second;  // or none
+      Information apart[2];
+      Information joined;
+      bool ok = true;
+    };
+    std::vector<Pair> pairs;
+    bool few = false;
+    for (std::size_t k = 0; k < items.size(); ++k) {
+      const Item& a = items[k];
+      if (a.fit.status != WindowStatus::fitted) continue;
+      few = few || samples_per_coefficient(a.log, a.fit.spline) < settings_.few_samples;
+      const Item* next = k + 1 < items.size() ? &items[k + 1] : nullptr;
+      const bool joins = next != nullptr && next->log == a.log && next->fit.status == WindowStatus::fitted &&
+                         next->range.begin == a.range.end;
+      pairs.push_back({&a, joins ? next : nullptr, {}, {}});
+      if (joins) ++k;
+    }
+    if (!few) return 0.0;
+    parallel_for(pairs.size(), settings_.threads, [&](std::size_t k) {
+      Pair& pair = pairs[k];
+      const Item& a = *pair.first;
+      WindowSolver<N> solver(models_[a.log], settings_.knots);
+      const auto held = [&](const WindowRange& range, const BSpline& spline) {
+        WindowFit fit = solver.hold(range, spline, posterior.mean[a.log]);
+        pair.ok = pair.ok && fit.status == WindowStatus::fitted;
+        return fit.information;
+      };
+      pair.apart[0] = held(a.range, a.fit.spline);
+      if (pair.second == nullptr) return;
+      const Item& b = *pair.second;
+      pair.apart[1] = held(b.range, b.fit.spline);
+      WindowRange range = a.range;
+      range.end = b.range.end;
+      range.wrench.second = b.range.wrench.second;
+      for (std::size_t m = 0; m < range.motion.size(); ++m) range.motion[m].second = b.range.motion[m].second;
+      std::vector<double> breakpoints = a.fit.spline.breakpoints();
+      const std::vector<double>& tail = b.fit.spline.breakpoints();
+      breakpoints.insert(breakpoints.end(), tail.begin() + 1, tail.end());
+      pair.joined = held(range, BSpline(std::move(breakpoints)));
+    });
+    std::vector<InformationSum> apart(logs_.size(), InformationSum(prior_.layout.size()));
+    std::vector<InformationSum> joined = apart;
+    for (const Pair& pair : pairs) {
+      if (!pair.ok) continue;
+      const std::size_t l = pair.first->log;
+      apart[l].add(pair.apart[0], posterior.mean[l]);
+      joined[l].add(pair.second != nullptr ? pair.joined : pair.apart[0], posterior.mean[l]);
+      if (pair.second != nullptr) apart[l].add(pair.apart[1], posterior.mean[l]);
+    }
+    const Posterior fewer = combine(prior_, joined);
+    const Posterior more = combine(prior_, apart);
+    if (fewer.status != Status::ok || more.status != Status::ok) return 0.0;
+    return disagreement(fewer, more, prior_.layout.gains());
   }
 
   static double nested_deviate(const std::vector<Item>& items) {

@@ -122,6 +122,30 @@ class WindowSolver {
     return Status::ok;
   }
 
+  // The motion and the information on given knots, theta held.
+  WindowFit hold(const WindowRange& window, const BSpline& spline, const Eigen::VectorXd& theta) {
+    WindowFit fit;
+    fit.spline = spline;
+    fit.theta = theta;
+    fit.x = Coefficients::Zero(spline.coefficients(), kCoordinates);
+    fit.status = solve(fit, window, Terms::motion, nullptr);
+    if (fit.status == WindowStatus::fitted) fit.status = solve(fit, window, Terms::all, nullptr);
+    if (fit.status == WindowStatus::fitted && relinearise(fit, window, theta) != Status::ok) {
+      fit.status = WindowStatus::motion_undetermined;
+    }
+    return fit;
+  }
+
+  // The payload's wrench at every sensor sample of the window, SI, as the sensor feels it: rows of `out`.
+  void predict(const WindowFit& fit, const WindowRange& window, RowMatrix& out) const {
+    const Vector6 unit = model_.wrench_scale().cwiseAbs().cwiseInverse();
+    for_each_sample(fit, model_.log().wrench.time, window.wrench,
+                    [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
+                      const Vector6 w = model_.wrench_at(x * u, x * fit.spline.rate(i, u), model_.gravity(k));
+                      out.row(static_cast<Eigen::Index>(k)) = w.cwiseProduct(unit);
+                    });
+  }
+
   // Statistics of a converged fit: the score test of halved knots, residuals at every sample, leverage; and the
   // verdict on the window.
   void finish(WindowFit& fit, const WindowRange& window, const Prior* prior) {
@@ -132,7 +156,7 @@ class WindowSolver {
     for (const Groups& g : r.residuals) {
       for (std::size_t k = 0; k < kGroups; ++k) fit.groups[k] += g[k];
     }
-    add_leverage(fit, window);
+    add_leverage(fit);
     fit.status = WindowStatus::fitted;
     for (const GroupStatistics& g : fit.groups) {
       if (g.deviate() > settings_.reject_sigma) fit.status = WindowStatus::misfit;
@@ -144,6 +168,8 @@ class WindowSolver {
   }
 
  private:
+  using Polynomial = Eigen::Matrix<double, kCoordinates, kActive>;
+
   struct Refinement {
     std::vector<double> gain;  // decrease of the cost per interval by halving all of them
     std::vector<Groups> residuals;
@@ -196,7 +222,7 @@ class WindowSolver {
         const Coefficients x = fit.x + step * dx;
         const Eigen::VectorXd theta = prior != nullptr ? Eigen::VectorXd(fit.theta + step * dtheta) : fit.theta;
         if (decrement < settings_.tolerance ||
-            cost(fit.spline, x, theta) + prior_cost(theta, prior) < before - 1e-4 * step * decrement) {
+            cost(x, theta) + prior_cost(theta, prior) < before - 1e-4 * step * decrement) {
           fit.x = x;
           fit.theta = theta;
           break;
@@ -214,7 +240,7 @@ class WindowSolver {
     return d.dot(prior->information * d);
   }
 
-  double cost(const BSpline&, const Coefficients& x, const Eigen::VectorXd& theta) const {
+  double cost(const Coefficients& x, const Eigen::VectorXd& theta) const {
     double sum = 0.0;
     for (const MotionBlock& b : blocks_.motion) {
       const Vector6 r = b.value - x.middleRows<kActive>(b.interval).transpose() * b.basis;
@@ -305,33 +331,46 @@ class WindowSolver {
     };
     for (std::size_t m = 0; m < window.motion.size(); ++m) {
       const MotionSeries& series = model_.log().motion[m];
-      for (std::size_t k = window.motion[m].first; k < window.motion[m].second; ++k) {
-        const int i = fit.spline.interval(series.time[k]);
-        const BasisRow b = fit.spline.basis(i, powers(fit.spline.local(i, series.time[k])), series.order);
-        const Vector6 s = fit.x.middleRows<kActive>(i).transpose() * b;
-        for (int c = 0; c < 6; ++c) {
-          add(out[static_cast<std::size_t>(i)][motion_group(c)],
-              (series.value[6 * k + static_cast<std::size_t>(c)] - s[c]) / series.sigma[c]);
-        }
-      }
+      const Vector6 precision = series.sigma.cwiseInverse();
+      for_each_sample(fit, series.time, window.motion[m],
+                      [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
+                        const Vector6 s = series.order == 0 ? x * u : x * fit.spline.rate(i, u);
+                        const Vector6 r =
+                            (Eigen::Map<const Vector6>(series.value + 6 * k) - s).cwiseProduct(precision);
+                        for (int c = 0; c < 6; ++c) add(out[static_cast<std::size_t>(i)][motion_group(c)], r[c]);
+                      });
     }
     if (terms == Terms::motion) return out;
     const int n = model_.layout().channels;
-    for (std::size_t k = window.wrench.first; k < window.wrench.second; ++k) {
-      const double t = model_.log().wrench.time[k];
-      const int i = fit.spline.interval(t);
-      const Powers u = powers(fit.spline.local(i, t));
-      const auto xi = fit.x.middleRows<kActive>(i);
-      const Vector6 w = model_.wrench_at(xi.transpose() * fit.spline.basis(i, u, 0),
-                                         xi.transpose() * fit.spline.basis(i, u, 1), model_.gravity(k));
-      const ChannelVector<N> r = (model_.raw(k) - model_.predict(fit.theta, w)).cwiseQuotient(model_.sigma());
-      for (int c = 0; c < n; ++c) add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
-    }
+    const ChannelMatrix<N> gain = model_.gain(fit.theta);
+    ChannelVector<N> offset = ChannelVector<N>::Zero(n);
+    if (model_.layout().offset) offset = fit.theta.tail(n);
+    for_each_sample(fit, model_.log().wrench.time, window.wrench,
+                    [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
+                      const Vector6 w = model_.wrench_at(x * u, x * fit.spline.rate(i, u), model_.gravity(k));
+                      const ChannelVector<N> r =
+                          (model_.raw(k) - gain * w - offset).cwiseProduct(model_.precision());
+                      for (int c = 0; c < n; ++c) add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
+                    });
     return out;
   }
 
+  template <typename Visit>
+  static void for_each_sample(const WindowFit& fit, std::span<const double> time,
+                              std::pair<std::size_t, std::size_t> range, const Visit& visit) {
+    std::size_t k = range.first;
+    for (int i = 0; i < fit.spline.intervals() && k < range.second; ++i) {
+      const Polynomial x = fit.spline.polynomial<kCoordinates>(i, fit.x);
+      const bool last = i + 1 == fit.spline.intervals();
+      const double edge = fit.spline.breakpoints()[static_cast<std::size_t>(i) + 1];
+      for (; k < range.second && (last || time[k] < edge); ++k) {
+        visit(k, i, x, powers(fit.spline.local(i, time[k])));
+      }
+    }
+  }
+
   // trace(W J Hxx^-1 J^T) per group. normal_ holds the factor of the present knots.
-  void add_leverage(WindowFit& fit, const WindowRange&) const {
+  void add_leverage(WindowFit& fit) const {
     const MotionNormal z = normal_.covariance_band();
     const auto covariance = [&](int interval, const BasisRow& a, const BasisRow& b) {
       Matrix6 sum = Matrix6::Zero();

@@ -116,7 +116,12 @@ template <int N>
 class WindowModel {
  public:
   WindowModel(const LogData& log, const SensorScale<N>& sensor, const ParameterLayout& layout)
-      : log_(log), sensor_(sensor), layout_(layout), dw_da_(wrench_jacobian_acceleration(log.payload)) {}
+      : log_(log),
+        sensor_(sensor),
+        layout_(layout),
+        per_channel_(sensor.channel.cwiseInverse()),
+        precision_(sensor.sigma.cwiseInverse()),
+        dw_da_(wrench_jacobian_acceleration(log.payload)) {}
 
   const ParameterLayout& layout() const { return layout_; }
   const LogData& log() const { return log_; }
@@ -162,15 +167,18 @@ class WindowModel {
   ChannelVector<N> raw(std::size_t k) const {
     const auto n = layout_.channels;
     return Eigen::Map<const ChannelVector<N>>(log_.wrench.raw + static_cast<std::size_t>(n) * k, n)
-        .cwiseQuotient(sensor_.channel);
+        .cwiseProduct(per_channel_);
   }
 
-  const ChannelVector<N>& sigma() const { return sensor_.sigma; }
+  const ChannelVector<N>& precision() const { return precision_; }  // 1 / sigma per sample, normalised
+  const Vector6& wrench_scale() const { return sensor_.wrench_scale; }
 
  private:
   const LogData& log_;
   const SensorScale<N>& sensor_;
   ParameterLayout layout_;
+  ChannelVector<N> per_channel_;
+  ChannelVector<N> precision_;
   Matrix6 dw_da_;
 };
 
@@ -213,7 +221,7 @@ struct Blocks {
     }
     const int n = model.layout().channels;
     const WrenchSeries& series = model.log().wrench;
-    const ChannelVector<N> precision = model.sigma().cwiseAbs2().cwiseInverse();
+    const ChannelVector<N> precision = model.precision().cwiseAbs2();
     for_each_block(
         spline, series.time, window.wrench, per_interval,
         [&](std::size_t k) { return valid_components(series.raw + static_cast<std::size_t>(n) * k, n); },
