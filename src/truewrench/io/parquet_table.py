@@ -44,7 +44,8 @@ class ParquetTable(Table):
     @staticmethod
     def _open(path: Path) -> pq.ParquetFile:
         try:
-            return pq.ParquetFile(path, buffer_size=1 << 16, pre_buffer=False)
+            # Mapped: Arrow's buffered streams hold on to the small pages that they have passed.
+            return pq.ParquetFile(path, memory_map=True, pre_buffer=False)
         except (pa.ArrowException, OSError) as error:
             raise InputError.at(path, "", f"a broken file ({error})", "Parquet") from error
 
