@@ -228,7 +228,7 @@ def _to_mapping(c: Calibration) -> dict[str, Any]:
 
 
 def _from_fields(top: Fields) -> Calibration:
-    if top.get("format") != FORMAT:
+    if top.data.get("format") != FORMAT:
         raise top.error("format", f"`{FORMAT}`")
     try:
         rig = Rig.from_mapping(top.section("rig").data, f"{top.path}: rig")

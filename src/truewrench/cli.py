@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -25,6 +25,9 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from truewrench.errors import InputError
+
+if TYPE_CHECKING:
+    from truewrench.calibration import Calibration
 
 __all__ = ["app", "main"]
 
@@ -94,7 +97,6 @@ def calibrate(
     debug: DebugOption = False,
 ) -> Outcome:
     """Calibrate gain and offset from one or more logs."""
-    from truewrench.calibration import Calibration
     from truewrench.io.tables import read_log
     from truewrench.pipeline import calibrate as run
     from truewrench.rig import load_rig
@@ -104,7 +106,7 @@ def calibrate(
     settings = load_rig(rig)
     with _progress() as update:
         records = [read_log(log, settings) for log in logs]
-        calibration: Calibration = run(
+        calibration = run(
             settings,
             records,
             estimator,
@@ -278,7 +280,7 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def _verdict(calibration: Any) -> dict[str, Any]:
+def _verdict(calibration: Calibration) -> dict[str, Any]:
     verdict: dict[str, Any] = dataclasses.asdict(calibration.verdict)
     return verdict
 

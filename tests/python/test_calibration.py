@@ -100,7 +100,7 @@ def edit(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
     ("change", "message"),
     [
         (edit("format", "truewrench/2"), r"format: found the text 'truewrench/2', expected `truewrench/1`"),
-        (edit("format", None), r"format: found nothing, expected this key"),
+        (edit("format", None), r"format: found nothing, expected `truewrench/1`"),
         (edit("gain", None), r"gain: found nothing, expected this key"),
         (edit("gain[5]", None), r"gain: found 5 entries, expected a list of 6"),
         (edit("gain[2][1]", float("nan")), r"gain\[2\]\[1\]: found NaN, expected a finite number"),

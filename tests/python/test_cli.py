@@ -1,0 +1,255 @@
+"""Exit status, standard output and files of every command are what scripts rely on."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pyarrow.csv as pacsv
+import pytest
+import yaml
+
+from truewrench.calibration import Calibration, Verdict, load_calibration
+from truewrench.cli import main
+from truewrench.rig import Rig
+
+Cells = dict[str, list[str]]
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command: exit status, standard output, standard error."""
+
+    def call(*words: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            main([str(word) for word in words])
+        captured = capsys.readouterr()
+        status = left.value.code
+        assert isinstance(status, int)
+        return status, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def rig_file(tmp_path: Path, settings: dict[str, Any]) -> Path:
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def pipeline(monkeypatch: pytest.MonkeyPatch, calibration: Calibration) -> ModuleType:
+    """A pipeline that returns a ready calibration, and notes what it was asked for."""
+    module = ModuleType("truewrench.pipeline")
+
+    def calibrate(rig: Rig, logs: Any, estimator: str, **options: Any) -> Calibration:
+        module.asked = (rig, logs, estimator, options)  # type: ignore[attr-defined]
+        return replace(calibration, estimator=estimator, verdict=module.verdict)  # type: ignore[attr-defined]
+
+    module.calibrate = calibrate  # type: ignore[attr-defined]
+    module.verdict = Verdict(usable=True)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "truewrench.pipeline", module)
+    return module
+
+
+def test_usable_calibration_is_written_with_status_0(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
+) -> None:
+    logs = [csv_of(cells, "a.csv"), f"{csv_of(cells, 'b.csv')}@default"]
+    status, out, err = run("calibrate", rig_file, *logs, "-o", tmp_path / "out", "--estimator", "online")
+    assert (status, err) == (0, "")
+    assert out.startswith("USABLE")
+    assert load_calibration(tmp_path / "out" / "calibration.yaml").estimator == "online"
+    assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["calibration.yaml"]
+    assert [log.payload for log in pipeline.asked[1]] == ["default", "default"]
+
+
+def test_unusable_calibration_is_written_with_status_3_and_its_reasons(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
+) -> None:
+    pipeline.verdict = Verdict(usable=False, reasons=("windows rejected: 3",))  # type: ignore[attr-defined]
+    status, out, _ = run("calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out")
+    assert status == 3
+    assert out.startswith("NOT TO BE USED AS IT STANDS\n  - windows rejected: 3\n")
+    assert (tmp_path / "out" / "calibration.yaml").exists()
+
+
+def test_options_reach_the_pipeline(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
+) -> None:
+    words = "--estimator ekf --published --window 2.5 --threads 2 --process-density 1e-1 --smooth spline"
+    status, *_ = run("calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out", *words.split())
+    options = pipeline.asked[3]
+    del options["progress"]
+    assert status == 0
+    assert options == {
+        "published": True, "window": 2.5, "threads": 2, "process_density": 0.1, "smooth": "spline",
+    }  # fmt: skip
+
+
+def test_what_was_left_out_of_a_log_is_told(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
+) -> None:
+    cells["vx"][3] = "nan"
+    for name in cells:
+        if name != "time_ns":
+            cells[name][7] = ""
+    _, _, err = run("calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out")
+    assert "run.csv: 1 rows without any measurement left out" in err
+    assert "run.csv: column `vx`: 1 NaN left out" in err
+
+
+def test_apply_writes_the_log_and_hands_on_the_verdict(
+    run: Run, csv_of: Callable[..., Path], cells: Cells, calibration: Calibration, tmp_path: Path
+) -> None:
+    log, output, path = csv_of(cells), tmp_path / "new" / "out.csv", tmp_path / "calibration.yaml"
+    calibration.write_yaml(path)
+    status, out, err = run("apply", path, log, "-o", output)
+    assert (status, err) == (0, "")
+    assert "10 of 10 rows with the true wrench" in out
+    assert pacsv.read_csv(output).column_names[-12:-9] == ["fx", "fy", "fz"]
+    replace(calibration, verdict=Verdict(usable=False, reasons=("reference estimator",))).write_yaml(path)
+    status, out, _ = run("apply", path, log, "-o", output)
+    assert status == 3
+    assert "not to be used as it stands: reference estimator" in out
+
+
+def test_simulated_log_is_written_with_its_truth(run: Run, rig_file: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.csv"
+    status, _, err = run("simulate", rig_file, "-o", log)
+    assert (status, err) == (0, "")
+    truth = yaml.safe_load((tmp_path / "run.csv.truth.yaml").read_text(encoding="utf-8"))
+    assert set(truth) >= {"gain", "offset", "time_offset", "payloads", "seed"}
+    assert np.array(truth["gain"]).shape == (6, 6)
+    status, out, _ = run("inspect", log)
+    assert status == 0
+    assert "raw channels" in out
+
+
+def test_inspect_finds_rates_gaps_and_ranges(run: Run, csv_of: Callable[..., Path]) -> None:
+    time = [0.001 * k for k in range(1000)] + [3 + 0.001 * k for k in range(500)]
+    columns = {
+        "time_s": [f"{t:.3f}" for t in time],
+        "raw_0": [str(k % 7) for k in range(1500)],
+        "vx": ["-2.5" if k % 10 == 0 else "" for k in range(1500)],
+        "note": ["x"] * 1500,
+    }
+    columns["raw_0"][5] = "nan"
+    status, out, _ = run("inspect", csv_of(columns), "--json")
+    assert status == 0
+    figures = json.loads(out)["figures"]
+    raw, twist = figures["streams"]
+    assert (figures["rows"], figures["unknown"]) == (1500, ["note"])
+    assert figures["duration"] == pytest.approx(3.499)
+    assert (raw["samples"], raw["rate"]) == (1499, pytest.approx(1000))
+    assert (twist["samples"], twist["rate"]) == (150, pytest.approx(100))
+    assert raw["gaps"] == [{"start": pytest.approx(0.999), "duration": pytest.approx(2.001)}]
+    assert raw["columns"] == [
+        {"name": "raw_0", "smallest": 0, "largest": 6, "numbers": 1499, "empty": 0, "nan": 1}
+    ]
+    assert twist["columns"][0] | {"name": ""} == {
+        "name": "", "smallest": -2.5, "largest": -2.5, "numbers": 150, "empty": 1350, "nan": 0,
+    }  # fmt: skip
+
+
+def words_of(command: str, names: Mapping[str, object]) -> list[str]:
+    return [str(names.get(word, word)) for word in command.split()]
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("", ""),
+        ("calibrate", "Missing argument 'RIG'"),
+        ("calibrate RIG", "Missing argument 'LOG...'"),
+        ("calibrate RIG LOG", "Missing option '-o'"),
+        ("calibrate RIG LOG -o OUT --estimator best", "--estimator"),
+        ("calibrate RIG LOG -o OUT --threads 0", "--threads"),
+        ("calibrate RIG LOG -o OUT --fast", "No such option: --fast"),
+        ("calibrate RIG NONE -o OUT", "none.csv: cannot be read"),
+        ("calibrate NONE LOG -o OUT", "none.csv: cannot be read"),
+        ("calibrate RIG BAD -o OUT", "row 3 (line 4), column `raw_0`: found the text 'oops'"),
+        ("calibrate RIG LOG -o LOG", "found a file, expected a folder"),
+        ("apply RIG LOG -o OUT", "format: found nothing, expected `truewrench/1`"),
+        ("apply NONE LOG -o OUT", "none.csv: cannot be read"),
+        ("inspect NONE", "none.csv: cannot be read"),
+        ("simulate RIG NONE -o OUT", "none.csv"),
+        ("simulate RIG -o OUT --payload hammer", "hammer"),
+        ("fly", "No such command 'fly'"),
+    ],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_bad_input_gives_status_2_one_message_and_no_file(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path,
+    command: str, message: str, as_json: bool,
+) -> None:  # fmt: skip
+    log = csv_of(cells)
+    cells["raw_0"][2] = "oops"
+    bad = csv_of(cells, "bad.csv")
+    names = {"RIG": rig_file, "LOG": log, "BAD": bad, "NONE": tmp_path / "none.csv", "OUT": tmp_path / "out"}
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    status, out, err = run(*words_of(command, names), *(["--json"] if as_json else []))
+    assert status == 2
+    assert "Traceback" not in err
+    assert message in err
+    if as_json:
+        answer = json.loads(out)
+        assert answer["status"] == 2
+        assert message in "\n".join(answer["verdict"]["reasons"])
+        assert (answer["outputs"], answer["figures"]) == ([], {})
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_json_is_one_object_on_standard_output(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
+) -> None:
+    log, out_folder = csv_of(cells), tmp_path / "out"
+    calibration_file = out_folder / "calibration.yaml"
+    for command in (
+        ["calibrate", rig_file, log, "-o", out_folder],
+        ["apply", calibration_file, log, "-o", tmp_path / "out.csv"],
+        ["simulate", rig_file, "-o", tmp_path / "sim.parquet"],
+        ["inspect", tmp_path / "sim.parquet"],
+    ):
+        status, out, _ = run(*command, "--json")
+        answer = json.loads(out)
+        assert list(answer) == ["status", "verdict", "outputs", "figures"]
+        assert answer["status"] == status == 0
+        assert all(Path(path).exists() for path in answer["outputs"])
+    gain = load_calibration(calibration_file).gain
+    _, out, _ = run("calibrate", rig_file, log, "-o", out_folder, "--json")
+    assert np.array(json.loads(out)["figures"]["gain"]).tobytes() == gain.tobytes()
+
+
+def test_internal_fault_gives_status_1_and_shows_its_place_on_request(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
+) -> None:
+    pipeline.verdict = None  # type: ignore[attr-defined]
+    command = ["calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out"]
+    status, _, err = run(*command)
+    assert status == 1
+    assert "internal fault: AttributeError" in err
+    assert "Traceback" not in err
+    status, _, err = run(*command, "--debug")
+    assert status == 1
+    assert "Traceback" in err
+
+
+def test_installed_command_answers_without_terminal_codes(tmp_path: Path) -> None:
+    command = Path(sys.executable).with_name("truewrench")
+    done = subprocess.run([command, "inspect", tmp_path / "none.csv"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr == f"truewrench: {tmp_path / 'none.csv'}: cannot be read: No such file or directory\n"
+    done = subprocess.run([command, "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
