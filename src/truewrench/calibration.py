@@ -73,11 +73,11 @@ class AxisImprovement:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """What no estimator can beat, as RMS over the normalised gains.
+    """What no estimator can beat, as RMS of sigma over the normalised gains.
 
     Attributes:
-        oracle_rms: of the Cramer-Rao sigma when the motion is known.
-        rms: of the stated sigma.
+        oracle_rms: when the motion is known.
+        rms: when the motion has to be inferred from the log.
     """
 
     oracle_rms: float
@@ -98,6 +98,8 @@ class LogReport:
         used: samples that the estimate rests on.
         gated: samples left out one by one, by reason.
         rejected: samples left out with their whole window, by reason.
+        dropped_rows: rows of the log without any measurement.
+        nan_counts: cells that held NaN and were left out, by column.
     """
 
     path: Path | None
@@ -109,6 +111,8 @@ class LogReport:
     used: int = 0
     gated: Mapping[str, int] = field(default_factory=dict)
     rejected: Mapping[str, int] = field(default_factory=dict)
+    dropped_rows: int = 0
+    nan_counts: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +168,12 @@ class Calibration:
         """Number of raw channels."""
         return int(self.gain.shape[0])
 
+    @property
+    def gain_std_normalised(self) -> FloatArray:
+        """(n, 6) 1 sigma of the gains, in units of their channel's full scale over their axis' range."""
+        sensor = self.rig.sensor
+        return self.gain_std * sensor.range_array / sensor.channel_scale[:, None]
+
     def wrench(self, raw: npt.ArrayLike) -> FloatArray:
         """The true wrench, (N, 6) [N, N m], of raw samples (N, n); NaN where a channel has none."""
         wrench: FloatArray = (np.asarray(raw, dtype=np.float64) - self.offset) @ self.inverse.T
@@ -198,7 +208,9 @@ def _to_mapping(c: Calibration) -> dict[str, Any]:
             "offset": log.offset,
             "offset_std": log.offset_std,
             "time_offset": log.time_offset,
-            "samples": {"used": log.used, "gated": dict(log.gated), "rejected": dict(log.rejected)},
+            "samples": {"used": log.used, "gated": log.gated, "rejected": log.rejected},
+            "dropped_rows": log.dropped_rows,
+            "nan_counts": log.nan_counts,
         }
         for log in c.logs
     ]
@@ -305,6 +317,8 @@ def _log_report(log: Fields, n: int) -> LogReport:
         used=samples.count("used"),
         gated=_counts(samples.section("gated")),
         rejected=_counts(samples.section("rejected")),
+        dropped_rows=log.count("dropped_rows"),
+        nan_counts=_counts(log.section("nan_counts")),
     )
 
 

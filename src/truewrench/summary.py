@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 from rich import box
 from rich.console import Console, RenderableType
 from rich.table import Table
@@ -44,12 +45,7 @@ def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
     yield _offset(calibration)
     if calibration.improvement:
         yield _improvement(calibration)
-    if calibration.bound is not None:
-        stated, oracle = calibration.bound.rms, calibration.bound.oracle_rms
-        yield Text(
-            f"Accuracy: {100 * stated:.2g} % of range (1 sigma, RMS over the gains), "
-            f"{stated / oracle:.2f} times what a perfectly known motion would allow."
-        )
+    yield _accuracy(calibration)
     yield _logs(calibration)
     if calibration.timings:
         spent = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in calibration.timings.items())
@@ -107,6 +103,15 @@ def _improvement(calibration: Calibration) -> RenderableType:
         better = words[axis.better]
         table.add_row(name, f"{axis.nominal:.4g} {unit}", f"{axis.new:.4g} {unit}", better)
     return table
+
+
+def _accuracy(calibration: Calibration) -> RenderableType:
+    stated = float(np.sqrt(np.mean(calibration.gain_std_normalised**2)))
+    text = f"Accuracy: {100 * stated:.2g} % of full scale (1 sigma, RMS over the gains)"
+    if calibration.bound is not None:
+        ratio = stated / calibration.bound.oracle_rms
+        text += f", {ratio:.2f} times what a perfectly known motion would give"
+    return Text(text + ".")
 
 
 def _logs(calibration: Calibration) -> RenderableType:

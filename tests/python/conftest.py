@@ -111,6 +111,7 @@ def calibration(rig: Rig) -> Calibration:
     log = LogReport(
         path=Path("run.csv"), sha256="ab" * 32, payload="default", offset=offset, offset_std=std[36:],
         time_offset=1e-3, used=990, gated={"contact": 4}, rejected={"no fit": 6},
+        dropped_rows=2, nan_counts={"vx": 1},
     )  # fmt: skip
     unit = np.zeros(36)
     unit[17] = 1.0
