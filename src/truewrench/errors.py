@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Self
 
 __all__ = ["InputError", "TruewrenchError", "UnsupportedError"]
 
@@ -23,7 +24,7 @@ class InputError(TruewrenchError):
         self.problems: tuple[str, ...] = tuple(problems) or (message,)
 
     @classmethod
-    def at(cls, file: str | Path | None, place: str, found: str, expected: str) -> InputError:
+    def at(cls, file: str | Path | None, place: str, found: str, expected: str) -> Self:
         """The usual form: `file: place: found ..., expected ...`."""
         prefix = ": ".join(str(part) for part in (file, place) if part is not None and str(part))
         return cls(f"{prefix}: found {found}, expected {expected}")

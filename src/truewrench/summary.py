@@ -34,7 +34,8 @@ def with_uncertainty(value: float, std: float) -> str:
     decimals = 1 - math.floor(math.log10(std))
     if decimals > 8 or abs(value) >= 1e7 or std >= 1e7:
         return f"{value:.4e} ± {std:.1e}"
-    return f"{value:.{max(decimals, 0)}f} ± {std:.{max(decimals, 0)}f}"
+    decimals = max(decimals, 0)
+    return f"{round(value, decimals) + 0.0:.{decimals}f} ± {std:.{decimals}f}"  # + 0.0: no minus zero
 
 
 def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:

@@ -1,0 +1,58 @@
+"""A person reads the verdict first, and no digit that means nothing."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from truewrench.calibration import Calibration, Verdict
+from truewrench.summary import calibration_summary, show, with_uncertainty
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (1.002343, 0.00043, "1.00234 ± 0.00043"),
+        (1.002345, 0.0196, "1.002 ± 0.020"),
+        (-0.5, 12.0, "0 ± 12"),
+        (1234.5, 123.0, "1234 ± 123"),
+        (2.5e-7, 1e-9, "2.5000e-07 ± 1.0e-09"),
+        (3.0e9, 1e6, "3.0000e+09 ± 1.0e+06"),
+        (2.0, 0.0, "2 ± 0"),
+    ],
+)
+def test_digits_are_those_that_the_uncertainty_deserves(value: float, std: float, text: str) -> None:
+    assert with_uncertainty(value, std) == text
+
+
+def printed(calibration: Calibration, width: int = 80) -> str:
+    sink = io.StringIO()
+    show(Console(file=sink, width=width, highlight=False), calibration_summary(calibration))
+    return sink.getvalue()
+
+
+def test_verdict_comes_first_in_words(calibration: Calibration) -> None:
+    assert printed(calibration).startswith("USABLE")
+    verdict = Verdict(usable=False, reasons=("3 of 10 windows were rejected", "not converged"))
+    lines = printed(replace(calibration, verdict=verdict)).splitlines()
+    assert lines[0] == "NOT TO BE USED AS IT STANDS"
+    assert lines[1:3] == ["  - 3 of 10 windows were rejected", "  - not converged"]
+
+
+def test_undetermined_directions_are_named(calibration: Calibration) -> None:
+    assert "The data do not determine:\n  - moment about z: gain of fz" in printed(calibration)
+
+
+def test_every_gain_stands_in_eighty_columns(calibration: Calibration) -> None:
+    text = printed(calibration)
+    for row, deviations in zip(calibration.gain, calibration.gain_std, strict=True):
+        for gain, std in zip(row, deviations, strict=True):
+            assert with_uncertainty(gain, std) in text
+
+
+def test_names_from_files_are_printed_as_they_are(calibration: Calibration) -> None:
+    verdict = Verdict(usable=False, reasons=("channel [bold]fx[/bold] :smile:",))
+    assert "channel [bold]fx[/bold] :smile:" in printed(replace(calibration, verdict=verdict))
