@@ -13,6 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from truewrench import _core
 from truewrench.errors import InputError
 from truewrench.log import Log
+from truewrench.payload import core_payload
 from truewrench.rig import Rig
 
 __all__ = ["GROUPS", "WindowEstimate", "estimate_windows"]
@@ -42,6 +43,9 @@ class WindowEstimate:
         history_log: (W,) which log it belongs to.
         history_gain: (W, n, 6) the gain after it.
         history_std: (W, n, 6).
+        wrench: per log, the payload's wrench (M, 6) that the fitted motion predicts, SI, with the rig's
+            sign; NaN where no window fits.
+        wrench_rows: per log, the (M,) rows of the log it belongs to.
         knot_dependence: standard normal deviate of the gain against that of halved knots.
         window_dependence: and against that of doubled windows.
         iterations: Gauss-Newton steps.
@@ -59,6 +63,8 @@ class WindowEstimate:
     history_log: NDArray[np.int64]
     history_gain: Array
     history_std: Array
+    wrench: tuple[Array, ...]
+    wrench_rows: tuple[NDArray[np.int64], ...]
     knot_dependence: float
     window_dependence: float
     iterations: int
@@ -84,9 +90,10 @@ def estimate_windows(
     if with_offset:
         mean = np.append(mean, np.zeros(n))
         sigma = np.append(sigma, np.maximum(offset_prior, _EXACT))
+    recorded = [_recorded(rig, log) for log in logs]
     estimate = _core.estimate(
         method,
-        [_recorded(rig, log) for log in logs],
+        [log for log, _ in recorded],
         scale,
         sensor.noise_array / scale,
         sensor.sign / span,
@@ -123,46 +130,49 @@ def estimate_windows(
         history_log=np.array([h.log for h in history], dtype=np.int64),
         history_gain=np.array([h.mean[: 6 * n].reshape(n, 6) for h in history]).reshape(-1, n, 6) * to_gain,
         history_std=np.array([h.sigma[: 6 * n].reshape(n, 6) for h in history]).reshape(-1, n, 6) * to_gain,
+        wrench=tuple(estimate.wrench),
+        wrench_rows=tuple(rows for _, rows in recorded),
         knot_dependence=estimate.knot_dependence,
         window_dependence=estimate.window_dependence,
         iterations=estimate.iterations,
     )
 
 
-def _recorded(rig: Rig, log: Log) -> _core.RecordedLog:
-    """The streams of one log, each on the rows where it has samples."""
+def _recorded(rig: Rig, log: Log) -> tuple[_core.RecordedLog, NDArray[np.int64]]:
+    """The streams of one log, each on the rows where it has samples, and the rows of the sensor."""
     if log.twist is None:
         raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
     spec = rig.payloads[log.payload]
-    payload = _core.Payload()
-    payload.mass = spec.mass
-    payload.center_of_mass = spec.center_of_mass_array
-    payload.inertia = spec.inertia_matrix
     recorded = _core.RecordedLog()
-    recorded.payload = payload
+    recorded.payload = core_payload(spec)
     if rig.motion.of == "sensor":
         recorded.shift = _core.twist_shift(spec.center_of_mass_array)  # from the sensor to the centre of mass
     time = log.time
     moving = np.isfinite(log.twist).any(axis=1)
     recorded.add_motion(0, time[moving], np.ascontiguousarray(log.twist[moving]), rig.motion.noise_array)
+    noise = np.array(rig.motion.acceleration_noise or ())
+    if log.acceleration is not None and noise.size == 6:
+        known = np.isfinite(log.acceleration).any(axis=1)
+        recorded.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
     sensing = np.isfinite(log.raw).any(axis=1)
     gravity = None
     if log.gravity is not None:
-        gravity, known = _gravity(time, log.gravity, time[sensing])
-        sensing[sensing] = known
+        gravity, known = _gravity(log, time[sensing])
+        sensing[np.flatnonzero(sensing)] = known
         gravity = np.ascontiguousarray(gravity[known])
     elif rig.in_gravity:
-        raise InputError.at(log.path, "", "no gravity columns", "gx gy gz: a logged twist in gravity needs them")
+        raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
     recorded.set_wrench(time[sensing], np.ascontiguousarray(log.raw[sensing]), gravity)
-    return recorded
+    return recorded, np.flatnonzero(sensing)
 
 
-def _gravity(time: Array, gravity: Array, at: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _gravity(log: Log, at: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Gravity (N, 3) at the sensor's times, interpolated between its own, and where it is known."""
-    rows = np.isfinite(gravity).all(axis=1)
-    t, g = time[rows], gravity[rows]
+    assert log.gravity is not None
+    rows = np.isfinite(log.gravity).all(axis=1)
+    t, g = log.time[rows], log.gravity[rows]
     if t.size < 2:
-        raise InputError.at(None, "gx gy gz", f"{t.size} complete rows", "at least 2")
+        raise InputError.at(log.path, "gx gy gz", f"{t.size} complete rows", "at least 2")
     known = (at >= t[0]) & (at <= t[-1])
     values = np.asarray(PchipInterpolator(t, g, axis=0)(np.clip(at, t[0], t[-1])))
     return values, known

@@ -1,0 +1,312 @@
+"""From rig and logs to a calibration: estimate, judge, and put together what is said about it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.calibration import AXES, AxisImprovement, Bound, Calibration, LogReport, Verdict
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.estimate.ekf import estimate_ekf
+from truewrench.estimate.least_squares import least_squares
+from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.log import Log
+from truewrench.rig import Rig
+from truewrench.verdict import group_fits, judge_reference, judge_windows
+
+__all__ = ["calibrate"]
+
+Array = NDArray[np.float64]
+EstimatorName = Literal["map", "online", "ekf", "ls"]
+Progress = Callable[[str, float | None], None]
+
+_UNSURE = 0.02  # relative change of an axis' residual that counts as none
+
+
+def calibrate(
+    rig: Rig,
+    logs: Log | Sequence[Log],
+    estimator: EstimatorName = "map",
+    *,
+    window: float | None = None,
+    threads: int | None = None,
+    published: bool = False,
+    smooth: Literal["spline"] | None = None,
+    process_density: float | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate gain and offset of a rig's sensor from one log or several.
+
+    Args:
+        rig: sensor, payloads and motion.
+        logs: pooled into one gain, with an offset for each (or one for all: `sensor.pool_offsets`).
+        estimator: `map`, `online`, or one of the references `ekf` and `ls`, whose verdict is never usable.
+        window: shortest window of motion [s]; the default is the core's.
+        threads: of the window estimators, all by default; no effect on the result.
+        published: `ekf` starts from C = I and P = I in SI units.
+        smooth: `ls` differentiates a spline and not the samples.
+        process_density: of `ekf`.
+        progress: called with a phase and the share of it that is done, if known.
+
+    Raises:
+        InputError: for logs that do not fit the rig.
+        UnsupportedError: for settings that no estimator can honour yet.
+    """
+    records = [logs] if isinstance(logs, Log) else list(logs)
+    if not records:
+        raise InputError.at(None, "", "no log", "at least one")
+    _check_supported(rig)
+    _check_options(
+        estimator, window=window, published=published, smooth=smooth, process_density=process_density
+    )
+    report = progress or (lambda phase, share: None)
+    started = time.perf_counter()
+    report(f"estimating ({estimator})", None)
+    if estimator == "map" or estimator == "online":
+        return _from_windows(rig, records, estimator, window, threads, report, started)
+    return _from_reference(rig, records, estimator, published, smooth, process_density, started)
+
+
+def _from_windows(
+    rig: Rig,
+    logs: Sequence[Log],
+    estimator: Literal["map", "online"],
+    window: float | None,
+    threads: int | None,
+    report: Progress,
+    started: float,
+) -> Calibration:
+    settings = _core.EstimatorSettings()
+    settings.window = settings.window if window is None else window
+    settings.threads = threads or 0
+    estimate = estimate_windows(rig, logs, estimator, settings)
+    estimated = time.perf_counter()
+    report("judging", None)
+    verdict = judge_windows(rig, estimate)
+    inverse = _inverse(rig, estimate.gain)
+    calibration = _calibration(
+        rig,
+        estimator,
+        estimate.gain,
+        estimate.covariance,
+        verdict,
+        [
+            _log_report(log, k, estimate.offsets[k], estimate.offsets_std[k], estimate.windows)
+            for k, log in enumerate(logs)
+        ],
+        inverse=inverse,
+        improvement=_improvement(rig, logs, estimate, inverse),
+        bound=_bound(rig, estimate),
+        figures=_figures(rig, estimate),
+        timings={"estimate": estimated - started, "judge": time.perf_counter() - estimated},
+    )
+    return calibration
+
+
+def _from_reference(
+    rig: Rig,
+    logs: Sequence[Log],
+    estimator: Literal["ekf", "ls"],
+    published: bool,
+    smooth: Literal["spline"] | None,
+    process_density: float | None,
+    started: float,
+) -> Calibration:
+    figures: dict[str, Any] = {}
+    if estimator == "ekf":
+        ekf = estimate_ekf(rig, logs, published=published, process_density=process_density)
+        gain, covariance, offsets, samples = ekf.gain, ekf.covariance, ekf.offsets, ekf.samples
+        figures["nis"] = float(ekf.nis.sum() / max(1, int(ekf.degrees_of_freedom.sum())))
+    else:
+        ls = least_squares(rig, logs, smooth)
+        gain, covariance, offsets, samples = ls.gain, ls.covariance, ls.offsets, ls.samples
+        figures["chi_square"] = ls.chi_square.tolist()
+    n = rig.sensor.n
+    offset_std = np.sqrt(np.diag(covariance)[6 * n :])
+    reports = [
+        LogReport(log.path, log.sha256, log.payload, offset, offset_std, used=int(used))
+        for log, offset, used in zip(logs, offsets, samples, strict=True)
+    ]
+    return _calibration(
+        rig,
+        estimator,
+        gain,
+        covariance,
+        judge_reference(rig, gain),
+        reports,
+        inverse=_inverse(rig, gain),
+        figures=figures,
+        timings={"estimate": time.perf_counter() - started},
+    )
+
+
+def _calibration(
+    rig: Rig,
+    estimator: str,
+    gain: Array,
+    covariance: Array,
+    verdict: Verdict,
+    logs: Sequence[LogReport],
+    **rest: Any,
+) -> Calibration:
+    n = rig.sensor.n
+    std = np.sqrt(np.diag(covariance))
+    return Calibration(
+        gain=gain,
+        gain_std=std[: 6 * n].reshape(n, 6),
+        offset=logs[-1].offset,
+        offset_std=std[6 * n :],
+        covariance=covariance,
+        verdict=verdict,
+        logs=tuple(logs),
+        rig=rig,
+        estimator=estimator,
+        version=version("truewrench"),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        **rest,
+    )
+
+
+def _check_supported(rig: Rig) -> None:
+    def refuse(key: str, found: str, expected: str) -> InputError:
+        return UnsupportedError.at(rig.path, key, found, expected)
+
+    if rig.motion.source != "twist":
+        raise refuse(
+            "motion.source", f"`{rig.motion.source}`", "`twist`: calibration from joints is not supported"
+        )
+    if rig.sensor.lowpass_hz is not None:
+        raise refuse(
+            "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz:g}", "null: a filtered sensor is not supported"
+        )
+    if rig.temperature.prior > 0.0:
+        raise refuse(
+            "temperature.prior", f"{rig.temperature.prior:g}", "0: drift with temperature is not supported"
+        )
+    if rig.reference_noise is not None:
+        raise refuse("reference_noise", "six numbers", "nothing: reference wrenches are not supported")
+
+
+def _check_options(estimator: EstimatorName, **options: Any) -> None:
+    belongs = {
+        "window": ("map", "online"),
+        "published": ("ekf",),
+        "process_density": ("ekf",),
+        "smooth": ("ls",),
+    }
+    for name, value in options.items():
+        if value and estimator not in belongs[name]:
+            raise UnsupportedError.at(
+                None,
+                name,
+                f"with estimator `{estimator}`",
+                f"this option with `{'` or `'.join(belongs[name])}` only",
+            )
+
+
+def _inverse(rig: Rig, gain: Array) -> Array:
+    """Noise-weighted generalised inverse (6, n); NaN when the gain has none."""
+    try:
+        return _core.generalised_inverse(np.ascontiguousarray(gain), rig.sensor.noise_array)
+    except ValueError:
+        return np.full((6, rig.sensor.n), np.nan)
+
+
+def _log_report(
+    log: Log, k: int, offset: Array, offset_std: Array, windows: Sequence[_core.WindowReport]
+) -> LogReport:
+    samples = Counter[str]()
+    for w in windows:
+        if w.log == k:
+            samples[w.status.name.replace("_", " ")] += w.samples
+    used = samples.pop("fitted", 0)
+    sensed = int(np.isfinite(log.raw).any(axis=1).sum())
+    samples["outside every window"] = max(0, sensed - used - samples.total())
+    return LogReport(
+        log.path, log.sha256, log.payload, offset, offset_std, used=used, rejected=dict(+samples)
+    )
+
+
+def _improvement(
+    rig: Rig, logs: Sequence[Log], estimate: WindowEstimate, inverse: Array
+) -> Mapping[str, AxisImprovement]:
+    """RMS difference of corrected and inertial wrench per axis: nominal gain (tared) and new gain."""
+    nominal_inverse = _inverse(rig, rig.sensor.nominal_gain_array)
+    old, new = [], []
+    for log, offset, wrench, rows in zip(
+        logs, estimate.offsets, estimate.wrench, estimate.wrench_rows, strict=True
+    ):
+        known = np.isfinite(wrench).all(axis=1) & np.isfinite(log.raw[rows]).all(axis=1)
+        if not known.any():
+            continue
+        raw = log.raw[rows][known]
+        nominal = raw @ nominal_inverse.T - wrench[known]
+        if rig.sensor.offset_prior_array.any():
+            nominal -= nominal.mean(axis=0)
+        old.append(nominal)
+        new.append((raw - offset) @ inverse.T - wrench[known])
+    if not old:
+        return {}
+    before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))
+    improvement = {}
+    for axis, b, a in zip(AXES, before, after, strict=True):
+        better: Literal[True, False, "unsure"] = "unsure"
+        if abs(a - b) > _UNSURE * b:
+            better = bool(a < b)
+        improvement[axis] = AxisImprovement(float(b), float(a), held_out=False, better=better)
+    return improvement
+
+
+def _bound(rig: Rig, estimate: WindowEstimate) -> Bound:
+    """The oracle bound sigma_i^2 (W^T W)^-1, motion known and priors included, beside the stated sigma."""
+    sensor = rig.sensor
+    noise = sensor.noise_array / sensor.channel_scale
+    offset_prior = sensor.offset_prior_array / sensor.channel_scale
+    pooled = 1 if sensor.pool_offsets else len(estimate.wrench)
+    variance = np.empty((sensor.n, 6))
+    for i in range(sensor.n):
+        information = np.diag(np.append(np.full(6, sensor.gain_prior**-2.0), np.full(pooled, 0.0)))
+        for k, wrench in enumerate(estimate.wrench):
+            known = wrench[np.isfinite(wrench).all(axis=1)] / sensor.range_array
+            column = 6 + min(k, pooled - 1)
+            information[:6, :6] += known.T @ known / noise[i] ** 2
+            information[:6, column] += known.sum(axis=0) / noise[i] ** 2
+            information[column, :6] = information[:6, column]
+            information[column, column] += len(known) / noise[i] ** 2
+        if offset_prior[i] > 0.0:
+            information[6:, 6:] += np.diag(np.full(pooled, offset_prior[i] ** -2.0))
+        else:
+            information = information[:6, :6]
+        variance[i] = np.diag(np.linalg.inv(information))[:6]
+    stated = np.diag(estimate.normalised_covariance)[: 6 * sensor.n]
+    return Bound(oracle_rms=float(np.sqrt(variance.mean())), rms=float(np.sqrt(stated.mean())))
+
+
+def _figures(rig: Rig, estimate: WindowEstimate) -> dict[str, Any]:
+    fitted = [w for w in estimate.windows if w.status == _core.WindowStatus.fitted]
+    sensor = rig.sensor
+    posed = _core.conditioning(
+        estimate.gain, sensor.noise_array, sensor.nominal_gain_array, sensor.range_array
+    )
+    return {
+        "windows": len(estimate.windows),
+        "windows_fitted": len(fitted),
+        "knot_spacing": float(np.median([(w.end - w.begin) / w.intervals for w in fitted]))
+        if fitted
+        else None,
+        "samples_per_coefficient": min((w.samples_per_coefficient for w in fitted), default=None),
+        "chi_square": {name: fit.chi_square for name, fit in group_fits(estimate.windows).items()},
+        "knot_dependence_sigma": estimate.knot_dependence,
+        "window_dependence_sigma": estimate.window_dependence,
+        "condition_number": posed.condition_number,
+        "departure_norm": posed.departure_norm,
+        "iterations": estimate.iterations,
+    }

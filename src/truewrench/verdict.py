@@ -1,0 +1,215 @@
+"""Whether a calibration may be used, and why not when it may not (docs/method.md, "The verdict")."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.calibration import AXES, Undetermined, Verdict
+from truewrench.estimate.windows import GROUPS, WindowEstimate
+from truewrench.rig import Rig
+
+__all__ = ["GroupFit", "group_fits", "judge_reference", "judge_windows", "undetermined_directions"]
+
+Array = NDArray[np.float64]
+
+UNDETERMINED = 0.5  # of the prior's sigma: a direction less certain than that was not determined by the data
+REJECTED = 0.05  # share of the samples in rejected windows that is still accepted
+CHI_SQUARE = 1.05  # residual chi-square per degree of freedom that is still accepted,
+DEVIATE = 4.0  # unless chance alone explains it: standard normal deviate
+DEPENDENCE = 3.1  # deviate (99.9%) of the gain against other knots and windows
+CONDITION = 100.0  # condition number of the normalised gain: noise of one axis that another would inherit
+
+_WRENCH = tuple(f"{kind} {axis}" for kind in ("force along", "moment about") for axis in "xyz")
+_CAUSES = {
+    "too_short": "fewer samples than a motion needs",
+    "motion_undetermined": "the samples do not determine the motion",
+    "not_converged": "the iteration did not converge",
+    "misfit": "residuals above the stated noise at every admissible knot spacing: motion faster than the "
+    "samples resolve (vibration, servo ripple), contact, or noise stated too small",
+    "unresolved": "finer knots would still fit better, but the samples do not resolve them",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class GroupFit:
+    """Residuals of one stream over their noise: chi-square per degree of freedom, and how unlikely it is."""
+
+    chi_square: float
+    deviate: float
+
+
+def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> dict[str, GroupFit]:
+    """Per stream, over all fitted windows (or all that were rejected with residuals)."""
+    fits = {}
+    for k, name in enumerate(GROUPS):
+        groups = [w.groups[k] for w in windows if (w.status == _core.WindowStatus.fitted) == fitted]
+        total = sum(g.sum_of_squares for g in groups)
+        freedom = sum(g.count - g.leverage for g in groups)
+        if freedom < 1.0:
+            continue
+        v = 2.0 / (9.0 * freedom)  # Wilson and Hilferty
+        fits[name] = GroupFit(total / freedom, (math.cbrt(total / freedom) - (1.0 - v)) / math.sqrt(v))
+    return fits
+
+
+def judge_windows(rig: Rig, estimate: WindowEstimate) -> Verdict:
+    """The verdict on what `map` or `online` found."""
+    n = rig.sensor.n
+    reasons = [*_unmodelled(rig), *_of_windows(estimate)]
+    if not estimate.solved:
+        reasons.append("the sums over the windows could not be solved")
+    elif not estimate.converged:
+        reasons.append("the estimate did not converge")
+    for name, fit in group_fits(estimate.windows).items():
+        if fit.chi_square > CHI_SQUARE and fit.deviate > DEVIATE:
+            reasons.append(
+                f"residuals of {name} are inconsistent with the stated noise: chi-square {fit.chi_square:.3g} "
+                f"per degree of freedom ({fit.deviate:.1f} sigma from 1)"
+            )
+    if estimate.knot_dependence > DEPENDENCE:
+        reasons.append(
+            f"the gain depends on the knot spacing ({estimate.knot_dependence:.1f} sigma): "
+            "the motion is not resolved"
+        )
+    if estimate.window_dependence > DEPENDENCE:
+        reasons.append(
+            f"the gain depends on the length of the windows ({estimate.window_dependence:.1f} sigma): "
+            "too few samples for this motion"
+        )
+    reasons += _of_gain(rig, estimate.gain)
+    covariance = estimate.normalised_covariance[: 6 * n, : 6 * n]
+    undetermined = undetermined_directions(covariance, rig.sensor.gain_prior, rig.sensor.channels)
+    if undetermined:
+        words = Counter(u.words for u in undetermined)
+        named = "; ".join(word if count == 1 else f"{word} ({count})" for word, count in words.items())
+        reasons.append(f"{len(undetermined)} of {6 * n} directions of the gain are not determined: {named}")
+    std = np.sqrt(np.diag(covariance)).reshape(n, 6)
+    if std.max() > rig.required and len(undetermined) < 6 * n:
+        i, j = np.unravel_index(np.argmax(std), std.shape)
+        reasons.append(
+            f"accuracy: the gain of channel {rig.sensor.channels[i]} on {AXES[j]} has a sigma of {std[i, j]:.3g} "
+            f"of range, more than the required {rig.required:.3g}; a longer, faster or heavier motion of that "
+            "axis helps"
+        )
+    return Verdict(not reasons, tuple(reasons), undetermined)
+
+
+def judge_reference(rig: Rig, gain: Array, findings: Sequence[str] = ()) -> Verdict:
+    """The verdict on `ekf` and `ls`: never usable; they are there to be compared with."""
+    return Verdict(False, ("reference estimator", *findings, *_of_gain(rig, gain)))
+
+
+def undetermined_directions(
+    covariance: Array, prior: float, channels: Sequence[str]
+) -> tuple[Undetermined, ...]:
+    """Directions of the normalised gain that are still less certain than half their prior.
+
+    Args:
+        covariance: (6n, 6n) of the normalised gain, row by row.
+        prior: 1 sigma of every element beforehand.
+        channels: n names.
+
+    Returns:
+        An orthonormal basis. Where a direction of the wrench was not excited, no channel's gain to it is
+        known: its n directions are named together.
+    """
+    n = len(channels)
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    basis = vectors[:, values > (UNDETERMINED * prior) ** 2]  # (6n, k)
+    found: list[Undetermined] = []
+    if basis.shape[1] >= n:
+        # How much of u, in every channel, lies in the undetermined space.
+        share = np.einsum("iak,ibk->ab", basis.reshape(n, 6, -1), basis.reshape(n, 6, -1)) / n
+        weights, axes = np.linalg.eigh(share)
+        for u in axes[:, weights > 0.95].T:
+            words = f"{_wrench_words(u)}: gains of all channels"
+            whole = [np.kron(e, u) for e in np.eye(n)]
+            found += [Undetermined(direction, words) for direction in whole]
+            basis = basis - np.column_stack(whole) @ (np.column_stack(whole).T @ basis)
+    left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
+    for direction in left[:, sizes > 0.5].T:
+        found.append(Undetermined(direction, _direction_words(direction.reshape(n, 6), channels)))
+    return tuple(found)
+
+
+def _wrench_words(u: Array) -> str:
+    order = np.argsort(-np.abs(u))
+    if abs(u[order[0]]) > 0.97:
+        return str(_WRENCH[order[0]])
+    u = u * np.sign(u[order[0]])
+    return " and ".join(f"{u[k]:+.2f} {_WRENCH[k]}" for k in order if abs(u[k]) > 0.15)
+
+
+def _direction_words(direction: Array, channels: Sequence[str]) -> str:
+    """One direction (n, 6): the wrench it belongs to and the channels that feel it, when it separates so."""
+    rows, sizes, columns = np.linalg.svd(direction)
+    if sizes[0] < 0.9:
+        strongest = np.argsort(-np.abs(direction).ravel())[:3]
+        pairs = ", ".join(f"{channels[k // 6]} to {_WRENCH[k % 6]}" for k in strongest)
+        return f"a combination of gains, most of all {pairs}"
+    strong = [channels[i] for i in np.argsort(-np.abs(rows[:, 0])) if abs(rows[i, 0]) > 0.3]
+    return f"{_wrench_words(columns[0])}: gain of {' and '.join(strong)}"
+
+
+def _unmodelled(rig: Rig) -> list[str]:
+    """What the rig says is uncertain, but the stated sigma does not contain."""
+    inexact = [name for name, payload in rig.payloads.items() if not payload.exact]
+    reasons = []
+    if inexact:
+        reasons.append(
+            f"sigma does not contain the stated uncertainty of the payload ({', '.join(inexact)}): "
+            "it was taken for exact"
+        )
+    if rig.sensor.time_offset_prior > 0.0:
+        reasons.append(
+            f"sigma does not contain the time offset between sensor and motion "
+            f"(stated as {rig.sensor.time_offset_prior:g} s): the clocks were taken for synchronous"
+        )
+    return reasons
+
+
+def _of_windows(estimate: WindowEstimate) -> list[str]:
+    samples = Counter[str]()
+    count = Counter[str]()
+    for w in estimate.windows:
+        samples[w.status.name] += w.samples
+        count[w.status.name] += 1
+    total = samples.total()
+    rejected = {name: count[name] for name in count if name != "fitted"}
+    if count["fitted"] and total - samples["fitted"] <= REJECTED * total:
+        return []
+    worst = max(
+        ((fit.chi_square, name) for name, fit in group_fits(estimate.windows, fitted=False).items()),
+        default=None,
+    )
+    level = f" (chi-square per degree of freedom up to {worst[0]:.3g}, {worst[1]})" if worst else ""
+    causes = _listed(rejected)
+    if not count["fitted"]:
+        return [
+            f"no window of motion fits{level}: {causes}" if rejected else "the log holds no window of motion"
+        ]
+    share = 100.0 * (total - samples["fitted"]) / total
+    return [f"{share:.0f} % of the samples lie in rejected windows{level}: {causes}"]
+
+
+def _listed(rejected: Mapping[str, int]) -> str:
+    return "; ".join(f"{number} x {_CAUSES[name]}" for name, number in rejected.items())
+
+
+def _of_gain(rig: Rig, gain: Array) -> list[str]:
+    sensor = rig.sensor
+    found = _core.conditioning(gain, sensor.noise_array, sensor.nominal_gain_array, sensor.range_array)
+    if not math.isfinite(found.condition_number):
+        return ["the gain is singular: some wrench leaves no trace in the channels"]
+    if found.condition_number > CONDITION:
+        return [
+            f"the gain is ill-conditioned: condition number {found.condition_number:.3g} in units of range"
+        ]
+    return []
