@@ -19,8 +19,9 @@ FLOORS = [
     {"errors", "log", "smooth", "trajectory", "_core", "_cpu"},
     {"files", "strict", "fields", "sections", "rig", "payload", "calibration"},
     {"io"},
-    {"estimate", "simulate", "apply", "inspect_log", "bound", "verdict", "figures"},
-    {"pipeline", "summary"},
+    {"estimate", "simulate", "apply", "inspect_log", "bound", "figures"},
+    {"verdict", "summary"},
+    {"pipeline"},
     {"demo"},
     {"cli"},
 ]
