@@ -70,7 +70,7 @@ def judge_windows(rig: Rig, estimate: WindowEstimate) -> Verdict:
     for name, fit in group_fits(estimate.windows).items():
         if fit.chi_square > CHI_SQUARE and fit.deviate > DEVIATE:
             reasons.append(
-                f"residuals of {name} are inconsistent with the stated noise: chi-square {fit.chi_square:.3g} "
+                f"residuals of {name} do not match the stated noise: chi-square {fit.chi_square:.3g} "
                 f"per degree of freedom ({fit.deviate:.1f} sigma from 1)"
             )
     if estimate.knot_dependence > DEPENDENCE:
@@ -94,9 +94,9 @@ def judge_windows(rig: Rig, estimate: WindowEstimate) -> Verdict:
     if std.max() > rig.required and len(undetermined) < 6 * n:
         i, j = np.unravel_index(np.argmax(std), std.shape)
         reasons.append(
-            f"accuracy: the gain of channel {rig.sensor.channels[i]} on {AXES[j]} has a sigma of {std[i, j]:.3g} "
-            f"of range, more than the required {rig.required:.3g}; a longer, faster or heavier motion of that "
-            "axis helps"
+            f"accuracy: the gain of channel {rig.sensor.channels[i]} on {AXES[j]} has a sigma of "
+            f"{std[i, j]:.3g} of range, more than the required {rig.required:.3g}; a longer, faster or heavier "
+            "motion of that axis helps"
         )
     return Verdict(not reasons, tuple(reasons), undetermined)
 

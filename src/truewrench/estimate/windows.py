@@ -154,7 +154,7 @@ def _recorded(rig: Rig, log: Log) -> tuple[_core.RecordedLog, NDArray[np.int64]]
     if log.acceleration is not None and noise.size == 6:
         known = np.isfinite(log.acceleration).any(axis=1)
         recorded.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
-    sensing = np.isfinite(log.raw).any(axis=1)
+    sensing: NDArray[np.bool_] = np.isfinite(log.raw).any(axis=1)
     gravity = None
     if log.gravity is not None:
         gravity, known = _gravity(log, time[sensing])
