@@ -124,7 +124,7 @@ class Calibration:
         gain_std: (n, 6) 1 sigma.
         offset: (n,) of the last log at its end, at the reference temperature.
         offset_std: (n,) 1 sigma.
-        inverse: (6, n) noise-weighted generalised inverse of `gain`.
+        inverse: (6, n) noise-weighted generalised inverse of `gain`; NaN when the gain has none.
         covariance: (7n, 7n) of [gain row by row, offset].
         verdict: whether and why (not) to use it.
         logs: one report per log.
@@ -253,7 +253,7 @@ def _from_fields(top: Fields) -> Calibration:
         gain_std=top.array("gain_std", (n, 6)),
         offset=top.array("offset", (n,)),
         offset_std=top.array("offset_std", (n,)),
-        inverse=top.array("inverse", (6, n)),
+        inverse=top.array("inverse", (6, n), nan_allowed=True),
         covariance=_covariance(top, n),
         verdict=Verdict(
             usable=verdict.flag("usable"),

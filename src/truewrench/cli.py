@@ -204,9 +204,7 @@ def simulate(
     return Outcome(
         outputs=[log, truth],
         figures={"rows": rows, "duration": float(simulated.log.time[-1])},
-        words=lambda: iter(
-            [f"{rows} rows of `{simulated.log.payload}`; what they were made with is beside them"]
-        ),
+        words=lambda: iter([f"{rows} rows with `{simulated.log.payload}`, and what they were made with"]),
     )
 
 

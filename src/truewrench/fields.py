@@ -95,19 +95,24 @@ class Fields:
         """A finite number."""
         return float(self.array(key, ()))
 
-    def array(self, key: str, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-        """Finite numbers in nested lists of the given shape."""
+    def array(
+        self, key: str, shape: tuple[int, ...], *, nan_allowed: bool = False
+    ) -> npt.NDArray[np.float64]:
+        """Finite numbers, and NaN where it is allowed, in nested lists of the given shape."""
         place = (*self._place, key)
-        self._check(self.get(key), place, shape)
+        self._check(self.get(key), place, shape, nan_allowed)
         return np.array(self.data[key], dtype=np.float64)
 
-    def _check(self, value: Any, place: tuple[str | int, ...], shape: tuple[int, ...]) -> None:
+    def _check(
+        self, value: Any, place: tuple[str | int, ...], shape: tuple[int, ...], nan_allowed: bool
+    ) -> None:
         if not shape:
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not number or not (np.isfinite(value) or (nan_allowed and np.isnan(value))):
                 raise self._error(place, "a finite number", shown(value))
             return
         if not isinstance(value, list) or len(value) != shape[0]:
             found = f"{len(value)} entries" if isinstance(value, list) else shown(value)
             raise self._error(place, f"a list of {shape[0]}", found)
         for i, item in enumerate(value):
-            self._check(item, (*place, i), shape[1:])
+            self._check(item, (*place, i), shape[1:], nan_allowed)

@@ -147,8 +147,8 @@ _ExactDumper.yaml_implicit_resolvers = {
     + _StrictLoader.yaml_implicit_resolvers.get(first, [])
     for first in {**yaml.SafeLoader.yaml_implicit_resolvers, **_StrictLoader.yaml_implicit_resolvers}
 }
-_ExactDumper.add_multi_representer(list, _ExactDumper.represent_plain_sequence)
-_ExactDumper.add_multi_representer(tuple, _ExactDumper.represent_plain_sequence)
+_ExactDumper.add_representer(list, _ExactDumper.represent_plain_sequence)
+_ExactDumper.add_representer(tuple, _ExactDumper.represent_plain_sequence)
 _ExactDumper.add_multi_representer(
     np.ndarray, lambda dumper, data: dumper.represent_plain_sequence(data.tolist())
 )

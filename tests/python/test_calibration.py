@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from truewrench.calibration import Calibration, load_calibration
+from truewrench.calibration import Calibration, Verdict, load_calibration
 from truewrench.errors import InputError
 from truewrench.files import write_yaml
 from truewrench.rig import Rig
@@ -133,6 +133,17 @@ def test_file_that_cannot_be_right_is_refused_with_its_place(
     change(data)
     write_yaml(path, data)
     with pytest.raises(InputError, match=rf"calibration\.yaml.*: {message}"):
+        load_calibration(path)
+
+
+def test_gain_without_inverse_is_kept_as_evidence(calibration: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    nothing = np.full((6, 6), np.nan)
+    verdict = Verdict(usable=False, reasons=("singular gain",))
+    replace(calibration, gain=np.ones((6, 6)), inverse=nothing, verdict=verdict).write_yaml(path)
+    assert np.isnan(load_calibration(path).inverse).all()
+    replace(calibration, inverse=nothing).write_yaml(path)
+    with pytest.raises(InputError, match="inverse: found another matrix"):
         load_calibration(path)
 
 

@@ -120,3 +120,9 @@ def test_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         atomic_output(tmp_path / "file" / "out.txt"),
     ):
         pass
+
+
+def test_a_row_of_numbers_stands_on_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "file.yaml"
+    write_yaml(path, {"rows": [[1.0, 2.5], [3.0, 1e-9]], "names": ("a", "b")})
+    assert path.read_text(encoding="utf-8") == "rows:\n- [1.0, 2.5]\n- [3.0, 1.0e-09]\nnames: [a, b]\n"
