@@ -94,9 +94,9 @@ def judge_windows(rig: Rig, estimate: WindowEstimate) -> Verdict:
     if std.max() > rig.required and len(undetermined) < 6 * n:
         i, j = np.unravel_index(np.argmax(std), std.shape)
         reasons.append(
-            f"accuracy: the gain of channel {rig.sensor.channels[i]} on {AXES[j]} has a sigma of "
-            f"{std[i, j]:.3g} of range, more than the required {rig.required:.3g}; a longer, faster or heavier "
-            "motion of that axis helps"
+            f"accuracy: the gain of {rig.sensor.channels[i]} on {AXES[j]} has a sigma of "
+            f"{std[i, j]:.3g} of range, more than the required {rig.required:.3g}; a longer, faster or "
+            "heavier motion of that axis helps"
         )
     return Verdict(not reasons, tuple(reasons), undetermined)
 

@@ -154,16 +154,15 @@ def _recorded(rig: Rig, log: Log) -> tuple[_core.RecordedLog, NDArray[np.int64]]
     if log.acceleration is not None and noise.size == 6:
         known = np.isfinite(log.acceleration).any(axis=1)
         recorded.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
-    sensing: NDArray[np.bool_] = np.isfinite(log.raw).any(axis=1)
+    rows = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
     gravity = None
     if log.gravity is not None:
-        gravity, known = _gravity(log, time[sensing])
-        sensing[np.flatnonzero(sensing)] = known
-        gravity = np.ascontiguousarray(gravity[known])
+        gravity, known = _gravity(log, time[rows])
+        rows, gravity = rows[known], np.ascontiguousarray(gravity[known])
     elif rig.in_gravity:
         raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
-    recorded.set_wrench(time[sensing], np.ascontiguousarray(log.raw[sensing]), gravity)
-    return recorded, np.flatnonzero(sensing)
+    recorded.set_wrench(time[rows], np.ascontiguousarray(log.raw[rows]), gravity)
+    return recorded, rows
 
 
 def _gravity(log: Log, at: Array) -> tuple[Array, NDArray[np.bool_]]:
