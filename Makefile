@@ -3,6 +3,7 @@
 PYTHON ?= python3
 WERROR ?= OFF
 PYTEST_ARGS ?= -n auto
+SEEDS ?= 20
 export PYTHON
 
 VENV := .venv
@@ -19,7 +20,7 @@ CXX_FILES = $(shell git ls-files -co --exclude-standard '*.hpp' '*.cpp')
 help:
 	@echo "make demo     the case of the paper, from motion to pictures, in out/demo"
 	@echo "make test     all tests, C++ and Python"
-	@echo "make bench    time per sample, beside other filters"
+	@echo "make bench    time per sample beside other filters, accuracy over a few seeds"
 	@echo "make lint     format, types and static checks; make format repairs what can be repaired"
 	@echo "make stubs    type stubs of the compiled modules, after a change of bindings/"
 	@echo "make figures  the figures of docs/"
@@ -66,7 +67,8 @@ test-python: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 bench: $(VENV)/.built $(VENV)/.dev
-	$(BIN)/python -m benchmarks
+	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/efficiency.py --seeds $(SEEDS)
 
 lint: $(VENV)/.built $(VENV)/.dev build/cpp/build.ninja
 	$(BIN)/ruff check .
