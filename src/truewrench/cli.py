@@ -59,6 +59,9 @@ class Outcome:
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show where in the program a fault arose.")]
 RigArgument = Annotated[Path, typer.Argument(metavar="RIG", help="YAML file of sensor, payloads and motion.")]
+OutputFolderOption = Annotated[
+    Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the results.")
+]
 OutputLogOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="FILE", help="CSV, or Parquet by its name.")
 ]
@@ -81,10 +84,26 @@ def _root(
 
 
 @app.command()
+def demo(
+    output: OutputFolderOption,
+    seed: Annotated[int, typer.Option(min=0, help="Of gain and noise.")] = 0,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Run the case of the paper, from motion to pictures."""
+    from truewrench.demo import run
+
+    _check_folder(output)
+    with _progress() as update:
+        result = run(output, seed=seed, progress=lambda phase: update(phase, None))
+    return Outcome(outputs=result["outputs"], figures=result["figures"], words=lambda: iter([result["text"]]))
+
+
+@app.command()
 def calibrate(
     rig: RigArgument,
     logs: LogsArgument,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the results.")],
+    output: OutputFolderOption,
     estimator: Annotated[
         Literal["map", "online", "ekf", "ls"], typer.Option(help="map, online; ekf and ls are references.")
     ] = "map",

@@ -132,7 +132,16 @@ def _from_reference(
     n = rig.sensor.n
     offset_std = np.sqrt(np.diag(covariance)[6 * n :])
     reports = [
-        LogReport(log.path, log.sha256, log.payload, offset, offset_std, used=int(used))
+        LogReport(
+            log.path,
+            log.sha256,
+            log.payload,
+            offset,
+            offset_std,
+            used=int(used),
+            dropped_rows=log.dropped_rows,
+            nan_counts=log.nan_counts,
+        )
         for log, offset, used in zip(logs, offsets, samples, strict=True)
     ]
     return _calibration(
@@ -231,7 +240,15 @@ def _log_report(
     sensed = int(np.isfinite(log.raw).any(axis=1).sum())
     samples["outside every window"] = max(0, sensed - used - samples.total())
     return LogReport(
-        log.path, log.sha256, log.payload, offset, offset_std, used=used, rejected=dict(+samples)
+        log.path,
+        log.sha256,
+        log.payload,
+        offset,
+        offset_std,
+        used=used,
+        rejected=dict(+samples),
+        dropped_rows=log.dropped_rows,
+        nan_counts=log.nan_counts,
     )
 
 

@@ -124,6 +124,21 @@ def test_apply_writes_the_log_and_hands_on_the_verdict(
     assert "not to be used as it stands: reference estimator" in out
 
 
+def test_demo_names_its_files(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from truewrench import demo
+
+    def short(output: Path, seed: int, progress: Callable[[str], None]) -> dict[str, Any]:
+        progress("motion")
+        return {"outputs": [str(output / "fig.png")], "figures": {"seed": seed}, "text": "online [1.0]"}
+
+    monkeypatch.setattr(demo, "run", short)
+    status, out, err = run("demo", "-o", tmp_path, "--seed", 5)
+    assert (status, err) == (0, "")
+    assert out == f"online [1.0]\nwrote {tmp_path / 'fig.png'}\n"
+    _, out, _ = run("demo", "-o", tmp_path, "--seed", 5, "--json")
+    assert json.loads(out)["figures"] == {"seed": 5}
+
+
 def test_simulated_log_is_written_with_its_truth(run: Run, rig_file: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.csv"
     status, _, err = run("simulate", rig_file, "-o", log)
@@ -185,6 +200,8 @@ def words_of(command: str, names: Mapping[str, object]) -> list[str]:
         ("inspect NONE", "none.csv: cannot be read"),
         ("simulate RIG NONE -o OUT", "none.csv"),
         ("simulate RIG -o OUT --payload hammer", "hammer"),
+        ("demo", "Missing option '-o'"),
+        ("demo -o LOG", "found a file, expected a folder"),
         ("fly", "No such command 'fly'"),
     ],
 )
