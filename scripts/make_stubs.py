@@ -18,7 +18,7 @@ def stub_of(module_name: str) -> str:
     module = importlib.import_module(module_name)
     generator = StubGen(module=module, quiet=True)
     generator.put(module)
-    return generator.get().rstrip() + "\n"
+    return str(generator.get()).rstrip() + "\n"
 
 
 def fresh_stubs() -> dict[Path, str]:

@@ -65,7 +65,9 @@ def frame(ax: Axes, origin: Vector, attitude: NDArray[np.float64], length: float
         tip = page(origin + length * axis)
         arrow(ax, page(origin), tip, colour, 2.2)
         beyond = page(origin + 1.17 * length * axis)
-        ax.text(*beyond, f"${name}$", color=colour, ha="center", va="center", fontsize=12, zorder=8)
+        ax.text(
+            beyond[0], beyond[1], f"${name}$", color=colour, ha="center", va="center", fontsize=12, zorder=8
+        )
 
 
 def turning_arrow(ax: Axes, centre: Vector, axis: Vector, radius: float, colour: str) -> None:
@@ -161,7 +163,7 @@ def draw(ax: Axes) -> None:
     arrow(ax, above, above - [0.0, 0.62], INK, 2.0)
 
     def write(at: Vector, text: str, colour: str = INK, size: int = 14) -> None:
-        ax.text(*at, text, color=colour, fontsize=size, ha="center", va="center", zorder=10)
+        ax.text(at[0], at[1], text, color=colour, fontsize=size, ha="center", va="center", zorder=10)
 
     write(page(origin) + [-0.24, -0.10], r"$\{O\}$")
     write(page(sensor) + [0.80, 0.17], r"$\{S\}$")
