@@ -1,0 +1,157 @@
+// The recursive filter, step by step, against dense matrices written out in the test.
+#include "truewrench/ekf.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+
+namespace truewrench {
+namespace {
+
+constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+
+Payload table_1() {
+  Payload p;
+  p.mass = 50.0;
+  p.center_of_mass = Vector3(0.2, 0.0, 0.0);
+  p.inertia = Vector3(1.5, 1.5, 0.4).asDiagonal();
+  return p;
+}
+
+Matrix42 random_spd() {
+  const Matrix42 root = Matrix42::Random();
+  return root * root.transpose() / 42.0 + 0.1 * Matrix42::Identity();
+}
+
+// [A00] 20: the measurement as a function of the state, for finite differences.
+template <int Size>
+Vector12 measure(const Payload& p, double sign, const Eigen::Matrix<double, Size, 1>& x, const Vector3& g) {
+  const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> c(x.data() + 12);
+  Vector12 y;
+  y.template head<6>() = sign * c * wrench(p, x.template head<6>(), x.template segment<6>(6), g);
+  if constexpr (Size == 54) y.template head<6>() += x.template tail<6>();
+  y.template tail<6>() = x.template head<6>();
+  return y;
+}
+
+template <typename Filter>
+class AnyEkf : public testing::Test {};
+using Filters = testing::Types<Ekf<false>, Ekf<true>>;
+TYPED_TEST_SUITE(AnyEkf, Filters);
+
+TYPED_TEST(AnyEkf, OneStepEqualsDenseMatricesWithTheJacobianDifferenced) {
+  constexpr int size = TypeParam::size;
+  using State = typename TypeParam::State;
+  using Covariance = typename TypeParam::Covariance;
+  const Vector3 g(0.3, -9.0, 2.0);
+  for (const Feels feels : {Feels::payload_on_sensor, Feels::sensor_on_payload}) {
+    EkfSettings s;
+    s.feels = feels;
+    s.parameter_covariance = random_spd();
+    s.gain += 0.2 * Matrix6::Random();
+    s.offset = Vector6::Random();
+    s.raw_covariance = Matrix6::Identity() + 0.1 * Matrix6::Ones();
+    s.twist_covariance = 1e-4 * (Matrix6::Identity() + 0.1 * Matrix6::Ones());
+    TypeParam filter(table_1(), s);
+    const double sign = static_cast<double>(feels);
+    // A first update, so that nu, a and their correlations with the rest are not zero.
+    ASSERT_EQ(filter.update(10.0 * Vector6::Random(), Vector6::Random(), g), Status::ok);
+
+    State x = filter.state();
+    Covariance p = filter.covariance();
+    Covariance f = Covariance::Identity();
+    f.template topLeftCorner<12, 12>() = transition(0.013);
+    x = f * x;
+    p = f * p * f.transpose();
+    p.template topLeftCorner<12, 12>() += process_noise(0.013, s.process_density);
+    ASSERT_EQ(filter.predict(0.013), Status::ok);
+    EXPECT_LT((filter.state() - x).norm(), 1e-12 * x.norm());
+    EXPECT_LT((filter.covariance() - p).norm(), 1e-12 * p.norm());
+
+    Eigen::Matrix<double, 12, size> h;
+    for (int k = 0; k < size; ++k) {
+      const State step =
+          1e-4 * State::Unit(k);  // quadratic in nu and bilinear: central differences are exact
+      h.col(k) =
+          (measure<size>(table_1(), sign, x + step, g) - measure<size>(table_1(), sign, x - step, g)) / 2e-4;
+    }
+    const Vector6 raw = 100.0 * Vector6::Random();
+    const Vector6 twist = Vector6::Random();
+    Vector12 y;
+    y << raw, twist;
+    y -= measure<size>(table_1(), sign, x, g);
+    Matrix12 innovation_covariance = h * p * h.transpose();
+    innovation_covariance.topLeftCorner<6, 6>() += s.raw_covariance;
+    innovation_covariance.bottomRightCorner<6, 6>() += s.twist_covariance;
+    const Eigen::Matrix<double, size, 12> gain = p * h.transpose() * innovation_covariance.inverse();
+    ASSERT_EQ(filter.update(raw, twist, g), Status::ok);
+    const EkfUpdate& update = filter.last_update();
+    EXPECT_LT((update.innovation - y).norm(), 1e-10 * y.norm());
+    EXPECT_LT((update.innovation_covariance - innovation_covariance).norm(),
+              1e-7 * innovation_covariance.norm());
+    EXPECT_EQ(update.degrees_of_freedom, 12);
+    EXPECT_NEAR(update.nis, y.dot(innovation_covariance.llt().solve(y)), 1e-6 * update.nis);
+    EXPECT_DOUBLE_EQ(update.test_ratio(), update.nis / 12.0);
+    EXPECT_LT((filter.state() - (x + gain * y)).norm(), 1e-6 * x.norm());
+    EXPECT_LT((filter.covariance() - (p - gain * innovation_covariance * gain.transpose())).norm(),
+              1e-6 * p.norm());
+  }
+}
+
+TYPED_TEST(AnyEkf, CovarianceIsSymmetricToTheLastBit) {
+  TypeParam filter(table_1(), {});
+  for (int i = 0; i < 50; ++i) {
+    ASSERT_EQ(filter.predict(0.01), Status::ok);
+    ASSERT_EQ(filter.update(Vector6::Random(), Vector6::Random(), Vector3::Zero()), Status::ok);
+  }
+  const auto p = filter.covariance();
+  EXPECT_EQ(p, p.transpose());
+}
+
+TEST(Ekf, SamplesThatAreMissingChangeNothing) {
+  Ekf<false> none(table_1(), {});
+  ASSERT_EQ(none.predict(0.1), Status::ok);
+  const auto before = none.covariance();
+  ASSERT_EQ(none.update(Vector6::Constant(nan), Vector6::Constant(nan), Vector3::Zero()), Status::ok);
+  EXPECT_EQ(none.last_update().degrees_of_freedom, 0);
+  EXPECT_EQ(none.covariance(), before);
+
+  // A row without twist is one whose twist is infinitely uncertain.
+  EkfSettings vague;
+  vague.twist_covariance = 1e14 * Matrix6::Identity();
+  Ekf<false> left_out(table_1(), {});
+  Ekf<false> uncertain(table_1(), vague);
+  const Vector6 raw = Vector6::Random();
+  ASSERT_EQ(left_out.update(raw, Vector6::Constant(nan), Vector3::Zero()), Status::ok);
+  ASSERT_EQ(uncertain.update(raw, Vector6::Random(), Vector3::Zero()), Status::ok);
+  EXPECT_EQ(left_out.last_update().degrees_of_freedom, 6);
+  EXPECT_TRUE(std::isnan(left_out.last_update().innovation(6)));
+  EXPECT_LT((left_out.covariance() - uncertain.covariance()).norm(), 1e-10);
+}
+
+TEST(Ekf, InputsThatCannotBeUsedLeaveTheEstimateAlone) {
+  Ekf<false> filter(table_1(), {});
+  ASSERT_EQ(filter.update(Vector6::Random(), Vector6::Random(), Vector3::Zero()), Status::ok);
+  const auto state = filter.state();
+  EXPECT_EQ(filter.predict(0.0), Status::not_increasing);
+  EXPECT_EQ(filter.predict(nan), Status::not_finite);
+  EXPECT_EQ(filter.update(Vector6::Zero(), Vector6::Zero(), Vector3(nan, 0, 0)), Status::not_finite);
+  Vector6 infinite = Vector6::Zero();
+  infinite(2) = std::numeric_limits<double>::infinity();
+  EXPECT_EQ(filter.update(infinite, Vector6::Zero(), Vector3::Zero()), Status::not_finite);
+  EXPECT_EQ(filter.state(), state);
+}
+
+TEST(Ekf, SettingsThatMakeNoSenseAreNamed) {
+  EkfSettings s;
+  EXPECT_EQ(check(s), Status::ok);
+  s.raw_covariance(2, 2) = 0.0;
+  EXPECT_EQ(check(s), Status::not_positive);
+  s = {};
+  s.process_density(0) = nan;
+  EXPECT_EQ(check(s), Status::not_finite);
+}
+
+}  // namespace
+}  // namespace truewrench
