@@ -50,6 +50,12 @@ void bind_payload(nb::module_& m) {
       m, "Payload",
       "A rigid payload: mass [kg], centre of mass [m] and inertia about it [kg m^2], sensor axes.")
       .def(nb::init<>())
+      .def(
+          "__init__",
+          [](Payload* self, double mass, const Vector3& center_of_mass, const Matrix3& inertia) {
+            new (self) Payload{mass, center_of_mass, inertia};
+          },
+          nb::arg("mass"), nb::arg("center_of_mass"), nb::arg("inertia"))
       .def_rw("mass", &Payload::mass)
       .def_rw("center_of_mass", &Payload::center_of_mass)
       .def_rw("inertia", &Payload::inertia);

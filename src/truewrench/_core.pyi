@@ -4,7 +4,7 @@ Numerical core of truewrench (C++20). The public face is the truewrench package.
 
 from collections.abc import Sequence
 import enum
-from typing import Annotated
+from typing import Annotated, overload
 
 import numpy
 from numpy.typing import NDArray
@@ -40,7 +40,11 @@ class Payload:
     A rigid payload: mass [kg], centre of mass [m] and inertia about it [kg m^2], sensor axes.
     """
 
+    @overload
     def __init__(self) -> None: ...
+
+    @overload
+    def __init__(self, mass: float, center_of_mass: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], inertia: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')]) -> None: ...
 
     @property
     def mass(self) -> float: ...
@@ -355,6 +359,12 @@ class EstimatorSettings:
     def dependence_sigma(self, arg: float, /) -> None: ...
 
     @property
+    def few_samples(self) -> float: ...
+
+    @few_samples.setter
+    def few_samples(self, arg: float, /) -> None: ...
+
+    @property
     def max_rounds(self) -> int: ...
 
     @max_rounds.setter
@@ -499,6 +509,12 @@ class Estimate:
 
     @property
     def history(self) -> list[HistoryEntry]: ...
+
+    @property
+    def wrench(self) -> list[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+        """
+        Per log: the payload's wrench (rows of set_wrench, 6), SI, NaN where no window fits.
+        """
 
     @property
     def knot_dependence(self) -> float: ...
