@@ -15,11 +15,7 @@ Array = NDArray[np.float64]
 
 def core_payload(spec: PayloadSpec) -> _core.Payload:
     """A payload as the core takes it."""
-    payload = _core.Payload()
-    payload.mass = spec.mass
-    payload.center_of_mass = spec.center_of_mass_array
-    payload.inertia = spec.inertia_matrix
-    return payload
+    return _core.Payload(spec.mass, spec.center_of_mass_array, spec.inertia_matrix)
 
 
 def payload_wrench(rig: Rig, payload: str, twist: Array, acceleration: Array, gravity: Array) -> Array:
