@@ -1,0 +1,251 @@
+"""The recursive filter as published ([A00] 18-26), kept as a reference for the window estimator.
+
+It takes one row at a time into a gain that it still has to learn, together with the motion. With an accurate
+sensor it locks onto a wrong gain (docs/method.md): its result is to be compared with, not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.log import Log
+from truewrench.payload import core_payload
+from truewrench.rig import Rig
+
+__all__ = ["EkfEstimate", "TunedEkf", "estimate_ekf", "tune_process_density"]
+
+Array = NDArray[np.float64]
+
+DENSITIES = tuple(float(q) for q in np.logspace(-2, 2, 9))
+"""Process densities tried by `tune_process_density`."""
+
+
+@dataclass(frozen=True, slots=True)
+class EkfEstimate:
+    """What the filter says after the last row of the last log, in SI and raw units.
+
+    Attributes:
+        gain: (6, 6).
+        covariance: (42, 42) of [gain row by row, offset of the last log].
+        offset: (6,) of the last log.
+        offsets: (L, 6), one per log.
+        offsets_std: (L, 6).
+        samples: (L,) rows with a sample of either stream.
+        history_time: (M,) since the first row of its log [s].
+        history_log: (M,) which log it belongs to.
+        history_gain: (M, 6, 6) the gain after that row.
+        nis: (N,) innovation^T S^-1 innovation of every row of every log.
+        nis_raw: (N,) the part of the channels.
+        degrees_of_freedom: (N,) samples of each row, the expectation of `nis`.
+    """
+
+    gain: Array
+    covariance: Array
+    offset: Array
+    offsets: Array
+    offsets_std: Array
+    samples: NDArray[np.int64]
+    history_time: Array
+    history_log: NDArray[np.int64]
+    history_gain: Array
+    nis: Array
+    nis_raw: Array
+    degrees_of_freedom: NDArray[np.int64]
+
+
+def estimate_ekf(
+    rig: Rig,
+    logs: Sequence[Log],
+    *,
+    published: bool = False,
+    process_density: float | Sequence[float] | None = None,
+    acceleration_prior: float | None = None,
+    history_every: int = 1,
+) -> EkfEstimate:
+    """Run the filter over the logs, one after the other: the gain goes on, motion and offset start afresh.
+
+    Args:
+        rig: sensor and payloads, taken for exact; a prior on the offset adds it to the state.
+        logs: a row may lack raw channels or twist.
+        published: start from C = I and P = I in SI units, as [A00], and not from the rig's priors.
+        process_density: of the derivative of the acceleration, one or per axis; the paper's tuning parameter.
+        acceleration_prior: 1 sigma of the acceleration at the start of a log [m/s^2, rad/s^2].
+        history_every: rows between two entries of the history.
+
+    Raises:
+        UnsupportedError: for what the filter as published does not know.
+        InputError: for a log without twist, or without gravity where gravity acts.
+    """
+    _refuse_unsupported(rig, logs)
+    settings = _settings(rig, published)
+    if process_density is not None:
+        settings.process_density = np.broadcast_to(np.asarray(process_density, dtype=np.float64), 6).copy()
+    if acceleration_prior is not None:
+        settings.acceleration_variance = np.full(6, acceleration_prior**2)
+    with_offset = bool(rig.sensor.offset_prior_array.any())
+
+    records: list[_core.EkfRecord] = []
+    offsets, offsets_std = np.zeros((len(logs), 6)), np.zeros((len(logs), 6))
+    for k, log in enumerate(logs):
+        if k > 0:
+            _carry_over(rig, records[-1], settings)
+        records.append(_run(rig, log, settings, with_offset, history_every))
+        if with_offset:
+            offsets[k] = records[-1].state[48:]
+            offsets_std[k] = np.sqrt(np.diag(records[-1].covariance)[48:])
+    if rig.sensor.pool_offsets:
+        offsets[:], offsets_std[:] = offsets[-1], offsets_std[-1]
+    last = records[-1]
+    covariance = np.zeros((42, 42))
+    parameters = last.state.size - 12
+    covariance[:parameters, :parameters] = last.covariance[12:, 12:]
+    return EkfEstimate(
+        gain=last.state[12:48].reshape(6, 6).copy(),
+        covariance=covariance,
+        offset=offsets[-1].copy(),
+        offsets=offsets,
+        offsets_std=offsets_std,
+        samples=np.array([np.count_nonzero(r.degrees_of_freedom) for r in records], dtype=np.int64),
+        history_time=np.concatenate([log.time[r.history_row] for log, r in zip(logs, records, strict=True)]),
+        history_log=np.repeat(np.arange(len(logs)), [r.history_row.size for r in records]),
+        history_gain=np.concatenate([r.history_gain for r in records]).reshape(-1, 6, 6),
+        nis=np.concatenate([r.nis for r in records]),
+        nis_raw=np.concatenate([r.nis_raw for r in records]),
+        degrees_of_freedom=np.concatenate([r.degrees_of_freedom for r in records]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TunedEkf:
+    """The filter at the process density that serves it best.
+
+    Attributes:
+        estimate: with that density.
+        process_density: the density.
+        rms: of the errors of the normalised gains with it.
+    """
+
+    estimate: EkfEstimate
+    process_density: float
+    rms: float
+
+
+def tune_process_density(
+    rig: Rig,
+    logs: Sequence[Log],
+    true_gain: Array,
+    *,
+    densities: Sequence[float] = DENSITIES,
+    published: bool = False,
+    acceleration_prior: float | None = None,
+    history_every: int = 1,
+) -> TunedEkf:
+    """Try process densities and keep the one with the smallest error: fair to the filter, as truth is known.
+
+    Args:
+        rig: as for `estimate_ekf`, which takes the other arguments too.
+        logs: of known truth.
+        true_gain: (6, 6) in SI and raw units.
+        densities: to be tried.
+        published: see `estimate_ekf`.
+        acceleration_prior: see `estimate_ekf`.
+        history_every: see `estimate_ekf`.
+
+    Raises:
+        InputError: as `estimate_ekf`.
+    """
+    unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
+    tried = []
+    for density in densities:
+        estimate = estimate_ekf(
+            rig,
+            logs,
+            published=published,
+            process_density=density,
+            acceleration_prior=acceleration_prior,
+            history_every=history_every,
+        )
+        rms = float(np.sqrt(np.mean(((estimate.gain - true_gain) * unit) ** 2)))
+        tried.append(TunedEkf(estimate, float(density), rms))
+    return min(tried, key=lambda one: one.rms)
+
+
+def _refuse_unsupported(rig: Rig, logs: Sequence[Log]) -> None:
+    motion, temperature = rig.motion, rig.temperature.prior
+    fused = motion.acceleration_noise is not None and any(log.acceleration is not None for log in logs)
+    drifts = temperature != 0.0 and any(log.temperature is not None for log in logs)
+    for key, unsupported, found, expected in (
+        ("sensor.channels", rig.sensor.n != 6, f"{rig.sensor.n} channels", "6"),
+        ("motion.source", motion.source != "twist", f"`{motion.source}`", "`twist`"),
+        ("motion.acceleration_noise", fused, "a value, and accelerations in a log", "none"),
+        ("temperature.prior", drifts, f"{temperature:g}, and temperatures in a log", "0"),
+    ):
+        if unsupported:
+            raise UnsupportedError.at(
+                rig.path, key, found, f"{expected}: the published filter knows no other"
+            )
+
+
+def _settings(rig: Rig, published: bool) -> _core.EkfSettings:
+    sensor, settings = rig.sensor, _core.EkfSettings()
+    settings.feels = getattr(_core.Feels, sensor.feels)
+    settings.raw_covariance = np.diag(sensor.noise_array**2)
+    covariance = settings.parameter_covariance.copy()
+    if not published:
+        settings.gain = sensor.nominal_gain_array
+        prior = sensor.gain_prior * sensor.channel_scale[:, None] / sensor.range_array
+        covariance[:36, :36] = np.diag(prior.ravel() ** 2)
+    covariance[36:, 36:] = np.diag(sensor.offset_prior_array**2)
+    settings.parameter_covariance = covariance
+    return settings
+
+
+def _carry_over(rig: Rig, before: _core.EkfRecord, settings: _core.EkfSettings) -> None:
+    """Starts the next log with what the filter knows of the gain, and of a pooled offset."""
+    known = before.state.size - 12 if rig.sensor.pool_offsets else 36
+    covariance = np.zeros((42, 42))
+    covariance[36:, 36:] = np.diag(rig.sensor.offset_prior_array**2)
+    covariance[:known, :known] = before.covariance[12 : 12 + known, 12 : 12 + known]
+    settings.parameter_covariance = covariance
+    settings.gain = before.state[12:48].reshape(6, 6)
+    if known > 36:
+        settings.offset = before.state[48:]
+
+
+def _run(
+    rig: Rig, log: Log, settings: _core.EkfSettings, with_offset: bool, history_every: int
+) -> _core.EkfRecord:
+    if log.twist is None:
+        raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
+    if log.gravity is None and rig.in_gravity:
+        raise InputError.at(log.path, "", "no gravity columns", "gx gy gz: the rig is in gravity")
+    gravity = np.zeros((len(log.raw), 3)) if log.gravity is None else log.gravity
+    known = np.isfinite(gravity).all(axis=1, keepdims=True)
+    if np.any(np.isfinite(log.raw) & ~known):
+        raise UnsupportedError.at(
+            log.path, "column `gx`", "rows with raw channels and without gravity", "both in the same rows"
+        )
+    spec = rig.payloads[log.payload]
+    # v_C = v_S + Omega x c: from the logged point to the centre of mass
+    lever = spec.center_of_mass_array if rig.motion.of == "sensor" else np.zeros(3)
+    shift = _core.twist_shift(lever)
+    settings.twist_covariance = shift @ np.diag(rig.motion.noise_array**2) @ shift.T
+    record = _core.ekf_run(
+        core_payload(spec),
+        settings,
+        with_offset,
+        log.time_ns,
+        log.raw,
+        np.ascontiguousarray(log.twist @ shift.T),
+        np.where(known, gravity, 0.0),
+        history_every,
+    )
+    if record.status != _core.Status.ok:
+        raise InputError.at(log.path, f"row {record.rows_done + 1}", record.status.words, "a row to filter")
+    return record
