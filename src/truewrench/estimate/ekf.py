@@ -18,12 +18,9 @@ from truewrench.log import Log
 from truewrench.payload import core_payload
 from truewrench.rig import Rig
 
-__all__ = ["EkfEstimate", "TunedEkf", "estimate_ekf", "tune_process_density"]
+__all__ = ["EkfEstimate", "estimate_ekf"]
 
 Array = NDArray[np.float64]
-
-DENSITIES = tuple(float(q) for q in np.logspace(-2, 2, 9))
-"""Process densities tried by `tune_process_density`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,61 +116,6 @@ def estimate_ekf(
         nis_raw=np.concatenate([r.nis_raw for r in records]),
         degrees_of_freedom=np.concatenate([r.degrees_of_freedom for r in records]),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class TunedEkf:
-    """The filter at the process density that serves it best.
-
-    Attributes:
-        estimate: with that density.
-        process_density: the density.
-        rms: of the errors of the normalised gains with it.
-    """
-
-    estimate: EkfEstimate
-    process_density: float
-    rms: float
-
-
-def tune_process_density(
-    rig: Rig,
-    logs: Sequence[Log],
-    true_gain: Array,
-    *,
-    densities: Sequence[float] = DENSITIES,
-    published: bool = False,
-    acceleration_prior: float | None = None,
-    history_every: int = 1,
-) -> TunedEkf:
-    """Try process densities and keep the one with the smallest error: fair to the filter, as truth is known.
-
-    Args:
-        rig: as for `estimate_ekf`, which takes the other arguments too.
-        logs: of known truth.
-        true_gain: (6, 6) in SI and raw units.
-        densities: to be tried.
-        published: see `estimate_ekf`.
-        acceleration_prior: see `estimate_ekf`.
-        history_every: see `estimate_ekf`.
-
-    Raises:
-        InputError: as `estimate_ekf`.
-    """
-    unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
-    tried = []
-    for density in densities:
-        estimate = estimate_ekf(
-            rig,
-            logs,
-            published=published,
-            process_density=density,
-            acceleration_prior=acceleration_prior,
-            history_every=history_every,
-        )
-        rms = float(np.sqrt(np.mean(((estimate.gain - true_gain) * unit) ** 2)))
-        tried.append(TunedEkf(estimate, float(density), rms))
-    return min(tried, key=lambda one: one.rms)
 
 
 def _refuse_unsupported(rig: Rig, logs: Sequence[Log]) -> None:
