@@ -1,0 +1,240 @@
+// What a window says of its own motion: knots where the motion needs them, and rejection of what no knots
+// fit.
+#include "truewrench/knots.hpp"
+
+#include "simulated.hpp"
+
+#include <gtest/gtest.h>
+
+namespace truewrench {
+namespace {
+
+// One window over a whole simulated log, the gain held at the truth.
+class Held {
+ public:
+  Held(const Simulation& simulation, unsigned seed)
+      : recording(simulation.record(seed)),
+        theta(simulation.theta()),
+        data_(recording.data()),
+        sensor_(simulation.sensor<6>()),
+        model_(data_, sensor_, {6, true}),
+        solver_(model_, KnotSettings{}) {}
+  Held(const Held&) = delete;
+  Held& operator=(const Held&) = delete;
+
+  WindowFit search(double finest = 0.02) {
+    const WindowRange w = whole(recording);
+    return solver_.search(w, BSpline(BSpline::uniform(w.begin, w.end, 1)), theta, nullptr, finest);
+  }
+  WindowFit finish(const std::vector<double>& breakpoints) {
+    WindowFit fit = solver_.hold(whole(recording), BSpline(breakpoints), theta);
+    if (fit.status == WindowStatus::fitted) solver_.finish(fit, whole(recording), nullptr);
+    return fit;
+  }
+  WindowSolver<6>& solver() { return solver_; }
+
+  Recording recording;
+  Eigen::VectorXd theta;
+
+ private:
+  LogData data_;
+  SensorScale<6> sensor_;
+  WindowModel<6> model_;
+  WindowSolver<6> solver_;
+};
+
+Simulation at_frequency(double scale, double duration) {
+  Simulation s;
+  s.duration = duration;
+  oracle::Sines sines;
+  sines.frequency *= scale;
+  s.twist = [sines](double t) { return sines.twist(t); };
+  s.acceleration = [sines](double t) { return sines.acceleration(t); };
+  return s;
+}
+
+TEST(GroupStatistics, DeviateIsTheNormalQuantileOfChiSquare) {
+  // Tabulated quantiles of chi-square: 99% (2.326 sigma) and 0.1% (-3.090 sigma).
+  for (const auto& [freedom, upper, lower] :
+       {std::array{10.0, 23.209, 1.479}, {50.0, 76.154, 24.674}, {100.0, 135.807, 61.918}}) {
+    EXPECT_NEAR((GroupStatistics{upper, freedom + 7.0, 7.0}.deviate()), 2.326, 0.03) << freedom;
+    EXPECT_NEAR((GroupStatistics{lower, freedom, 0.0}.deviate()), -3.090, 0.1) << freedom;
+  }
+}
+
+TEST(Knots, MotionTakesAsManyDegreesOfFreedomAsItHasCoefficients) {
+  Held window(at_frequency(1.0, 4.0), 1);
+  const WindowFit fit = window.search();
+  ASSERT_EQ(fit.status, WindowStatus::fitted);
+  double leverage = 0.0;
+  double count = 0.0;
+  for (const GroupStatistics& g : fit.groups) {
+    leverage += g.leverage;
+    count += g.count;
+  }
+  EXPECT_NEAR(leverage, 6.0 * fit.spline.coefficients(), 1e-6);
+  EXPECT_EQ(count, 400.0 * 12);
+}
+
+TEST(Knots, ResidualsOfEveryStreamAreAsLargeAsItsNoiseSays) {
+  Groups total{};
+  for (unsigned seed = 0; seed < 10; ++seed) {
+    Held window(at_frequency(1.0, 5.0), seed);
+    const WindowFit fit = window.search();
+    ASSERT_EQ(fit.status, WindowStatus::fitted);
+    for (std::size_t k = 0; k < kGroups; ++k) total[k] += fit.groups[k];
+  }
+  for (const GroupStatistics& g : total) EXPECT_LT(std::abs(g.deviate()), 3.5);
+}
+
+TEST(Knots, SlowMotionGetsFewKnotsAndFastMotionMany) {
+  const auto intervals = [](double scale) {
+    Held window(at_frequency(scale, 5.0), 3);
+    const WindowFit fit = window.search();
+    EXPECT_EQ(fit.status, WindowStatus::fitted);
+    return fit.spline.intervals();
+  };
+  const int slow = intervals(0.1);
+  const int usual = intervals(1.0);
+  const int fast = intervals(4.0);
+  EXPECT_LE(slow, 3);
+  EXPECT_GT(usual, 2 * slow);
+  EXPECT_GT(fast, 2 * usual);
+}
+
+TEST(Knots, LieWhereTheMotionIsFast) {
+  // At rest but for a jolt around t = 4.
+  Simulation s;
+  s.duration = 8.0;
+  s.twist = [](double t) {
+    return Vector6(Vector6::Constant(0.2 * std::exp(-50.0 * (t - 4.0) * (t - 4.0))));
+  };
+  s.acceleration = [s](double t) { return Vector6(-100.0 * (t - 4.0) * s.twist(t)); };
+  Held window(s, 4);
+  const WindowFit fit = window.search();
+  ASSERT_EQ(fit.status, WindowStatus::fitted);
+  double near = 8.0;
+  double far = 0.0;
+  for (int i = 0; i < fit.spline.intervals(); ++i) {
+    const double middle = fit.spline.breakpoints()[static_cast<std::size_t>(i)] + 0.5 * fit.spline.width(i);
+    if (std::abs(middle - 4.0) < 0.3) near = std::min(near, fit.spline.width(i));
+    if (std::abs(middle - 4.0) > 2.0) far = std::max(far, fit.spline.width(i));
+  }
+  EXPECT_GE(far, 4.0 * near);
+}
+
+TEST(Knots, WrenchOfTheFitIsThatOfTheMotion) {
+  Simulation s;
+  s.point = Vector3(-0.1, 0.3, 0.0);
+  s.sign = -1.0;
+  s.gravity = [](double t) {
+    return Vector3(9.81 * Vector3(std::sin(t), 0.6 * std::cos(t), 0.8 * std::cos(t)));
+  };
+  std::mt19937 random(1);
+  s.gain = Matrix6::Identity() + 0.2 * oracle::normal_matrix(random, 6, 6);
+  s.offset = 0.05 * oracle::normal_matrix(random, 6, 1);
+  Held window(s, 5);
+  const WindowFit fit = window.search();
+  ASSERT_EQ(fit.status, WindowStatus::fitted);
+  RowMatrix predicted = RowMatrix::Zero(window.recording.raw.rows(), 6);
+  window.solver().predict(fit, whole(window.recording), predicted);
+  double square = 0.0;
+  for (Eigen::Index k = 0; k < predicted.rows(); ++k) {
+    const Vector6 d =
+        predicted.row(k).transpose() - s.wrench(window.recording.sensor_time[static_cast<std::size_t>(k)]);
+    square += d.cwiseQuotient(s.range).squaredNorm() / static_cast<double>(predicted.size());
+  }
+  EXPECT_LT(std::sqrt(square), s.sensor_sigma);  // the fit averages the sensor's noise, 1e-3 of the range
+}
+
+TEST(Knots, CostFellByChanceAloneWhereTheSplineHoldsTheMotion) {
+  // The motion is a quintic polynomial, so any knots hold it; halving them must gain one unit per new
+  // coefficient.
+  Simulation s;
+  s.duration = 2.0;
+  const Vector6 c(0.3, -0.2, 0.25, 0.4, -0.3, 0.2);
+  s.twist = [c](double t) { return Vector6(c * (0.2 + t - t * t + 0.2 * t * t * t * t)); };
+  s.acceleration = [c](double t) { return Vector6(c * (1.0 - 2.0 * t + 0.8 * t * t * t)); };
+  double gained = 0.0;
+  double expected = 0.0;
+  for (unsigned seed = 0; seed < 40; ++seed) {
+    Held window(s, seed);
+    const WindowFit fit = window.finish(BSpline::uniform(0.0, 1.99, 4));
+    EXPECT_EQ(fit.status, WindowStatus::fitted);
+    gained += fit.nested;
+    expected += fit.nested_expected;
+  }
+  EXPECT_EQ(expected, 40.0 * 6 * 4);
+  EXPECT_NEAR(gained, expected, 3.5 * std::sqrt(2.0 * expected));
+}
+
+TEST(Knots, TooCoarseASplineIsCaughtByTheScoreTestBeforeChiSquareShowsIt) {
+  Simulation s = at_frequency(1.0, 4.0);
+  double nested = 0.0;
+  double expected = 0.0;
+  Groups total{};
+  for (unsigned seed = 0; seed < 5; ++seed) {
+    Held window(s, seed);
+    const WindowFit fit = window.finish(BSpline::uniform(0.0, 3.99, 4));
+    nested += fit.nested;
+    expected += fit.nested_expected;
+    for (std::size_t k = 0; k < kGroups; ++k) total[k] += fit.groups[k];
+  }
+  double largest = 0.0;
+  for (const GroupStatistics& g : total) largest = std::max(largest, g.deviate());
+  EXPECT_GT((nested - expected) / std::sqrt(2.0 * expected), 2.0 * largest);
+}
+
+TEST(Knots, HeldMotionIsStationary) {
+  Held window(at_frequency(1.0, 3.0), 6);
+  WindowFit fit =
+      window.solver().hold(whole(window.recording), BSpline(BSpline::uniform(0.0, 2.99, 12)), window.theta);
+  ASSERT_EQ(fit.status, WindowStatus::fitted);
+  const Coefficients before = fit.x;
+  ASSERT_EQ(window.solver().relinearise(fit, whole(window.recording), window.theta), Status::ok);
+  EXPECT_LT((fit.x - before).norm(), 1e-7 * before.norm());
+}
+
+TEST(Knots, VibrationThatTheSamplesDoNotResolveIsRejected) {
+  Simulation s = at_frequency(1.0, 3.0);
+  const Simulation smooth = s;
+  s.twist = [smooth](double t) {
+    return Vector6(smooth.twist(t).array() + 0.01 * std::sin(2.0 * M_PI * 31.0 * t));
+  };
+  s.acceleration = [smooth](double t) {
+    return Vector6(smooth.acceleration(t).array() +
+                   0.01 * 2.0 * M_PI * 31.0 * std::cos(2.0 * M_PI * 31.0 * t));
+  };
+  Held window(s, 7);
+  const WindowFit fit = window.search(0.04);
+  EXPECT_EQ(fit.status, WindowStatus::misfit);
+}
+
+TEST(Knots, NoiseTwiceAsLargeAsStatedIsRejected) {
+  for (const bool sensor : {true, false}) {
+    Simulation s = at_frequency(1.0, 4.0);
+    (sensor ? s.sensor_sigma : s.twist_sigma) *= 2.0;
+    Recording recording = s.record(8);
+    recording.twist_sigma.setConstant(1e-3);
+    s.sensor_sigma = 1e-3;
+    const LogData data = recording.data();
+    const SensorScale<6> scale = s.sensor<6>();
+    const WindowModel<6> model(data, scale, {6, true});
+    WindowSolver<6> solver(model, KnotSettings{});
+    const WindowRange w = whole(recording);
+    const WindowFit fit =
+        solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, 1)), s.theta(), nullptr, 0.02);
+    EXPECT_EQ(fit.status, WindowStatus::misfit) << (sensor ? "sensor" : "twist");
+    const Group noisy = sensor ? kForce : kLinear;
+    EXPECT_GT(fit.groups[noisy].deviate(), 5.0);
+  }
+}
+
+TEST(Knots, ATwistWithoutRotationDoesNotDetermineTheMotion) {
+  Held window(at_frequency(1.0, 2.0), 9);
+  window.recording.twist.col(5).setConstant(std::nan(""));
+  EXPECT_EQ(window.search().status, WindowStatus::motion_undetermined);
+}
+
+}  // namespace
+}  // namespace truewrench

@@ -1,0 +1,336 @@
+// The normal equations of a window against the dense Jacobian of residuals written out here.
+#include "truewrench/window.hpp"
+
+#include "oracles.hpp"
+
+#include <gtest/gtest.h>
+
+namespace truewrench {
+namespace {
+
+constexpr double missing = std::numeric_limits<double>::quiet_NaN();
+constexpr int one_sample_a_block = 1 << 20;
+
+// One window full of everything: uneven knots and stamps, a twist and its derivative logged apart from the
+// sensor, missing components, gravity per sample, a twist of another point than the centre of mass.
+struct Scene {
+  int channels = 6;
+  bool offset = true;
+  Payload payload{3.0, Vector3(0.1, -0.2, 0.15), Vector3(0.3, 0.2, 0.4).asDiagonal()};
+  Vector3 point = Vector3(-0.3, 0.2, 0.1);
+  std::vector<double> breakpoints{0.0, 0.3, 0.45, 1.0};
+  std::vector<double> twist_time, rate_time, sensor_time;
+  RowMatrix twist, rate, raw, gravity;
+  Vector6 twist_sigma = Vector6(0.01, 0.02, 0.03, 0.04, 0.05, 0.06);
+  Vector6 rate_sigma = Vector6(0.5, 0.4, 0.3, 0.2, 0.6, 0.7);
+  Vector6 wrench_scale = -Vector6(20, 30, 40, 2, 3, 4).cwiseInverse();
+  Eigen::VectorXd channel, sensor_sigma;
+  Coefficients x;
+  Eigen::VectorXd theta;
+
+  Scene(int n, bool with_offset) : channels(n), offset(with_offset) {
+    std::mt19937 random(17);
+    std::uniform_real_distribution<double> time(0.0, 1.0);
+    payload.inertia += 0.05 * (Matrix3::Ones() - Matrix3::Identity());
+    const auto stamps = [&](std::vector<double>& t, int count) {
+      for (int k = 0; k < count; ++k) t.push_back(time(random));
+      std::sort(t.begin(), t.end());
+    };
+    stamps(twist_time, 23);
+    stamps(rate_time, 11);
+    stamps(sensor_time, 31);
+    twist = oracle::normal_matrix(random, 23, 6);
+    rate = oracle::normal_matrix(random, 11, 6);
+    raw = 3.0 * oracle::normal_matrix(random, 31, n);
+    gravity = 9.81 * oracle::normal_matrix(random, 31, 3).rowwise().normalized();
+    channel = Eigen::VectorXd::LinSpaced(n, 2.0, 5.0);
+    sensor_sigma = Eigen::VectorXd::LinSpaced(n, 0.01, 0.04);
+    x = oracle::normal_matrix(random, static_cast<Eigen::Index>(breakpoints.size()) + 4, 6);
+    theta = oracle::normal_matrix(random, layout().size(), 1);
+    for (const auto& [row, column] : {std::pair(2, 1), {2, 5}, {9, 0}, {10, 0}}) twist(row, column) = missing;
+    rate.row(4).setConstant(missing);
+    for (const auto& [row, column] : {std::pair(0, 3), {7, 0}, {7, 5}, {30, n - 1}})
+      raw(row, column) = missing;
+    raw.row(12).setConstant(missing);
+  }
+
+  ParameterLayout layout() const { return {channels, offset}; }
+
+  LogData data() const {
+    LogData d;
+    d.payload = payload;
+    d.map.shift.topRightCorner<3, 3>() = -cross_matrix(payload.center_of_mass - point);
+    d.motion.push_back({0, twist_time, twist.data(), twist_sigma});
+    d.motion.push_back({1, rate_time, rate.data(), rate_sigma});
+    d.wrench = {sensor_time, raw.data(), gravity.data(), Vector3::Zero()};
+    return d;
+  }
+
+  WindowRange window() const {
+    return {0.0, 1.0, {{0, twist_time.size()}, {0, rate_time.size()}}, {0, sensor_time.size()}};
+  }
+
+  // Every residual over its sigma, as a function of motion and common parameters.
+  Eigen::VectorXd residuals(const Coefficients& at_x, const Eigen::VectorXd& at_theta,
+                            bool sensor = true) const {
+    std::vector<double> r;
+    const auto motion = [&](const std::vector<double>& t, const RowMatrix& value, const Vector6& sigma,
+                            int order) {
+      for (std::size_t k = 0; k < t.size(); ++k) {
+        const Vector6 s = at_x.transpose() * oracle::basis(breakpoints, t[k], order);
+        for (int c = 0; c < 6; ++c) {
+          const double v = value(static_cast<Eigen::Index>(k), c);
+          if (!std::isnan(v)) r.push_back((v - s[c]) / sigma[c]);
+        }
+      }
+    };
+    motion(twist_time, twist, twist_sigma, 0);
+    motion(rate_time, rate, rate_sigma, 1);
+    for (std::size_t k = 0; sensor && k < sensor_time.size(); ++k) {
+      const auto row = static_cast<Eigen::Index>(k);
+      const Vector6 s = at_x.transpose() * oracle::basis(breakpoints, sensor_time[k], 0);
+      const Vector6 ds = at_x.transpose() * oracle::basis(breakpoints, sensor_time[k], 1);
+      const Vector6 w = oracle::wrench(payload.mass, payload.center_of_mass, payload.inertia, point, s, ds,
+                                       gravity.row(row).transpose())
+                            .cwiseProduct(wrench_scale);
+      for (int i = 0; i < channels; ++i) {
+        double expected = at_theta.segment<6>(6 * i).dot(w);
+        if (offset) expected += at_theta[6 * channels + i];
+        if (!std::isnan(raw(row, i))) r.push_back((raw(row, i) / channel[i] - expected) / sensor_sigma[i]);
+      }
+    }
+    return Eigen::Map<Eigen::VectorXd>(r.data(), static_cast<Eigen::Index>(r.size()));
+  }
+
+  // d(residuals)/d[x row by row, theta]. At most quadratic in each unknown: central differences are exact.
+  Eigen::MatrixXd jacobian(bool sensor = true) const {
+    const Eigen::Index motion = x.size();
+    Eigen::MatrixXd j(residuals(x, theta, sensor).size(), motion + theta.size());
+    for (Eigen::Index k = 0; k < j.cols(); ++k) {
+      const auto moved = [&](double step) {
+        Coefficients at_x = x;
+        Eigen::VectorXd at_theta = theta;
+        (k < motion ? at_x.data()[k] : at_theta[k - motion]) += step;
+        return residuals(at_x, at_theta, sensor);
+      };
+      j.col(k) = 0.5 * (moved(1.0) - moved(-1.0));
+    }
+    return j;
+  }
+};
+
+double relative(const Eigen::MatrixXd& found, const Eigen::MatrixXd& expected) {
+  return (found - expected).norm() / expected.norm();
+}
+
+template <int N>
+void expect_dense_normal_equations(const Scene& scene) {
+  const LogData data = scene.data();
+  const SensorScale<N> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
+  const WindowModel<N> model(data, sensor, scene.layout());
+  const BSpline spline(scene.breakpoints);
+  Blocks<N> blocks;
+  blocks.build(model, scene.window(), spline, one_sample_a_block);
+  WindowNormal<N> normal;
+
+  const Eigen::VectorXd r = scene.residuals(scene.x, scene.theta);
+  const Eigen::MatrixXd j = scene.jacobian();
+  const Eigen::Index m = scene.x.size();
+  const Eigen::Index p = scene.theta.size();
+  const Eigen::MatrixXd h = j.transpose() * j;
+  const Eigen::VectorXd g = -j.transpose() * r;
+  const Eigen::MatrixXd hxx = h.topLeftCorner(m, m);
+  const Eigen::LLT<Eigen::MatrixXd> factor(hxx);
+
+  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, true);
+  EXPECT_NEAR(normal.cost(), r.squaredNorm(), 1e-10 * r.squaredNorm());
+  EXPECT_LT(relative(normal.information(), h.bottomRightCorner(p, p)), 1e-11);
+  EXPECT_LT(relative(normal.score(), g.tail(p)), 1e-11);
+
+  ASSERT_EQ(normal.reduce(), Status::ok);
+  const Eigen::MatrixXd schur =
+      h.bottomRightCorner(p, p) - h.bottomLeftCorner(p, m) * factor.solve(h.topRightCorner(m, p));
+  const Eigen::VectorXd score = g.tail(p) - h.bottomLeftCorner(p, m) * factor.solve(g.head(m));
+  EXPECT_LT(relative(normal.information(), schur), 1e-9);
+  EXPECT_LT(relative(normal.score(), score), 1e-9);
+  EXPECT_EQ(normal.information(), normal.information().transpose());
+
+  const auto flat = [](const Coefficients& c) {
+    return Eigen::VectorXd(Eigen::Map<const Eigen::VectorXd>(c.data(), c.size()));
+  };
+  const Eigen::VectorXd held = factor.solve(g.head(m));
+  EXPECT_LT(relative(flat(normal.motion_step({})), held), 1e-9);
+  EXPECT_NEAR(normal.motion_decrement(), g.head(m).dot(held), 1e-9 * std::abs(g.head(m).dot(held)));
+  // The step of motion and common parameters together is that of the dense system, here with a unit prior.
+  Eigen::MatrixXd with_prior = h;
+  with_prior.diagonal().tail(p).array() += 1.0;
+  const Eigen::VectorXd dense = with_prior.llt().solve(g);
+  const Eigen::VectorXd dtheta =
+      (normal.information() + Eigen::MatrixXd::Identity(p, p)).llt().solve(normal.score());
+  EXPECT_LT(relative(dtheta, dense.tail(p)), 1e-7);
+  EXPECT_LT(relative(flat(normal.motion_step(dtheta)), dense.head(m)), 1e-7);
+
+  const MotionNormal covariance = normal.covariance_band();
+  const Eigen::MatrixXd inverse = factor.solve(Eigen::MatrixXd::Identity(m, m));
+  for (int a = 0; a < spline.coefficients(); ++a) {
+    for (int b = std::max(0, a - kDegree); b <= a; ++b) {
+      EXPECT_LT((covariance(a, b) - inverse.block<6, 6>(6 * a, 6 * b)).norm(), 1e-9 * inverse.norm());
+    }
+  }
+
+  // Without the common parameters the motion's part is the same.
+  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, false);
+  ASSERT_EQ(normal.reduce(), Status::ok);
+  EXPECT_LT(relative(flat(normal.motion_step({})), held), 1e-9);
+}
+
+TEST(WindowNormal, SixChannelsAndOffsetGiveTheDenseNormalEquations) {
+  expect_dense_normal_equations<6>(Scene(6, true));
+}
+
+TEST(WindowNormal, WithoutOffsetTheGainsAlone) {
+  expect_dense_normal_equations<6>(Scene(6, false));
+}
+
+TEST(WindowNormal, EightGaugesGiveTheDenseNormalEquations) {
+  expect_dense_normal_equations<Eigen::Dynamic>(Scene(8, true));
+}
+
+TEST(WindowNormal, MotionTermsAloneLeaveTheSensorOut) {
+  const Scene scene(6, true);
+  const LogData data = scene.data();
+  const SensorScale<6> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
+  const WindowModel<6> model(data, sensor, scene.layout());
+  const BSpline spline(scene.breakpoints);
+  Blocks<6> blocks;
+  blocks.build(model, scene.window(), spline, one_sample_a_block);
+  WindowNormal<6> normal;
+  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::motion, false);
+  const Eigen::VectorXd r = scene.residuals(scene.x, scene.theta, false);
+  EXPECT_NEAR(normal.cost(), r.squaredNorm(), 1e-10 * r.squaredNorm());
+  ASSERT_EQ(normal.reduce(), Status::ok);
+  // Linear: one step is the least-squares spline, where the gradient is zero.
+  Scene solved = scene;
+  solved.x += normal.motion_step({});
+  const Eigen::VectorXd gradient = scene.jacobian(false).leftCols(scene.x.size()).transpose() *
+                                   solved.residuals(solved.x, scene.theta, false);
+  const Eigen::VectorXd before = scene.jacobian(false).leftCols(scene.x.size()).transpose() * r;
+  EXPECT_LT(gradient.norm(), 1e-9 * before.norm());
+}
+
+TEST(WindowNormal, MotionThatNoStreamDeterminesIsReported) {
+  Scene scene(6, true);
+  scene.twist.col(4).setConstant(missing);
+  scene.rate.col(4).setConstant(missing);
+  const LogData data = scene.data();
+  const SensorScale<6> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
+  const WindowModel<6> model(data, sensor, scene.layout());
+  const BSpline spline(scene.breakpoints);
+  Blocks<6> blocks;
+  blocks.build(model, scene.window(), spline, one_sample_a_block);
+  WindowNormal<6> normal;
+  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::motion, false);
+  EXPECT_EQ(normal.reduce(), Status::not_factorizable);
+}
+
+// 480 samples in one second, of a motion that the spline holds exactly.
+struct Averaged {
+  Scene scene{6, true};
+
+  explicit Averaged(bool noise) {
+    scene.breakpoints = {0.0, 0.25, 0.5, 0.75, 1.0};
+    std::mt19937 random(2);
+    scene.x = oracle::normal_matrix(random, 9, 6);
+    scene.rate_time.clear();
+    scene.twist_time.clear();
+    scene.sensor_time.clear();
+    for (int k = 0; k < 480; ++k) {
+      scene.twist_time.push_back((k + 0.5) / 480.0);
+      scene.sensor_time.push_back((k + 0.5) / 480.0);
+    }
+    scene.twist =
+        (noise ? 1.0 : 0.0) * oracle::normal_matrix(random, 480, 6) * scene.twist_sigma.asDiagonal();
+    scene.raw = (noise ? 1.0 : 0.0) * oracle::normal_matrix(random, 480, 6) *
+                (scene.channel.cwiseProduct(scene.sensor_sigma)).asDiagonal();
+    scene.gravity.resize(480, 3);
+    for (Eigen::Index k = 0; k < 480; ++k) {
+      const double t = scene.sensor_time[static_cast<std::size_t>(k)];
+      scene.gravity.row(k) = 9.81 * Eigen::RowVector3d(std::sin(t), std::cos(t), 0.0);
+      const Vector6 s = scene.x.transpose() * oracle::basis(scene.breakpoints, t, 0);
+      const Vector6 ds = scene.x.transpose() * oracle::basis(scene.breakpoints, t, 1);
+      const Vector6 w =
+          oracle::wrench(scene.payload.mass, scene.payload.center_of_mass, scene.payload.inertia, scene.point,
+                         s, ds, scene.gravity.row(k).transpose())
+              .cwiseProduct(scene.wrench_scale);
+      scene.twist.row(k) += s;
+      for (int i = 0; i < 6; ++i) {
+        scene.raw(k, i) += scene.channel[i] * (scene.theta.segment<6>(6 * i).dot(w) + scene.theta[36 + i]);
+      }
+    }
+  }
+
+  struct Sums {
+    double cost;
+    Eigen::MatrixXd information;
+    Eigen::VectorXd score;
+  };
+  Sums sums(int per_interval) const {
+    const LogData data = scene.data();
+    const SensorScale<6> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
+    const WindowModel<6> model(data, sensor, scene.layout());
+    const BSpline spline(scene.breakpoints);
+    Blocks<6> blocks;
+    blocks.build(model, scene.window(), spline, per_interval);
+    WindowNormal<6> normal;
+    normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, true);
+    EXPECT_EQ(normal.reduce(), Status::ok);
+    return {normal.cost(), normal.information(), normal.score()};
+  }
+};
+
+TEST(Blocks, MeanWrenchIsRightToTheFourthOrderOfTheBlockLength) {
+  const Averaged log(false);
+  EXPECT_LT(log.sums(one_sample_a_block).cost, 1e-18);
+  const double coarse = log.sums(5).cost;
+  const double middle = log.sums(10).cost;
+  const double fine = log.sums(20).cost;
+  // Residuals of fourth order, squared.
+  EXPECT_NEAR(std::log2(coarse / middle), 8.0, 1.0);
+  EXPECT_NEAR(std::log2(middle / fine), 8.0, 1.0);
+  EXPECT_LT(log.sums(12).cost, 0.05);  // of a chi-square whose expectation is one per degree of freedom
+}
+
+TEST(Blocks, InformationLostByAveragingIsOfSecondOrder) {
+  const Averaged log(false);
+  const Eigen::MatrixXd exact = log.sums(one_sample_a_block).information;
+  const double coarse = relative(log.sums(10).information, exact);
+  const double fine = relative(log.sums(20).information, exact);
+  EXPECT_LT(fine, 0.02);
+  EXPECT_NEAR(std::log2(coarse / fine), 2.0, 0.5);
+}
+
+TEST(Blocks, StepFromNoisySamplesIsThatOfTheSamplesToAFractionOfSigma) {
+  const Averaged log(true);
+  const auto step = [](const Averaged::Sums& s) {
+    const Eigen::MatrixXd prior = Eigen::MatrixXd::Identity(s.score.size(), s.score.size()) / (0.3 * 0.3);
+    return Eigen::VectorXd((s.information + prior).llt().solve(s.score));
+  };
+  const Averaged::Sums exact = log.sums(one_sample_a_block);
+  const Eigen::VectorXd d = step(log.sums(12)) - step(exact);
+  const Eigen::VectorXd sigma =
+      (exact.information + Eigen::MatrixXd::Identity(42, 42) / 0.09).inverse().diagonal().cwiseSqrt();
+  EXPECT_LT((d.cwiseQuotient(sigma)).cwiseAbs().maxCoeff(), 0.5);
+}
+
+TEST(Blocks, MissingComponentsAreMissingInTheInformationToo) {
+  Averaged log(true);
+  for (int k = 100; k < 140; ++k) log.scene.raw(k, 2) = log.scene.twist(k, 4) = missing;
+  const Averaged::Sums averaged = log.sums(12);
+  const Averaged::Sums exact = log.sums(one_sample_a_block);
+  EXPECT_LT(relative(averaged.information, exact.information), 0.02);
+  EXPECT_LT(relative(averaged.information, Averaged(true).sums(12).information), 0.2);
+  EXPECT_GT(relative(averaged.information, Averaged(true).sums(12).information), 0.02);
+}
+
+}  // namespace
+}  // namespace truewrench
