@@ -20,71 +20,96 @@ namespace {
 // One log's arrays, kept alive while the core reads them.
 struct RecordedLog {
   Payload payload;
-  Matrix6 shift = Matrix6::Identity();
+  Vector3 point = Vector3::Zero();
+  Vector3 gravity_constant = Vector3::Zero();
   std::vector<std::pair<Array1, Array2>> motion;
   std::vector<std::pair<int, Vector6>> motion_kind;  // order and sigma
-  std::optional<Array1> time;
-  std::optional<Array2> raw;
-  std::optional<Array2> gravity;
-  Vector3 gravity_constant = Vector3::Zero();
+  std::optional<std::pair<Array1, Array2>> wrench;
+  std::optional<Array1> temperature;
+  std::optional<std::pair<Array1, Array2>> gravity;
 
-  void add_motion(int order, Array1 t, Array2 value, const Vector6& sigma) {
+  void add_motion(int order, Array1 time, Array2 value, const Vector6& sigma) {
     if (order < 0 || order > 1) throw nb::value_error("order must be 0 (twist) or 1 (its derivative)");
-    if (value.shape(0) != t.shape(0) || value.shape(1) != 6) throw nb::value_error("motion: values must be N x 6");
-    motion.emplace_back(std::move(t), std::move(value));
+    if (value.shape(0) != time.shape(0) || value.shape(1) != 6) throw nb::value_error("motion: N x 6 is expected");
+    motion.emplace_back(std::move(time), std::move(value));
     motion_kind.emplace_back(order, sigma);
   }
 
-  void set_wrench(Array1 t, Array2 samples, std::optional<Array2> g) {
-    if (samples.shape(0) != t.shape(0)) throw nb::value_error("raw: one row per time is expected");
-    if (g && (g->shape(0) != t.shape(0) || g->shape(1) != 3)) throw nb::value_error("gravity: N x 3 is expected");
-    time = std::move(t);
-    raw = std::move(samples);
-    gravity = std::move(g);
+  void set_wrench(Array1 time, Array2 raw, std::optional<Array1> departure) {
+    if (raw.shape(0) != time.shape(0)) throw nb::value_error("raw: one row per time is expected");
+    if (departure && departure->shape(0) != time.shape(0)) throw nb::value_error("temperature: one per time is expected");
+    wrench.emplace(std::move(time), std::move(raw));
+    temperature = std::move(departure);
+  }
+
+  void set_gravity(Array1 time, Array2 value) {
+    if (value.shape(0) != time.shape(0) || value.shape(1) != 3) throw nb::value_error("gravity: N x 3 is expected");
+    gravity.emplace(std::move(time), std::move(value));
   }
 
   LogData data() const {
-    if (!time || !raw) throw nb::value_error("a log needs the sensor's samples: call set_wrench first");
+    if (!wrench) throw nb::value_error("a log needs the sensor's samples: call set_wrench first");
     LogData d;
     d.payload = payload;
-    d.map.shift = shift;
+    d.point = point;
     for (std::size_t i = 0; i < motion.size(); ++i) {
-      const auto& [t, value] = motion[i];
-      d.motion.push_back({motion_kind[i].first, {t.data(), t.shape(0)}, value.data(), motion_kind[i].second});
+      const auto& [time, value] = motion[i];
+      d.motion.push_back({motion_kind[i].first, {time.data(), time.shape(0)}, value.data(), motion_kind[i].second});
     }
-    d.wrench = {{time->data(), time->shape(0)}, raw->data(), gravity ? gravity->data() : nullptr, gravity_constant};
+    d.wrench = {{wrench->first.data(), wrench->first.shape(0)},
+                wrench->second.data(),
+                temperature ? temperature->data() : nullptr};
+    d.gravity.constant = gravity_constant;
+    if (gravity) {
+      d.gravity.time = {gravity->first.data(), gravity->first.shape(0)};
+      d.gravity.value = gravity->second.data();
+    }
     return d;
   }
 };
 
 template <int N>
 Estimate run(const std::string& method, std::vector<LogData> logs, const Eigen::VectorXd& channel_scale,
-             const Eigen::VectorXd& sigma, const Vector6& wrench_scale, CommonPrior prior,
+             const Eigen::VectorXd& sigma, const Vector6& wrench_scale, const CommonPrior& prior,
              const EstimatorSettings& settings) {
-  Estimator<N> estimator(std::move(logs), SensorScale<N>{channel_scale, sigma, wrench_scale}, std::move(prior), settings);
+  Estimator<N> estimator(std::move(logs), SensorScale<N>{channel_scale, sigma, wrench_scale}, prior, settings);
   return method == "online" ? estimator.online() : estimator.map();
+}
+
+void check(const CommonPrior& prior, const std::vector<const RecordedLog*>& logs) {
+  const int p = prior.layout.size();
+  if (prior.mean.size() != p || prior.information.size() != p) {
+    throw nb::value_error("prior: mean and information of every common parameter of a log are expected");
+  }
+  if (prior.payload_of.size() != logs.size()) throw nb::value_error("prior: one payload per log is expected");
+  for (const int k : prior.payload_of) {
+    if (k < 0 || k >= static_cast<int>(prior.payload_information.size())) {
+      throw nb::value_error("prior: a log carries a payload without a prior");
+    }
+  }
+  for (const Eigen::VectorXd& i : prior.payload_information) {
+    if (i.size() != kPayloadParameters) throw nb::value_error("prior: ten parameters per payload are expected");
+  }
 }
 
 Estimate estimate(const std::string& method, const std::vector<const RecordedLog*>& logs,
                   const Eigen::VectorXd& channel_scale, const Eigen::VectorXd& sigma, const Vector6& wrench_scale,
-                  const Eigen::VectorXd& mean, const Eigen::VectorXd& information, bool pool_offsets,
-                  const EstimatorSettings& settings) {
-  const auto n = static_cast<int>(channel_scale.size());
+                  const CommonPrior& prior, const EstimatorSettings& settings) {
+  const int n = prior.layout.channels;
   if (method != "online" && method != "map") throw nb::value_error("method must be 'online' or 'map'");
   if (n < 6 || n > kMaxChannels) throw nb::value_error("6 to 32 channels are supported");
-  if (sigma.size() != n) throw nb::value_error("sigma: one per channel is expected");
-  if (mean.size() != information.size() || (mean.size() != 6 * n && mean.size() != 7 * n)) {
-    throw nb::value_error("prior: 6 n gains, or 7 n with the offset, are expected");
-  }
+  if (channel_scale.size() != n || sigma.size() != n) throw nb::value_error("one scale and sigma per channel is expected");
+  check(prior, logs);
   std::vector<LogData> data;
   for (const RecordedLog* log : logs) {
     data.push_back(log->data());
-    if (log->raw->shape(1) != static_cast<std::size_t>(n)) throw nb::value_error("raw: one column per channel is expected");
+    if (log->wrench->second.shape(1) != static_cast<std::size_t>(n)) {
+      throw nb::value_error("raw: one column per channel is expected");
+    }
   }
-  CommonPrior prior{{n, mean.size() == 7 * n}, pool_offsets, mean, information};
   const nb::gil_scoped_release release;
-  if (n == 6) return run<6>(method, std::move(data), channel_scale, sigma, wrench_scale, std::move(prior), settings);
-  return run<Eigen::Dynamic>(method, std::move(data), channel_scale, sigma, wrench_scale, std::move(prior), settings);
+  if (n == 6) return run<6>(method, std::move(data), channel_scale, sigma, wrench_scale, prior, settings);
+  return run<Eigen::Dynamic>(method, std::move(data), channel_scale, sigma, wrench_scale, prior, settings);
 }
 
 }  // namespace
@@ -124,15 +149,44 @@ void bind_estimator(nb::module_& m) {
       .def_rw("tolerance", &EstimatorSettings::tolerance)
       .def_rw("threads", &EstimatorSettings::threads);
 
+  nb::class_<ParameterLayout>(m, "ParameterLayout",
+                              "Which common parameters a log has: [gains row by row | payload | slope with "
+                              "temperature | offset | time offset].")
+      .def(nb::init<>())
+      .def_rw("channels", &ParameterLayout::channels)
+      .def_rw("payload", &ParameterLayout::payload)
+      .def_rw("temperature", &ParameterLayout::temperature)
+      .def_rw("offset", &ParameterLayout::offset)
+      .def_rw("pool_offsets", &ParameterLayout::pool_offsets)
+      .def_rw("time_offset", &ParameterLayout::time_offset)
+      .def_prop_ro("payload_begin", &ParameterLayout::payload_begin)
+      .def_prop_ro("temperature_begin", &ParameterLayout::temperature_begin)
+      .def_prop_ro("offset_begin", &ParameterLayout::offset_begin)
+      .def_prop_ro("time_offset_begin", &ParameterLayout::time_offset_begin)
+      .def_prop_ro("size", &ParameterLayout::size);
+
+  nb::class_<CommonPrior>(m, "CommonPrior", "Independent priors of the common parameters, normalised.")
+      .def(nb::init<>())
+      .def_rw("layout", &CommonPrior::layout)
+      .def_rw("mean", &CommonPrior::mean, "Of one log's vector.")
+      .def_rw("information", &CommonPrior::information, "1 / variance; the payload's entries are not used.")
+      .def_rw("payload_of", &CommonPrior::payload_of, "Per log: which payload it carries.")
+      .def_rw("payload_information", &CommonPrior::payload_information,
+              "Per payload, 1 / variance of [mass, relative; centre of mass [m]; xx yy zz xy xz yz of the inertia, "
+              "relative to sqrt(I_ii I_jj)].");
+
   nb::class_<RecordedLog>(m, "RecordedLog", "The streams of one log, each at its own times [s].")
       .def(nb::init<>())
-      .def_rw("payload", &RecordedLog::payload)
-      .def_rw("shift", &RecordedLog::shift, "6 x 6 map from the logged twist to that of the payload's centre of mass")
+      .def_rw("payload", &RecordedLog::payload, "As stated.")
+      .def_rw("point", &RecordedLog::point, "The point whose twist is logged, fixed to the sensor [m].")
       .def_rw("gravity_constant", &RecordedLog::gravity_constant)
       .def("add_motion", &RecordedLog::add_motion, nb::arg("order"), nb::arg("time"), nb::arg("value"),
            nb::arg("sigma"), "Measurements (N, 6) of the order-th derivative of the twist, NaN where missing.")
-      .def("set_wrench", &RecordedLog::set_wrench, nb::arg("time"), nb::arg("raw"), nb::arg("gravity").none(),
-           "Raw sensor samples (N, n), NaN where missing, and gravity (N, 3) in sensor axes or None.");
+      .def("set_wrench", &RecordedLog::set_wrench, nb::arg("time"), nb::arg("raw"),
+           nb::arg("temperature").none() = nb::none(),
+           "Raw sensor samples (N, n), NaN where missing, and the departure from the reference temperature (N,) [K].")
+      .def("set_gravity", &RecordedLog::set_gravity, nb::arg("time"), nb::arg("value"),
+           "Gravity (N, 3) in sensor axes on the clock of the motion.");
 
   nb::class_<GroupStatistics>(m, "GroupStatistics", "Residuals of one stream against their noise.")
       .def_ro("sum_of_squares", &GroupStatistics::sum_of_squares)
@@ -158,7 +212,7 @@ void bind_estimator(nb::module_& m) {
       .def_ro("mean", &HistoryEntry::mean)
       .def_ro("sigma", &HistoryEntry::sigma);
 
-  nb::class_<Estimate>(m, "Estimate", "Result of `online` or `map`, normalised: [gain row by row, offset] of every log.")
+  nb::class_<Estimate>(m, "Estimate", "Result of `online` or `map`, normalised: the common parameters of every log.")
       .def_prop_ro("solved", [](const Estimate& e) { return e.status == Status::ok && !e.posterior.mean.empty(); })
       .def_ro("converged", &Estimate::converged)
       .def_prop_ro("mean", [](const Estimate& e) { return e.posterior.mean; })
@@ -171,13 +225,9 @@ void bind_estimator(nb::module_& m) {
       .def_ro("window_dependence", &Estimate::window_dependence)
       .def_ro("iterations", &Estimate::iterations);
 
-  m.def("twist_shift", &twist_shift, nb::arg("r"),
-        "6 x 6 map from the twist of a point to that of another of the same body, r [m] from the first to it.");
-
   m.def("estimate", &estimate, nb::arg("method"), nb::arg("logs"), nb::arg("channel_scale"), nb::arg("sigma"),
-        nb::arg("wrench_scale"), nb::arg("prior_mean"), nb::arg("prior_information"), nb::arg("pool_offsets"),
-        nb::arg("settings"),
-        "Estimate the normalised gain and offsets from windows of motion ('online' or 'map').");
+        nb::arg("wrench_scale"), nb::arg("prior"), nb::arg("settings"),
+        "Estimate the normalised gain and what else is common from windows of motion ('online' or 'map').");
 }
 
 }  // namespace truewrench::python

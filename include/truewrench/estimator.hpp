@@ -4,12 +4,13 @@
 // `map`:    all windows share one gain; given it they are independent, and only their small matrices are added.
 #pragma once
 
-#include "truewrench/common.hpp"
+#include "truewrench/knots.hpp"
 #include "truewrench/parallel.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -68,7 +69,7 @@ class Estimator {
       : logs_(std::move(logs)), sensor_(std::move(sensor)), prior_(std::move(prior)), settings_(settings) {
     for (const LogData& log : logs_) {
       models_.emplace_back(log, sensor_, prior_.layout);
-      finest_.push_back(settings_.knots.samples_per_coefficient * period(log));
+      finest_.push_back(settings_.knots.samples_per_coefficient * slowest_period(log));
     }
   }
   Estimator(const Estimator&) = delete;
@@ -110,71 +111,16 @@ class Estimator {
     WindowFit fit;
   };
 
-  // The longer of the streams' median periods.
-  static double period(const LogData& log) {
-    const auto median = [](std::span<const double> t) {
-      if (t.size() < 2) return 0.0;
-      std::vector<double> d(t.size() - 1);
-      for (std::size_t i = 0; i + 1 < t.size(); ++i) d[i] = t[i + 1] - t[i];
-      std::nth_element(d.begin(), d.begin() + static_cast<std::ptrdiff_t>(d.size() / 2), d.end());
-      return d[d.size() / 2];
-    };
-    double longest = median(log.wrench.time);
-    for (const MotionSeries& s : log.motion) longest = std::max(longest, median(s.time));
-    return longest;
+  // Samples of [begin, end) of a log, given what is known of its clocks.
+  WindowRange range(std::size_t log, double begin, double end, bool closed, double delay, double sigma) const {
+    return range_of(logs_[log], begin, end, closed, delay, 2.0 * sigma);
   }
 
-  // Stretches that every stream covers without a gap.
-  std::vector<std::pair<double, double>> segments(const LogData& log) const {
-    const auto covered = [&](std::span<const double> t) {
-      std::vector<std::pair<double, double>> out;
-      if (t.empty()) return out;
-      std::vector<double> d;
-      for (std::size_t i = 0; i + 1 < t.size(); ++i) d.push_back(t[i + 1] - t[i]);
-      double limit = 0.0;
-      if (!d.empty()) {
-        std::vector<double> sorted = d;
-        const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-        std::nth_element(sorted.begin(), middle, sorted.end());
-        limit = settings_.gap_periods * *middle;
-      }
-      double begin = t.front();
-      for (std::size_t i = 0; i < d.size(); ++i) {
-        if (d[i] <= limit) continue;
-        out.emplace_back(begin, t[i]);
-        begin = t[i + 1];
-      }
-      out.emplace_back(begin, t.back());
-      return out;
-    };
-    auto common = covered(log.wrench.time);
-    for (const MotionSeries& s : log.motion) {
-      std::vector<std::pair<double, double>> next;
-      for (const auto& a : common) {
-        for (const auto& b : covered(s.time)) {
-          const double begin = std::max(a.first, b.first);
-          const double end = std::min(a.second, b.second);
-          if (end > begin) next.emplace_back(begin, end);
-        }
-      }
-      common = std::move(next);
-    }
-    return common;
-  }
-
-  // Samples in [begin, end), or up to and including the end of a segment.
-  static WindowRange range(const LogData& log, double begin, double end, bool closed) {
-    const auto within = [&](std::span<const double> t) {
-      const auto first = std::lower_bound(t.begin(), t.end(), begin);
-      const auto last = closed ? std::upper_bound(first, t.end(), end) : std::lower_bound(first, t.end(), end);
-      return std::pair(static_cast<std::size_t>(first - t.begin()), static_cast<std::size_t>(last - t.begin()));
-    };
-    WindowRange w;
-    w.begin = begin;
-    w.end = end;
-    w.wrench = within(log.wrench.time);
-    for (const MotionSeries& s : log.motion) w.motion.push_back(within(s.time));
-    return w;
+  // Time offset of a log and its sigma, from a posterior or prior of its common parameters.
+  std::pair<double, double> clock(const Eigen::VectorXd& mean, const Eigen::MatrixXd& covariance) const {
+    if (!prior_.layout.time_offset) return {0.0, 0.0};
+    const int k = prior_.layout.time_offset_begin();
+    return {mean[k], std::sqrt(std::max(0.0, covariance(k, k)))};
   }
 
   static bool enough_samples(const WindowRange& w) {
@@ -190,7 +136,7 @@ class Estimator {
     bool search_again = true;
     for (int round = 0; round < settings_.max_rounds; ++round) {
       const std::vector<Eigen::VectorXd> before = out.posterior.mean;
-      if (search_again) items = lay_out(spacing, intervals, before);
+      if (search_again) items = lay_out(spacing, intervals, out.posterior);
       out.converged = iterate(items, out, coarse);
       if (out.status != Status::ok) return;
       review(items, out.posterior.mean);
@@ -209,23 +155,21 @@ class Estimator {
   // One pass over all logs, windows in sequence. False where some window did not converge.
   bool sequence(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
                 std::vector<InformationSum>& fine) {
-    const int p = prior_.layout.size();
-    const int c = prior_.shared();
     bool converged = true;
-    Prior prior{Eigen::MatrixXd(prior_.information.asDiagonal()), prior_.mean};
     prepare_wrench(out);
     for (std::size_t l = 0; l < logs_.size(); ++l) {
-      coarse.emplace_back(p);
-      fine.emplace_back(p);
-      if (l > 0) prior = next_log(prior, c);
+      coarse.emplace_back(prior_.layout.size());
+      fine.emplace_back(prior_.layout.size());
+      Prior prior = before(l, coarse);
+      auto [delay, delay_sigma] = clock(prior.mean, inverse(prior.information));
       double length = settings_.window;
       double spacing = 0.0;
       WindowSolver<N> solver(models_[l], settings_.knots);
-      for (const auto& [begin, end] : segments(logs_[l])) {
+      for (const auto& [begin, end] : unbroken_stretches(logs_[l], settings_.gap_periods)) {
         bool may_extend = true;
         for (double t = begin; t < end;) {
           const double stop = end - (t + length) < 0.5 * length ? end : t + length;
-          const WindowRange window = range(logs_[l], t, stop, stop == end);
+          const WindowRange window = range(l, t, stop, stop == end, delay, delay_sigma);
           WindowFit fit;
           if (enough_samples(window)) {
             const int start = spacing > 0.0 ? static_cast<int>((stop - t) / (2.0 * spacing)) : 1;
@@ -249,8 +193,11 @@ class Estimator {
             fine[l].add(fit.finer, fit.theta);
             prior.information += fit.information.matrix;
             prior.mean = fit.theta;
+            const Eigen::MatrixXd covariance = inverse(prior.information);
+            std::tie(delay, delay_sigma) = clock(prior.mean, covariance);
             spacing = (stop - t) / fit.spline.intervals();
-            out.history.push_back(history(l, stop, prior));
+            out.history.push_back({static_cast<int>(l), stop, prior.mean,
+                                   covariance.diagonal().cwiseMax(0.0).cwiseSqrt()});
             solver.predict(fit, window, out.wrench[l]);
             if (fit.spline.intervals() > 4 * settings_.window_intervals) {
               length = std::max(settings_.window, 0.5 * length);
@@ -270,24 +217,17 @@ class Estimator {
     return converged;
   }
 
-  // What one log's posterior says about the next: the shared parameters, with the log's own marginalised out.
-  Prior next_log(const Prior& last, int shared) const {
-    Prior next{Eigen::MatrixXd(prior_.information.asDiagonal()), prior_.mean};
-    const auto own = last.information.rows() - shared;
-    next.mean.head(shared) = last.mean.head(shared);
-    Eigen::MatrixXd a = last.information.topLeftCorner(shared, shared);
-    if (own > 0) {
-      a -= last.information.topRightCorner(shared, own) *
-           last.information.bottomRightCorner(own, own).llt().solve(last.information.bottomLeftCorner(own, shared));
-    }
-    next.information.topLeftCorner(shared, shared) = a;
-    return next;
+  // What is known of a log's parameters before its first window, from the logs before it.
+  Prior before(std::size_t log, const std::vector<InformationSum>& sums) const {
+    const Posterior posterior = combine(prior_, sums);
+    return {inverse(posterior.covariance[log]), posterior.mean[log]};
   }
 
-  static HistoryEntry history(std::size_t log, double time, const Prior& posterior) {
-    const Eigen::MatrixXd p =
-        posterior.information.llt().solve(Eigen::MatrixXd::Identity(posterior.mean.size(), posterior.mean.size()));
-    return {static_cast<int>(log), time, posterior.mean, p.diagonal().cwiseMax(0.0).cwiseSqrt()};
+  static Eigen::MatrixXd inverse(const Eigen::MatrixXd& m) {
+    // Scaled to a unit diagonal: the parameters' units, and with them the matrix' elements, are far apart.
+    const Eigen::VectorXd d = m.diagonal().cwiseMax(std::numeric_limits<double>::min()).cwiseSqrt().cwiseInverse();
+    const Eigen::MatrixXd scaled = d.asDiagonal() * m * d.asDiagonal();
+    return d.asDiagonal() * scaled.llt().solve(Eigen::MatrixXd::Identity(m.rows(), m.cols())) * d.asDiagonal();
   }
 
   WindowReport report(std::size_t log, const WindowRange& w, const WindowFit& fit) const {
@@ -323,44 +263,57 @@ class Estimator {
   // Windows of `map` with their knots, searched at a given gain. A window that does not fit is cut in two, down to
   // the length of a window of `online`, so that a disturbance costs only its surroundings.
   std::vector<Item> lay_out(const std::vector<double>& spacing, int intervals,
-                            const std::vector<Eigen::VectorXd>& theta) const {
+                            const Posterior& posterior) const {
     std::vector<Item> items;
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const double target = std::max(settings_.window, intervals * spacing[l]);
-      for (const auto& [begin, end] : segments(logs_[l])) {
+      const auto [delay, delay_sigma] = clock(posterior.mean[l], posterior.covariance[l]);
+      for (const auto& [begin, end] : unbroken_stretches(logs_[l], settings_.gap_periods)) {
         const int count = std::max(1, static_cast<int>(std::ceil((end - begin) / target)));
         const std::vector<double> edges = BSpline::uniform(begin, end, count);
         for (int i = 0; i < count; ++i) {
           const auto k = static_cast<std::size_t>(i);
-          items.push_back({l, range(logs_[l], edges[k], edges[k + 1], i + 1 == count), {}});
+          items.push_back({l, range(l, edges[k], edges[k + 1], i + 1 == count, delay, delay_sigma), {}});
         }
       }
     }
     std::vector<std::vector<Item>> parts(items.size());
     parallel_for(items.size(), settings_.threads, [&](std::size_t i) {
-      search(items[i], spacing[items[i].log], theta[items[i].log], parts[i]);
+      search(items[i], spacing[items[i].log], posterior, parts[i]);
     });
     std::vector<Item> out;
     for (auto& part : parts) std::move(part.begin(), part.end(), std::back_inserter(out));
     return out;
   }
 
-  void search(Item item, double spacing, const Eigen::VectorXd& theta, std::vector<Item>& out) const {
+  void search(Item item, double spacing, const Posterior& posterior, std::vector<Item>& out) const {
     const WindowRange& w = item.range;
     const double length = w.end - w.begin;
     if (enough_samples(w)) {
       const int start = std::max(1, static_cast<int>(length / (4.0 * spacing)));
       WindowSolver<N> solver(models_[item.log], settings_.knots);
-      item.fit = solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, start)), theta, nullptr, finest_[item.log]);
+      item.fit = solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, start)), posterior.mean[item.log], nullptr,
+                               finest_[item.log]);
       if (item.fit.status != WindowStatus::fitted && length >= 2.0 * settings_.window) {
-        const double middle = 0.5 * (w.begin + w.end);
-        const bool closed = w.wrench.second == range(logs_[item.log], w.begin, w.end, true).wrench.second;
-        search({item.log, range(logs_[item.log], w.begin, middle, false), {}}, spacing, theta, out);
-        search({item.log, range(logs_[item.log], middle, w.end, closed), {}}, spacing, theta, out);
+        const auto [first, second] = halves(item, posterior);
+        search({item.log, first, {}}, spacing, posterior, out);
+        search({item.log, second, {}}, spacing, posterior, out);
         return;
       }
     }
     out.push_back(std::move(item));
+  }
+
+  // The window cut in the middle; the second half ends with the same samples.
+  std::pair<WindowRange, WindowRange> halves(const Item& item, const Posterior& posterior) const {
+    const WindowRange& w = item.range;
+    const auto [delay, sigma] = clock(posterior.mean[item.log], posterior.covariance[item.log]);
+    const double middle = 0.5 * (w.begin + w.end);
+    std::pair out(range(item.log, w.begin, middle, false, delay, sigma),
+                  range(item.log, middle, w.end, false, delay, sigma));
+    out.second.wrench.second = w.wrench.second;
+    for (std::size_t m = 0; m < w.motion.size(); ++m) out.second.motion[m].second = w.motion[m].second;
+    return out;
   }
 
   // Gauss-Newton on the common parameters with the knots held.
@@ -488,14 +441,10 @@ class Estimator {
       if (pair.second == nullptr) return;
       const Item& b = *pair.second;
       pair.apart[1] = held(b.range, b.fit.spline);
-      WindowRange range = a.range;
-      range.end = b.range.end;
-      range.wrench.second = b.range.wrench.second;
-      for (std::size_t m = 0; m < range.motion.size(); ++m) range.motion[m].second = b.range.motion[m].second;
       std::vector<double> breakpoints = a.fit.spline.breakpoints();
       const std::vector<double>& tail = b.fit.spline.breakpoints();
       breakpoints.insert(breakpoints.end(), tail.begin() + 1, tail.end());
-      pair.joined = held(range, BSpline(std::move(breakpoints)));
+      pair.joined = held(a.range.joined(b.range), BSpline(std::move(breakpoints)));
     });
     std::vector<InformationSum> apart(logs_.size(), InformationSum(prior_.layout.size()));
     std::vector<InformationSum> joined = apart;

@@ -68,17 +68,6 @@ inline Group wrench_group(int channel, int channels) {
 }
 inline Group motion_group(int coordinate) { return coordinate < 3 ? kLinear : kAngular; }
 
-// Information on the common parameters that one window leaves, linearised at theta.
-struct Information {
-  Eigen::MatrixXd matrix;  // S
-  Eigen::VectorXd score;   // s: the Gauss-Newton step is (S + prior)^-1 (s + ...)
-};
-
-struct Prior {
-  Eigen::MatrixXd information;
-  Eigen::VectorXd mean;
-};
-
 struct WindowFit {
   WindowStatus status = WindowStatus::too_short;
   BSpline spline;
@@ -91,6 +80,28 @@ struct WindowFit {
   Groups groups{};
   int iterations = 0;
 };
+
+// Two estimates of the same gain, `coarse` the efficient one and `fine` with fewer assumptions on the motion: the
+// standard normal deviate of d^T (P_fine - P_coarse)^+ d over the directions in which the finer one gives up more
+// than 1% of the variance (Hausman's test, docs/method.md).
+inline double disagreement(const Posterior& coarse, const Posterior& fine, int gains) {
+  const Eigen::MatrixXd pc = coarse.covariance.back().topLeftCorner(gains, gains);
+  const Eigen::MatrixXd pf = fine.covariance.back().topLeftCorner(gains, gains);
+  const Eigen::VectorXd d = fine.mean.back().head(gains) - coarse.mean.back().head(gains);
+  const Eigen::LLT<Eigen::MatrixXd> l(pc);
+  const Eigen::MatrixXd half = l.matrixL().solve(pf - pc);
+  const Eigen::MatrixXd m = l.matrixL().solve(half.transpose());
+  const Eigen::VectorXd z = l.matrixL().solve(d);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(0.5 * (m + m.transpose()));
+  GroupStatistics test;
+  for (int i = 0; i < gains; ++i) {
+    if (eigen.eigenvalues()[i] < 0.01) continue;
+    const double e = eigen.eigenvectors().col(i).dot(z);
+    test.sum_of_squares += e * e / eigen.eigenvalues()[i];
+    test.count += 1.0;
+  }
+  return test.deviate();
+}
 
 template <int N>
 class WindowSolver {
@@ -114,7 +125,7 @@ class WindowSolver {
   // One Gauss-Newton step of the motion at a given theta and the information there, on fixed knots.
   Status relinearise(WindowFit& fit, const WindowRange& window, const Eigen::VectorXd& theta) {
     fit.theta = theta;
-    blocks_.build(model_, window, fit.spline, settings_.blocks_per_interval);
+    build(blocks_, window, fit.spline, theta);
     normal_.assemble(model_, blocks_, fit.spline, fit.x, theta, Terms::all, true);
     if (const Status st = normal_.reduce(); st != Status::ok) return st;
     fit.information = {normal_.information(), normal_.score()};
@@ -139,11 +150,10 @@ class WindowSolver {
   // The payload's wrench at every sensor sample of the window, SI, as the sensor feels it: rows of `out`.
   void predict(const WindowFit& fit, const WindowRange& window, RowMatrix& out) const {
     const Vector6 unit = model_.wrench_scale().cwiseAbs().cwiseInverse();
-    for_each_sample(fit, model_.log().wrench.time, window.wrench,
-                    [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
-                      const Vector6 w = model_.wrench_at(x * u, x * fit.spline.rate(i, u), model_.gravity(k));
-                      out.row(static_cast<Eigen::Index>(k)) = w.cwiseProduct(unit);
-                    });
+    const WindowModelAt<N> model(model_, fit.theta);
+    for_each_sensor_sample(fit, window, model, [&](std::size_t k, int, const Vector6& w) {
+      out.row(static_cast<Eigen::Index>(k)) = w.cwiseProduct(unit);
+    });
   }
 
   // Statistics of a converged fit: the score test of halved knots, residuals at every sample, leverage; and the
@@ -196,8 +206,17 @@ class WindowSolver {
     return true;
   }
 
+  void build(Blocks<N>& blocks, const WindowRange& window, const BSpline& spline, const Eigen::VectorXd& theta) const {
+    blocks.build(model_, window, spline, settings_.blocks_per_interval, delay(theta));
+  }
+
+  double delay(const Eigen::VectorXd& theta) const {
+    const ParameterLayout& layout = model_.layout();
+    return layout.time_offset ? theta[layout.time_offset_begin()] : 0.0;
+  }
+
   WindowStatus solve(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior) {
-    blocks_.build(model_, window, fit.spline, settings_.blocks_per_interval);
+    build(blocks_, window, fit.spline, fit.theta);
     for (int i = 0; i < settings_.max_iterations; ++i) {
       normal_.assemble(model_, blocks_, fit.spline, fit.x, fit.theta, terms, prior != nullptr);
       if (normal_.reduce() != Status::ok) return WindowStatus::motion_undetermined;
@@ -216,20 +235,23 @@ class WindowSolver {
         fit.x += dx;
         return WindowStatus::fitted;
       }
+      const bool last = decrement < settings_.tolerance;
       const double before = normal_.cost() + prior_cost(fit.theta, prior);
       double step = 1.0;
-      for (; step > 1e-3; step *= 0.5) {
+      for (;; step *= 0.5) {
+        if (step < 1e-3) return WindowStatus::not_converged;
         const Coefficients x = fit.x + step * dx;
         const Eigen::VectorXd theta = prior != nullptr ? Eigen::VectorXd(fit.theta + step * dtheta) : fit.theta;
-        if (decrement < settings_.tolerance ||
-            cost(x, theta) + prior_cost(theta, prior) < before - 1e-4 * step * decrement) {
+        if (prior != nullptr && model_.layout().time_offset) {
+          blocks_.build_wrench(model_, window, fit.spline, settings_.blocks_per_interval, delay(theta));
+        }
+        if (last || cost(x, theta) + prior_cost(theta, prior) < before - 1e-4 * step * decrement) {
           fit.x = x;
           fit.theta = theta;
           break;
         }
       }
-      if (decrement < settings_.tolerance) return WindowStatus::fitted;
-      if (step <= 1e-3) return WindowStatus::not_converged;
+      if (last) return WindowStatus::fitted;
     }
     return WindowStatus::not_converged;
   }
@@ -246,16 +268,15 @@ class WindowSolver {
       const Vector6 r = b.value - x.middleRows<kActive>(b.interval).transpose() * b.basis;
       sum += b.weight.dot(r.cwiseAbs2());
     }
-    for (const WrenchBlock<N>& b : blocks_.wrench) {
-      sum += b.weight.dot((b.raw - predict(b, x, theta)).cwiseAbs2());
-    }
+    const WindowModelAt<N> model(model_, theta);
+    for (const WrenchBlock<N>& b : blocks_.wrench) sum += b.weight.dot((b.raw - raw_of(model, b, x)).cwiseAbs2());
     return sum;
   }
 
-  ChannelVector<N> predict(const WrenchBlock<N>& b, const Coefficients& x, const Eigen::VectorXd& theta) const {
+  static ChannelVector<N> raw_of(const WindowModelAt<N>& model, const WrenchBlock<N>& b, const Coefficients& x) {
     const auto xi = x.middleRows<kActive>(b.interval);
-    return model_.predict(
-        theta, model_.wrench_at(xi.transpose() * b.basis, xi.transpose() * b.basis_rate, b.gravity, b.spread));
+    const Vector6 w = model.wrench_at(xi.transpose() * b.basis, xi.transpose() * b.basis_rate, b.gravity, b.spread);
+    return model.raw_of(w, b.temperature);
   }
 
   // The score test of the spline with every interval halved. `keep`: leave its information in fit.finer and that
@@ -266,7 +287,7 @@ class WindowSolver {
     out.gain.assign(static_cast<std::size_t>(fit.spline.intervals()), 0.0);
     const bool common = keep || prior != nullptr;
     if (keep) {
-      blocks_.build(model_, window, fit.spline, settings_.blocks_per_interval);
+      build(blocks_, window, fit.spline, fit.theta);
       normal_.assemble(model_, blocks_, fit.spline, fit.x, fit.theta, terms, true);
       if (normal_.reduce() == Status::ok) fit.information = {normal_.information(), normal_.score()};
       fit.finer = fit.information;
@@ -274,7 +295,7 @@ class WindowSolver {
     const std::vector<char> all(out.gain.size(), 1);
     const BSpline finer(fit.spline.halved(all));
     const Coefficients x = fit.spline.refined<kCoordinates>(fit.x, finer);
-    fine_blocks_.build(model_, window, finer, settings_.blocks_per_interval);
+    build(fine_blocks_, window, finer, fit.theta);
     fine_normal_.assemble(model_, fine_blocks_, finer, x, fit.theta, terms, common);
     if (fine_normal_.reduce() != Status::ok) return out;  // too few samples to ask
     if (keep) fit.finer = {fine_normal_.information(), fine_normal_.score()};
@@ -292,8 +313,10 @@ class WindowSolver {
       out.gain[static_cast<std::size_t>(b.interval / 2)] += b.weight.dot(d.cwiseAbs2());
     }
     if (terms == Terms::all) {
+      const WindowModelAt<N> model(model_, fit.theta);
+      const WindowModelAt<N> model_new(model_, theta_new);
       for (const WrenchBlock<N>& b : fine_blocks_.wrench) {
-        const ChannelVector<N> d = predict(b, x_new, theta_new) - predict(b, x, fit.theta);
+        const ChannelVector<N> d = raw_of(model_new, b, x_new) - raw_of(model, b, x);
         out.gain[static_cast<std::size_t>(b.interval / 2)] += b.weight.dot(d.cwiseAbs2());
       }
     }
@@ -332,7 +355,7 @@ class WindowSolver {
     for (std::size_t m = 0; m < window.motion.size(); ++m) {
       const MotionSeries& series = model_.log().motion[m];
       const Vector6 precision = series.sigma.cwiseInverse();
-      for_each_sample(fit, series.time, window.motion[m],
+      for_each_sample(fit, series.time, 0.0, window.motion[m],
                       [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
                         const Vector6 s = series.order == 0 ? x * u : x * fit.spline.rate(i, u);
                         const Vector6 r =
@@ -342,29 +365,37 @@ class WindowSolver {
     }
     if (terms == Terms::motion) return out;
     const int n = model_.layout().channels;
-    const ChannelMatrix<N> gain = model_.gain(fit.theta);
-    ChannelVector<N> offset = ChannelVector<N>::Zero(n);
-    if (model_.layout().offset) offset = fit.theta.tail(n);
-    for_each_sample(fit, model_.log().wrench.time, window.wrench,
-                    [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
-                      const Vector6 w = model_.wrench_at(x * u, x * fit.spline.rate(i, u), model_.gravity(k));
-                      const ChannelVector<N> r =
-                          (model_.raw(k) - gain * w - offset).cwiseProduct(model_.precision());
-                      for (int c = 0; c < n; ++c) add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
-                    });
+    const WindowModelAt<N> model(model_, fit.theta);
+    for_each_sensor_sample(fit, window, model, [&](std::size_t k, int i, const Vector6& w) {
+      const ChannelVector<N> r =
+          (model_.raw(k) - model.raw_of(w, model_.temperature(k))).cwiseProduct(model_.precision());
+      for (int c = 0; c < n; ++c) add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
+    });
     return out;
   }
 
+  // Calls visit(sample, interval, normalised wrench) for the sensor's samples of a window.
   template <typename Visit>
-  static void for_each_sample(const WindowFit& fit, std::span<const double> time,
+  void for_each_sensor_sample(const WindowFit& fit, const WindowRange& window, const WindowModelAt<N>& model,
+                              const Visit& visit) const {
+    const WrenchSeries& series = model_.log().wrench;
+    for_each_sample(fit, series.time, model.delay(), window.wrench,
+                    [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
+                      const Vector3 g = model_.log().gravity.at(series.time[k] + model.delay());
+                      visit(k, i, model.wrench_at(x * u, x * fit.spline.rate(i, u), g));
+                    });
+  }
+
+  template <typename Visit>
+  static void for_each_sample(const WindowFit& fit, std::span<const double> time, double delay,
                               std::pair<std::size_t, std::size_t> range, const Visit& visit) {
     std::size_t k = range.first;
     for (int i = 0; i < fit.spline.intervals() && k < range.second; ++i) {
       const Polynomial x = fit.spline.polynomial<kCoordinates>(i, fit.x);
       const bool last = i + 1 == fit.spline.intervals();
       const double edge = fit.spline.breakpoints()[static_cast<std::size_t>(i) + 1];
-      for (; k < range.second && (last || time[k] < edge); ++k) {
-        visit(k, i, x, powers(fit.spline.local(i, time[k])));
+      for (; k < range.second && (last || time[k] + delay < edge); ++k) {
+        visit(k, i, x, powers(fit.spline.local(i, time[k] + delay)));
       }
     }
   }
@@ -390,11 +421,11 @@ class WindowSolver {
       for (int c = 0; c < 6; ++c) fit.groups[motion_group(c)].leverage += b.weight[c] * variance[c];
     }
     const int n = model_.layout().channels;
-    const ChannelMatrix<N> gain = model_.gain(fit.theta);
-    const ChannelMatrix<N> by_rate = gain * model_.wrench_by_rates();
+    const WindowModelAt<N> model(model_, fit.theta);
+    const ChannelMatrix<N>& by_rate = model.raw_by_rate();
     for (const WrenchBlock<N>& b : blocks_.wrench) {
       const Vector6 s = fit.x.middleRows<kActive>(b.interval).transpose() * b.basis;
-      const ChannelMatrix<N> by_coordinate = gain * model_.wrench_by_coordinates(s);
+      const ChannelMatrix<N> by_coordinate = model.raw_by_coordinate(s);
       const Matrix6 cc = covariance(b.interval, b.basis, b.basis);
       const Matrix6 cr = covariance(b.interval, b.basis, b.basis_rate);
       const Matrix6 rr = covariance(b.interval, b.basis_rate, b.basis_rate);

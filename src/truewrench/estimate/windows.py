@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from truewrench import _core
 from truewrench.errors import InputError
@@ -16,7 +15,7 @@ from truewrench.log import Log
 from truewrench.payload import core_payload
 from truewrench.rig import Rig
 
-__all__ = ["GROUPS", "WindowEstimate", "estimate_windows"]
+__all__ = ["GROUPS", "PayloadDeparture", "WindowEstimate", "estimate_windows"]
 
 Array = NDArray[np.float64]
 
@@ -24,6 +23,20 @@ GROUPS = ("force", "moment", "v", "Omega")
 """Residuals that are judged apart; with other than six channels the first holds them all, the second none."""
 
 _EXACT = 1e-9  # 1 sigma, normalised, that stands for a parameter without uncertainty
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadDeparture:
+    """What the data say of a payload, as departures from what was stated.
+
+    Attributes:
+        mean: (10,) mass, relative; centre of mass [m]; xx yy zz xy xz yz of the inertia, relative to
+            sqrt(I_ii I_jj).
+        std: (10,) 1 sigma.
+    """
+
+    mean: Array
+    std: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +49,9 @@ class WindowEstimate:
         normalised_covariance: the same, gain_ij range_j / scale_i and offset_i / scale_i.
         offsets: (L, n), one per log.
         offsets_std: (L, n).
+        time_offsets: (L,) [s], t_motion = t_sensor + time_offset.
+        time_offsets_std: (L,).
+        payloads: departures from what is stated, per payload that is not exact.
         solved: whether any window left information and the sums could be solved.
         converged: whether the iterations ended below their tolerance.
         windows: one report per window.
@@ -56,6 +72,9 @@ class WindowEstimate:
     normalised_covariance: Array
     offsets: Array
     offsets_std: Array
+    time_offsets: Array
+    time_offsets_std: Array
+    payloads: dict[str, PayloadDeparture]
     solved: bool
     converged: bool
     windows: tuple[_core.WindowReport, ...]
@@ -76,7 +95,7 @@ def estimate_windows(
     method: Literal["map", "online"] = "map",
     settings: _core.EstimatorSettings | None = None,
 ) -> WindowEstimate:
-    """Estimate one gain and an offset per log; payloads and clocks are taken for exact.
+    """Estimate one gain, and per log an offset and a time offset; payloads within their uncertainty.
 
     Raises:
         InputError: for a log without a twist or without gravity where gravity acts.
@@ -84,12 +103,8 @@ def estimate_windows(
     sensor = rig.sensor
     n, scale, span = sensor.n, sensor.channel_scale, sensor.range_array
     nominal = sensor.nominal_gain_array * span / scale[:, None]
-    offset_prior = sensor.offset_prior_array / scale
-    with_offset = bool(offset_prior.any())
-    mean, sigma = nominal.ravel(), np.full(6 * n, sensor.gain_prior)
-    if with_offset:
-        mean = np.append(mean, np.zeros(n))
-        sigma = np.append(sigma, np.maximum(offset_prior, _EXACT))
+    prior = _prior(rig, logs, nominal)
+    layout = prior.layout
     recorded = [_recorded(rig, log) for log in logs]
     estimate = _core.estimate(
         method,
@@ -97,25 +112,36 @@ def estimate_windows(
         scale,
         sensor.noise_array / scale,
         sensor.sign / span,
-        mean,
-        sigma**-2.0,
-        sensor.pool_offsets,
+        prior,
         settings or _core.EstimatorSettings(),
     )
 
     to_gain = scale[:, None] / span  # SI gain per normalised gain
     units = np.append(to_gain.ravel(), scale)
-    prior_covariance = np.diag(np.append(np.full(6 * n, sensor.gain_prior), offset_prior) ** 2.0)
+    normalised = nominal
+    covariance = np.diag(np.append(np.full(6 * n, sensor.gain_prior), sensor.offset_prior_array / scale) ** 2.0)
     offsets, offsets_std = np.zeros((len(logs), n)), np.tile(sensor.offset_prior_array, (len(logs), 1))
-    normalised, covariance = nominal, prior_covariance
+    clocks = np.zeros(len(logs))
+    clocks_std = np.full(len(logs), sensor.time_offset_prior)
+    payloads: dict[str, PayloadDeparture] = {}
     if estimate.solved:
         normalised = estimate.mean[-1][: 6 * n].reshape(n, 6)
+        stds = [np.sqrt(np.diag(c)) for c in estimate.covariance]
+        kept = np.arange(6 * n)
+        if layout.offset:
+            o = slice(layout.offset_begin, layout.offset_begin + n)
+            kept = np.append(kept, np.arange(layout.offset_begin, layout.offset_begin + n))
+            offsets = np.array([m[o] for m in estimate.mean]) * scale
+            offsets_std = np.array([std[o] for std in stds]) * scale
         covariance = np.zeros((7 * n, 7 * n))
-        size = mean.size
-        covariance[:size, :size] = estimate.covariance[-1]
-        if with_offset:
-            offsets = np.array([m[6 * n :] for m in estimate.mean]) * scale
-            offsets_std = np.array([np.sqrt(np.diag(c)[6 * n :]) for c in estimate.covariance]) * scale
+        covariance[: kept.size, : kept.size] = estimate.covariance[-1][np.ix_(kept, kept)]
+        if layout.time_offset:
+            clocks = np.array([m[layout.time_offset_begin] for m in estimate.mean])
+            clocks_std = np.array([std[layout.time_offset_begin] for std in stds])
+        if layout.payload:
+            p = slice(layout.payload_begin, layout.payload_begin + 10)
+            for log, mean, std in zip(logs, estimate.mean, stds, strict=True):
+                payloads[log.payload] = PayloadDeparture(mean[p], std[p])
     history = estimate.history
     return WindowEstimate(
         gain=normalised * to_gain,
@@ -123,6 +149,9 @@ def estimate_windows(
         normalised_covariance=covariance,
         offsets=offsets,
         offsets_std=offsets_std,
+        time_offsets=clocks,
+        time_offsets_std=clocks_std,
+        payloads=payloads,
         solved=estimate.solved,
         converged=estimate.converged,
         windows=tuple(estimate.windows),
@@ -138,6 +167,38 @@ def estimate_windows(
     )
 
 
+def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:
+    """Priors of the common parameters, normalised; what is exact and not needed is left out."""
+    sensor = rig.sensor
+    names = list(dict.fromkeys(log.payload for log in logs))
+    layout = _core.ParameterLayout()
+    layout.channels = sensor.n
+    layout.payload = not all(rig.payloads[name].exact for name in names)
+    layout.offset = bool(sensor.offset_prior_array.any())
+    layout.pool_offsets = sensor.pool_offsets
+    layout.time_offset = sensor.time_offset_prior > 0.0
+    mean, sigma = np.zeros(layout.size), np.ones(layout.size)
+    mean[: nominal.size] = nominal.ravel()
+    sigma[: nominal.size] = sensor.gain_prior
+    if layout.offset:
+        sigma[layout.offset_begin : layout.offset_begin + sensor.n] = (
+            sensor.offset_prior_array / sensor.channel_scale
+        )
+    if layout.time_offset:
+        sigma[layout.time_offset_begin] = sensor.time_offset_prior
+    prior = _core.CommonPrior()
+    prior.layout = layout
+    prior.mean = mean
+    prior.information = np.maximum(sigma, _EXACT) ** -2.0
+    prior.payload_of = [names.index(log.payload) for log in logs]
+    known = []
+    for name in names:
+        u = rig.payloads[name].uncertainty
+        known.append(np.maximum(np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6), _EXACT) ** -2.0)
+    prior.payload_information = known
+    return prior
+
+
 def _recorded(rig: Rig, log: Log) -> tuple[_core.RecordedLog, NDArray[np.int64]]:
     """The streams of one log, each on the rows where it has samples, and the rows of the sensor."""
     if log.twist is None:
@@ -145,8 +206,8 @@ def _recorded(rig: Rig, log: Log) -> tuple[_core.RecordedLog, NDArray[np.int64]]
     spec = rig.payloads[log.payload]
     recorded = _core.RecordedLog()
     recorded.payload = core_payload(spec)
-    if rig.motion.of == "sensor":
-        recorded.shift = _core.twist_shift(spec.center_of_mass_array)  # from the sensor to the centre of mass
+    if rig.motion.of == "com":
+        recorded.point = spec.center_of_mass_array
     time = log.time
     moving = np.isfinite(log.twist).any(axis=1)
     recorded.add_motion(0, time[moving], np.ascontiguousarray(log.twist[moving]), rig.motion.noise_array)
@@ -155,23 +216,16 @@ def _recorded(rig: Rig, log: Log) -> tuple[_core.RecordedLog, NDArray[np.int64]]
         known = np.isfinite(log.acceleration).any(axis=1)
         recorded.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
     rows = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
-    gravity = None
     if log.gravity is not None:
-        gravity, known = _gravity(log, time[rows])
-        rows, gravity = rows[known], np.ascontiguousarray(gravity[known])
+        known = np.isfinite(log.gravity).all(axis=1)
+        if np.count_nonzero(known) < 2:
+            found = f"{np.count_nonzero(known)} complete rows"
+            raise InputError.at(log.path, "gx gy gz", found, "at least 2")
+        recorded.set_gravity(time[known], np.ascontiguousarray(log.gravity[known]))
+        # gravity is interpolated, never extrapolated
+        first, last = time[known][[0, -1]]
+        rows = rows[(time[rows] >= first) & (time[rows] <= last)]
     elif rig.in_gravity:
         raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
-    recorded.set_wrench(time[rows], np.ascontiguousarray(log.raw[rows]), gravity)
+    recorded.set_wrench(time[rows], np.ascontiguousarray(log.raw[rows]))
     return recorded, rows
-
-
-def _gravity(log: Log, at: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Gravity (N, 3) at the sensor's times, interpolated between its own, and where it is known."""
-    assert log.gravity is not None
-    rows = np.isfinite(log.gravity).all(axis=1)
-    t, g = log.time[rows], log.gravity[rows]
-    if t.size < 2:
-        raise InputError.at(log.path, "gx gy gz", f"{t.size} complete rows", "at least 2")
-    known = (at >= t[0]) & (at <= t[-1])
-    values = np.asarray(PchipInterpolator(t, g, axis=0)(np.clip(at, t[0], t[-1])))
-    return values, known
