@@ -81,6 +81,9 @@ class Estimator {
     std::vector<InformationSum> coarse, fine;
     out.converged = sequence(out, items, coarse, fine);
     conclude(out, coarse, fine);
+    // Windows linearised at different gains disagree about which change of the gain a change of the payload
+    // undoes, and together would claim to know the payload: all of them are taken to the final gain.
+    if (prior_.layout.payload && out.status == Status::ok) settle(out, items, coarse, fine);
     if (out.status == Status::ok) out.window_dependence = doubled(items, out.posterior);
     return out;
   }
@@ -129,6 +132,18 @@ class Estimator {
     return motion > kActive && w.wrench.second - w.wrench.first > kActive;
   }
 
+  // The common parameters on all windows with their knots held, and the verdict on every window there.
+  void settle(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
+              std::vector<InformationSum>& fine) {
+    out.converged = iterate(items, out, coarse);
+    if (out.status != Status::ok) return;
+    review(items, out.posterior.mean);
+    sum(items, coarse, fine);
+    conclude(out, coarse, fine);
+    out.windows.clear();
+    for (const Item& i : items) out.windows.push_back(report(i.log, i.range, i.fit));
+  }
+
   // `map` on windows of about so many knot intervals: knots at the gain of the pass before, then the gain on all of
   // them; once more where the gain has moved; and finer knots while the data ask for them.
   void share(Estimate& out, std::vector<Item>& items, const std::vector<double>& spacing, int intervals) {
@@ -137,13 +152,7 @@ class Estimator {
     for (int round = 0; round < settings_.max_rounds; ++round) {
       const std::vector<Eigen::VectorXd> before = out.posterior.mean;
       if (search_again) items = lay_out(spacing, intervals, out.posterior);
-      out.converged = iterate(items, out, coarse);
-      if (out.status != Status::ok) return;
-      review(items, out.posterior.mean);
-      sum(items, coarse, fine);
-      conclude(out, coarse, fine);
-      out.windows.clear();
-      for (const Item& i : items) out.windows.push_back(report(i.log, i.range, i.fit));
+      settle(out, items, coarse, fine);
       if (out.status != Status::ok) return;
       search_again = round == 0 && moved(before, out.posterior) > 0.1;
       if (search_again) continue;
@@ -209,6 +218,7 @@ class Estimator {
           items.push_back({l, window, {}});
           items.back().fit.status = fit.status;
           items.back().fit.spline = std::move(fit.spline);
+          items.back().fit.x = std::move(fit.x);
           may_extend = true;
           t = stop;
         }
