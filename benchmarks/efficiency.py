@@ -16,6 +16,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before Nu
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import re
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -131,8 +132,8 @@ def report(name: str, cell: tuple[float, float], drawn: list[Drawn], window: flo
         cells = [
             f"{cell[0]:g}, {cell[1]:g}",
             shown,
-            *(f"{value:.5f}" for value in (rms, bound, oracle)),
-            f"{rms / bound:.3f}",
+            *(f"{value:.5f}" if np.isfinite(value) else "-" for value in (rms, bound, oracle)),
+            f"{rms / bound:.3f}" if np.isfinite(bound) else "-",
             f"{nees.mean():.3g}",
             f"{honest} [{low:.2f}, {high:.2f}]",
             f"{nees.max():.3g}",
@@ -142,7 +143,7 @@ def report(name: str, cell: tuple[float, float], drawn: list[Drawn], window: flo
         print("| " + " | ".join(cells) + " |", flush=True)
     for label, outcomes in columns.items():
         if label.split(",")[0] in ("map", "online"):
-            reasons = Counter(reason.split(":")[0] for o in outcomes for reason in o.reasons)
+            reasons = Counter(re.split(r"[:(]", reason)[0].strip() for o in outcomes for reason in o.reasons)
             for reason, count in reasons.most_common(3):
                 print(f"<!-- {label}: {count} of {len(outcomes)}: {reason} -->")
 

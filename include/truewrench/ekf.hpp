@@ -75,10 +75,10 @@ class Ekf {
 
   // `payload` and `settings` are valid: see check().
   Ekf(const Payload& payload, const EkfSettings& settings)
-      : payload_(payload),
+      : jacobian_acceleration_(static_cast<double>(settings.feels) * wrench_jacobian_acceleration(payload)),
         settings_(settings),
         sign_(static_cast<double>(settings.feels)),
-        jacobian_acceleration_(sign_ * wrench_jacobian_acceleration(payload)) {
+        payload_(payload) {
     std::memset(p_, 0, sizeof p_);
     std::memset(x_, 0, sizeof x_);
     constexpr int parameters = size - first_gain;
@@ -294,15 +294,15 @@ class Ekf {
     block.store(&p_[i][j], stride);
   }
 
-  alignas(64) double p_[stride][stride];
-  alignas(64) double w_[12][stride];
   alignas(64) double x_[stride];
-  double z_[12];
+  alignas(64) double w_[12][stride];
+  alignas(64) double p_[stride][stride];
+  Matrix6 jacobian_acceleration_;
   EkfUpdate last_;
-  Payload payload_;
   EkfSettings settings_;
   double sign_;
-  Matrix6 jacobian_acceleration_;
+  double z_[12];
+  Payload payload_;
 };
 
 }  // namespace truewrench

@@ -47,7 +47,7 @@ from truewrench.trajectory import (
     rotation_matrix,
 )
 
-__all__ = ["NOISE", "Comparison", "Result", "compare", "run"]
+__all__ = ["NOISE", "Comparison", "Result", "compare", "run", "simulate_case"]
 
 Array = NDArray[np.float64]
 
@@ -151,13 +151,18 @@ def run(output: Path, seed: int = 0, progress: Callable[[str], None] | None = No
     return {"outputs": [str(file) for file in files], "figures": facts, "text": text}
 
 
-def compare(name: str, motion: WrenchMotion, seed: int) -> Comparison:
-    """Simulate one run in a noise setting of `NOISE` and estimate its gain in every way."""
-    sf, sv = NOISE[name]
+def simulate_case(name: str, motion: WrenchMotion, seed: int) -> tuple[Rig, SimulatedRun]:
+    """One run in a noise setting of `NOISE`, with a random gain at the distance `START` from the identity."""
     departure = np.random.default_rng([seed, 2]).standard_normal((6, 6))
     gain = np.eye(6) + START * departure / np.linalg.norm(departure, np.inf)
-    rig = _rig(sf, sv, gain, seed)
-    simulated = simulate(rig, motion)
+    rig = _rig(*NOISE[name], gain, seed)
+    return rig, simulate(rig, motion)
+
+
+def compare(name: str, motion: WrenchMotion, seed: int) -> Comparison:
+    """Simulate one run in a noise setting of `NOISE` and estimate its gain in every way."""
+    rig, simulated = simulate_case(name, motion, seed)
+    gain = simulated.truth.gain
     logs = [simulated.log]
     results = {"ekf": _tuned_filter(simulated, rig, product(LINEAR_DENSITIES, ANGULAR_DENSITIES))}
     results["ekf_one_density"] = _tuned_filter(simulated, rig, [(q, q) for q in LINEAR_DENSITIES])
@@ -169,7 +174,7 @@ def compare(name: str, motion: WrenchMotion, seed: int) -> Comparison:
     plain, spline = least_squares(rig, logs), least_squares(rig, logs, smooth="spline")
     results["ls"] = _result("least squares, plain differences", plain.gain, plain.covariance, gain)
     results["ls_spline"] = _result("least squares, spline", spline.gain, spline.covariance, gain)
-    return Comparison(name, sf, sv, rig, simulated, bound(rig, logs, gain).rms, results)
+    return Comparison(name, *NOISE[name], rig, simulated, bound(rig, logs, gain).rms, results)
 
 
 def _rig(sf: float, sv: float, gain: Array, seed: int) -> Rig:

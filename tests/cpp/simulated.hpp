@@ -1,7 +1,7 @@
 // Logs of a known motion for the tests of the engine; their wrench is the oracle's.
 #pragma once
 
-#include "truewrench/estimator.hpp"
+#include "truewrench/knots.hpp"
 
 #include "oracles.hpp"
 

@@ -1,0 +1,314 @@
+"""From rig and logs to a calibration, in Python and through the command."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+import yaml
+
+import truewrench as tw
+from truewrench.calibration import AXES, Calibration, load_calibration
+from truewrench.cli import main
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.log import Log
+from truewrench.pipeline import calibrate
+from truewrench.rig import Rig
+from truewrench.simulate import SimulatedRun, simulate
+
+EXACT = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+
+
+def settings_of(**changes: Any) -> dict[str, Any]:
+    inertia = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
+    settings: dict[str, Any] = {
+        "sensor": {
+            "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+            "feels": "payload_on_sensor",
+            "noise": [0.5, 0.5, 0.5, 0.05, 0.05, 0.05],
+            "range": [500, 500, 500, 50, 50, 50],
+            "gain_prior": 0.1,
+            "time_offset_prior": 0,
+        },
+        "payloads": {
+            "default": {"mass": 50, "center_of_mass": [0.2, 0, 0], "inertia": inertia, "uncertainty": EXACT},
+            "small": {"mass": 20, "center_of_mass": [0, 0.1, 0.1], "inertia": inertia, "uncertainty": EXACT},
+        },
+        "motion": {"of": "com", "noise": [1e-3] * 6},
+        "plan": {"duration": 12},
+    }
+    for section, values in changes.items():
+        settings[section] = {**settings.get(section, {}), **values} if isinstance(values, dict) else values
+    return settings
+
+
+def rig_of(**changes: Any) -> Rig:
+    return Rig.from_mapping(settings_of(**changes))
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return rig_of()
+
+
+@pytest.fixture(scope="module")
+def run(rig: Rig) -> SimulatedRun:
+    return simulate(rig, seed=1)
+
+
+@pytest.fixture(scope="module")
+def result(rig: Rig, run: SimulatedRun) -> Calibration:
+    return calibrate(rig, run.log)
+
+
+def test_a_good_log_is_calibrated_and_usable(rig: Rig, run: SimulatedRun, result: Calibration) -> None:
+    assert result.verdict.usable
+    assert result.verdict.reasons == ()
+    assert result.estimator == "map"
+    assert np.abs((result.gain - run.truth.gain) / result.gain_std).max() < 4.5
+    assert np.abs((result.offset - run.truth.offset) / result.offset_std).max() < 4.5
+    assert datetime.fromisoformat(result.created).tzinfo is not None
+
+
+def test_corrected_readings_are_the_true_wrench(rig: Rig, run: SimulatedRun, result: Calibration) -> None:
+    """A load that the calibration never saw, read by the true sensor without noise."""
+    wrench = np.array([[100.0, -200.0, 300.0, 5.0, -10.0, 20.0]])
+    found = result.wrench(wrench @ run.truth.gain.T + run.truth.offset)
+    nominal = np.linalg.norm((wrench @ run.truth.gain.T - wrench) / rig.sensor.range_array)
+    assert np.linalg.norm((found - wrench) / rig.sensor.range_array) < 0.1 * nominal
+
+
+def test_covariance_holds_the_stated_sigma(result: Calibration) -> None:
+    assert result.covariance.shape == (42, 42)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)[:36]).reshape(6, 6), result.gain_std)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)[36:]), result.offset_std)
+    np.testing.assert_allclose(result.covariance, result.covariance.T)
+    correlation = result.covariance / np.outer(*[np.sqrt(np.diag(result.covariance))] * 2)
+    assert np.linalg.eigvalsh(correlation).min() > 0.0
+
+
+def test_inverse_undoes_the_gain(result: Calibration) -> None:
+    np.testing.assert_allclose(result.inverse @ result.gain, np.eye(6), atol=1e-9)
+
+
+def test_knowing_the_motion_could_only_have_helped(result: Calibration) -> None:
+    assert result.bound is not None
+    assert 0.0 < result.bound.oracle_rms < result.bound.rms
+    # From the noise-free motion itself: sigma_i^2 (W^T W)^-1, a little above it for the offset.
+    assert result.bound.rms < 0.1
+
+
+def test_oracle_bound_is_that_of_regression_on_the_true_wrench() -> None:
+    rig = rig_of(
+        sensor={"offset_prior": 0, "gain_prior": 1.0}, simulate={"gain": "nominal", "offset": "none"}
+    )
+    run = simulate(rig, seed=3)
+    quiet = rig_of(
+        sensor={"noise": [1e-9] * 6, "offset_prior": 0}, simulate={"gain": "nominal", "offset": "none"}
+    )
+    wrench = simulate(quiet, seed=3).log.raw / rig.sensor.range_array  # C = I: the sensor reads the wrench
+    information = wrench.T @ wrench
+    variance = np.mean([
+        np.diag(np.linalg.inv(information / (noise / span) ** 2 + np.eye(6))).mean()
+        for noise, span in zip(rig.sensor.noise_array, rig.sensor.range_array, strict=True)
+    ])  # fmt: skip
+    result = calibrate(rig, run.log)
+    assert result.bound is not None
+    assert result.bound.oracle_rms == pytest.approx(np.sqrt(variance), rel=0.02)
+
+
+def test_improvement_says_what_the_new_gain_is_worth_per_axis(rig: Rig, result: Calibration) -> None:
+    assert tuple(result.improvement) == AXES
+    for axis, noise in zip(AXES, rig.sensor.noise_array, strict=True):
+        found = result.improvement[axis]
+        assert found.better is True
+        assert not found.held_out
+        assert found.new < 0.5 * found.nominal
+        assert 0.7 * noise < found.new < 1.5 * noise  # what is left is the sensor's noise
+
+
+def test_a_gain_that_was_right_all_along_is_not_called_worse() -> None:
+    rig = rig_of(simulate={"gain": "nominal"})
+    result = calibrate(rig, simulate(rig, seed=4).log)
+    assert all(found.better is not False for found in result.improvement.values())
+    assert any(found.better == "unsure" for found in result.improvement.values())
+
+
+@pytest.mark.parametrize("estimator", ["map", "online"])
+def test_pooled_logs_are_reported_one_by_one(estimator: Literal["map", "online"], rig: Rig) -> None:
+    first = simulate(rig, seed=5)
+    same = rig_of(simulate={"gain": first.truth.gain.tolist()})
+    second = simulate(same, seed=6, payload="small")
+    cut = replace(second.log, dropped_rows=3, nan_counts={"vx": 2})
+    result = calibrate(rig, [first.log, cut], estimator)
+    assert result.estimator == estimator
+    assert [report.payload for report in result.logs] == ["default", "small"]
+    for report, run in zip(result.logs, [first, second], strict=True):
+        assert report.used == 1200
+        assert not report.rejected
+        assert np.abs((report.offset - run.truth.offset) / report.offset_std).max() < 4.5
+    np.testing.assert_array_equal(result.offset, result.logs[-1].offset)
+    assert (result.logs[1].dropped_rows, result.logs[1].nan_counts) == (3, {"vx": 2})
+
+
+def test_every_sample_is_used_or_accounted_for(rig: Rig, run: SimulatedRun) -> None:
+    raw, twist = run.log.raw.copy(), np.array(run.log.twist)
+    raw[:50] = np.nan  # the sensor starts late
+    twist[1100:] = np.nan  # the motion ends early
+    raw[500:560] += 40.0 * np.random.default_rng(0).normal(size=(60, 6))
+    result = calibrate(rig, replace(run.log, raw=raw, twist=twist))
+    (report,) = result.logs
+    assert report.used + sum(report.rejected.values()) == 1150
+    assert report.rejected["outside every window"] == pytest.approx(100, abs=2)
+    assert report.rejected["misfit"] > 0
+    assert not result.verdict.usable
+
+
+def test_one_log_alone_is_a_list_of_one(rig: Rig, run: SimulatedRun, result: Calibration) -> None:
+    again = calibrate(rig, [run.log], threads=1)
+    np.testing.assert_array_equal(again.gain, result.gain)
+    np.testing.assert_array_equal(again.covariance, result.covariance)
+
+
+def test_progress_names_the_phases(rig: Rig, run: SimulatedRun) -> None:
+    phases: list[str] = []
+    calibrate(rig, run.log, "online", progress=lambda phase, share: phases.append(phase))
+    assert phases[0] == "estimating (online)"
+    assert len(phases) > 1
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "ls"])
+def test_references_give_a_gain_that_is_not_to_be_used(
+    estimator: Literal["ekf", "ls"], rig: Rig, run: SimulatedRun
+) -> None:
+    result = calibrate(rig, run.log, estimator)
+    assert not result.verdict.usable
+    assert result.verdict.reasons[0] == "reference estimator"
+    assert result.gain.shape == (6, 6)
+    assert result.estimator == estimator
+
+
+def test_calibration_file_keeps_everything(result: Calibration, tmp_path: Path) -> None:
+    target = tmp_path / "calibration.yaml"
+    result.write_yaml(target)
+    back = load_calibration(target)
+    for name in ("gain", "gain_std", "offset", "offset_std", "inverse", "covariance"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(result, name))
+    assert back.verdict.usable == result.verdict.usable
+    assert back.improvement == result.improvement
+    assert back.bound == result.bound
+    content = yaml.safe_load(target.read_text(encoding="utf-8"))
+    assert content["format"] == "truewrench/1"
+    fields = (
+        "gain gain_std offset offset_std offset_temperature time_offset time_offset_std inverse covariance "
+        "payload_posterior logs verdict improvement bound rig estimator version created"
+    )
+    assert set(fields.split()) <= set(content)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"sensor": {"lowpass_hz": 100.0}}, "sensor.lowpass_hz"),
+        ({"temperature": {"prior": 1e-3}}, "temperature.prior"),
+        ({"reference_noise": [1.0] * 6}, "reference_noise"),
+    ],
+)
+def test_what_is_not_supported_is_refused(changes: dict[str, Any], key: str, run: SimulatedRun) -> None:
+    with pytest.raises(UnsupportedError, match=key):
+        calibrate(rig_of(**changes), run.log)
+
+
+def test_options_of_other_estimators_are_refused(rig: Rig, run: SimulatedRun) -> None:
+    with pytest.raises(UnsupportedError, match="published"):
+        calibrate(rig, run.log, "map", published=True)
+    with pytest.raises(UnsupportedError, match="smooth"):
+        calibrate(rig, run.log, "online", smooth="spline")
+    with pytest.raises(UnsupportedError, match="window"):
+        calibrate(rig, run.log, "ls", window=2.0)
+
+
+def test_no_log_is_refused(rig: Rig) -> None:
+    with pytest.raises(InputError, match="at least one"):
+        calibrate(rig, [])
+
+
+def test_public_function_is_the_pipeline(rig: Rig, run: SimulatedRun, result: Calibration) -> None:
+    np.testing.assert_array_equal(tw.calibrate(rig, run.log).gain, result.gain)
+
+
+def through_command(
+    capsys: pytest.CaptureFixture[str], settings: dict[str, Any], run: SimulatedRun, folder: Path,
+    options: Sequence[str] = (),
+) -> tuple[int, dict[str, Any]]:  # fmt: skip
+    (folder / "rig.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
+    log, _ = run.write(folder / "run.csv")
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as left:
+        main(["calibrate", str(folder / "rig.yaml"), str(log), "-o", str(folder / "out"), "--json", *options])
+    assert isinstance(left.value.code, int)
+    return left.value.code, json.loads(capsys.readouterr().out)
+
+
+def test_command_with_a_good_log_leaves_with_0(
+    capsys: pytest.CaptureFixture[str], run: SimulatedRun, result: Calibration, tmp_path: Path
+) -> None:
+    status, said = through_command(capsys, settings_of(), run, tmp_path)
+    assert status == 0
+    assert said["verdict"]["usable"] is True
+    calibration = load_calibration(tmp_path / "out" / "calibration.yaml")
+    np.testing.assert_allclose(calibration.gain, result.gain, rtol=1e-9, atol=1e-12)
+    assert len(calibration.logs[0].sha256) == 64
+
+
+def test_command_with_a_poor_log_writes_and_leaves_with_3(
+    capsys: pytest.CaptureFixture[str], run: SimulatedRun, tmp_path: Path
+) -> None:
+    noise = {"noise": [0.2, 0.2, 0.2, 0.02, 0.02, 0.02]}
+    status, said = through_command(capsys, settings_of(sensor=noise), run, tmp_path)
+    assert status == 3
+    assert said["verdict"]["usable"] is False
+    assert "noise stated too small" in said["verdict"]["reasons"][0]
+    assert not load_calibration(tmp_path / "out" / "calibration.yaml").verdict.usable
+
+
+def test_command_with_a_log_of_another_rig_leaves_with_2_and_writes_nothing(
+    capsys: pytest.CaptureFixture[str], run: SimulatedRun, tmp_path: Path
+) -> None:
+    status, _ = through_command(capsys, settings_of(gravity=[0, 0, -9.81]), run, tmp_path)
+    assert status == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_command_pools_logs_of_other_payloads(
+    capsys: pytest.CaptureFixture[str], rig: Rig, run: SimulatedRun, tmp_path: Path
+) -> None:
+    same = rig_of(simulate={"gain": run.truth.gain.tolist()})
+    other, _ = simulate(same, seed=7, payload="small").write(tmp_path / "other.parquet")
+    settings = settings_of()
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
+    log, _ = run.write(tmp_path / "run.csv")
+    words = ["calibrate", tmp_path / "rig.yaml", f"{log}@default", f"{other}@small", "-o", tmp_path / "out"]
+    with pytest.raises(SystemExit) as left:
+        main([str(word) for word in words])
+    assert left.value.code == 0
+    calibration = load_calibration(tmp_path / "out" / "calibration.yaml")
+    assert [report.payload for report in calibration.logs] == ["default", "small"]
+    assert np.abs((calibration.gain - run.truth.gain) / calibration.gain_std).max() < 4.5
+
+
+def test_empty_cells_of_a_written_log_are_no_samples(tmp_path: Path) -> None:
+    """A sensor four times as fast as the motion, through a CSV file and back."""
+    rig = rig_of(simulate={"rate": 100, "sensor_rate": 400}, plan={"duration": 6})
+    run = simulate(rig, seed=8)
+    path, _ = run.write(tmp_path / "run.csv")
+    log: Log = tw.read_log(path, rig)
+    result, direct = calibrate(rig, log), calibrate(rig, run.log)
+    np.testing.assert_allclose(result.gain, direct.gain, rtol=1e-7, atol=1e-9)
+    assert result.logs[0].used == 2400 - 3  # the last three lie behind the last sample of the motion
