@@ -1,5 +1,5 @@
-// The common parameters of several logs: one gain for all, an offset for each (or one for all), and how what the
-// windows leave on them adds up (docs/method.md, "Common parameters").
+// The common parameters of several logs: one gain for all, an offset for each (or one for all), and how what
+// the windows leave on them adds up (docs/method.md, "Common parameters").
 #pragma once
 
 #include "truewrench/knots.hpp"
@@ -88,9 +88,9 @@ inline Posterior combine(const CommonPrior& prior, const std::vector<Information
   return out;
 }
 
-// Two estimates of the same gain, `coarse` the efficient one and `fine` with fewer assumptions on the motion: the
-// standard normal deviate of d^T (P_fine - P_coarse)^+ d over the directions in which the finer one gives up more
-// than 1% of the variance (Hausman's test, docs/method.md).
+// Two estimates of the same gain, `coarse` the efficient one and `fine` with fewer assumptions on the motion:
+// the standard normal deviate of d^T (P_fine - P_coarse)^+ d over the directions in which the finer one gives
+// up more than 1% of the variance (Hausman's test, docs/method.md).
 inline double disagreement(const Posterior& coarse, const Posterior& fine, int gains) {
   const Eigen::MatrixXd pc = coarse.covariance.back().topLeftCorner(gains, gains);
   const Eigen::MatrixXd pf = fine.covariance.back().topLeftCorner(gains, gains);

@@ -1,7 +1,8 @@
 // The two estimators over windows of motion (docs/method.md, "Online and map").
 //
 // `online`: windows in sequence; each is solved jointly with the gain under what the ones before left.
-// `map`:    all windows share one gain; given it they are independent, and only their small matrices are added.
+// `map`:    all windows share one gain; given it they are independent, and only their small matrices are
+// added.
 #pragma once
 
 #include "truewrench/common.hpp"
@@ -17,16 +18,16 @@ namespace truewrench {
 
 struct EstimatorSettings {
   KnotSettings knots;
-  double window = 1.0;           // shortest window of `online` [s]; doubled while a window has fewer knot
-  int window_intervals = 4;      // intervals than this
-  int map_window_intervals = 64; // knot intervals of a window of `map`, about
-  double gap_periods = 5.0;      // no window spans a longer gap
-  double dependence_sigma = 3.1; // the gain must not depend on knots or windows by more than this (99.9%)
-  double few_samples = 10.0;     // below so many samples per coefficient, doubled windows are tried as well
+  double window = 1.0;            // shortest window of `online` [s]; doubled while a window has fewer knot
+  int window_intervals = 4;       // intervals than this
+  int map_window_intervals = 64;  // knot intervals of a window of `map`, about
+  double gap_periods = 5.0;       // no window spans a longer gap
+  double dependence_sigma = 3.1;  // the gain must not depend on knots or windows by more than this (99.9%)
+  double few_samples = 10.0;      // below so many samples per coefficient, doubled windows are tried as well
   int max_rounds = 6;
   int max_iterations = 25;
-  double tolerance = 1e-9;       // last Gauss-Newton decrement of the common parameters
-  int threads = 0;               // 0: all
+  double tolerance = 1e-9;  // last Gauss-Newton decrement of the common parameters
+  int threads = 0;          // 0: all
 };
 
 struct WindowReport {
@@ -44,18 +45,18 @@ struct WindowReport {
 
 struct HistoryEntry {
   int log = 0;
-  double time = 0.0;       // end of the window [s]
-  Eigen::VectorXd mean;    // [gain, offset], normalised
+  double time = 0.0;     // end of the window [s]
+  Eigen::VectorXd mean;  // [gain, offset], normalised
   Eigen::VectorXd sigma;
 };
 
 struct Estimate {
   Status status = Status::ok;
   bool converged = false;
-  Posterior posterior;               // normalised
+  Posterior posterior;  // normalised
   std::vector<WindowReport> windows;
   std::vector<HistoryEntry> history;  // `online`: after every window
-  std::vector<RowMatrix> wrench;      // per log: the payload's wrench at the sensor's samples, NaN where no window
+  std::vector<RowMatrix> wrench;      // per log, at the sensor's samples, NaN where no window fits
   double knot_dependence = 0.0;       // deviate of the gain against that of halved knots
   double window_dependence = 0.0;     // and against that of doubled windows, where there are few samples
   int iterations = 0;
@@ -97,7 +98,9 @@ class Estimator {
       share(out, items, spacing, intervals);
       if (out.status != Status::ok) break;
       out.window_dependence = doubled(items, out.posterior);
-      if (out.window_dependence < settings_.dependence_sigma || intervals >= 8 * settings_.map_window_intervals) break;
+      if (out.window_dependence < settings_.dependence_sigma ||
+          intervals >= 8 * settings_.map_window_intervals)
+        break;
     }
     predict(items, out);
     return out;
@@ -166,8 +169,10 @@ class Estimator {
   static WindowRange range(const LogData& log, double begin, double end, bool closed) {
     const auto within = [&](std::span<const double> t) {
       const auto first = std::lower_bound(t.begin(), t.end(), begin);
-      const auto last = closed ? std::upper_bound(first, t.end(), end) : std::lower_bound(first, t.end(), end);
-      return std::pair(static_cast<std::size_t>(first - t.begin()), static_cast<std::size_t>(last - t.begin()));
+      const auto last =
+          closed ? std::upper_bound(first, t.end(), end) : std::lower_bound(first, t.end(), end);
+      return std::pair(static_cast<std::size_t>(first - t.begin()),
+                       static_cast<std::size_t>(last - t.begin()));
     };
     WindowRange w;
     w.begin = begin;
@@ -183,8 +188,8 @@ class Estimator {
     return motion > kActive && w.wrench.second - w.wrench.first > kActive;
   }
 
-  // `map` on windows of about so many knot intervals: knots at the gain of the pass before, then the gain on all of
-  // them; once more where the gain has moved; and finer knots while the data ask for them.
+  // `map` on windows of about so many knot intervals: knots at the gain of the pass before, then the gain on
+  // all of them; once more where the gain has moved; and finer knots while the data ask for them.
   void share(Estimate& out, std::vector<Item>& items, const std::vector<double>& spacing, int intervals) {
     std::vector<InformationSum> coarse, fine;
     bool search_again = true;
@@ -229,8 +234,8 @@ class Estimator {
           WindowFit fit;
           if (enough_samples(window)) {
             const int start = spacing > 0.0 ? static_cast<int>((stop - t) / (2.0 * spacing)) : 1;
-            fit = solver.search(window, BSpline(BSpline::uniform(t, stop, std::max(1, start))), prior.mean, &prior,
-                                finest_[l]);
+            fit = solver.search(window, BSpline(BSpline::uniform(t, stop, std::max(1, start))), prior.mean,
+                                &prior, finest_[l]);
           }
           const bool fitted = fit.status == WindowStatus::fitted;
           // Motion that is slow for the window: a longer one determines it better.
@@ -278,15 +283,16 @@ class Estimator {
     Eigen::MatrixXd a = last.information.topLeftCorner(shared, shared);
     if (own > 0) {
       a -= last.information.topRightCorner(shared, own) *
-           last.information.bottomRightCorner(own, own).llt().solve(last.information.bottomLeftCorner(own, shared));
+           last.information.bottomRightCorner(own, own).llt().solve(
+               last.information.bottomLeftCorner(own, shared));
     }
     next.information.topLeftCorner(shared, shared) = a;
     return next;
   }
 
   static HistoryEntry history(std::size_t log, double time, const Prior& posterior) {
-    const Eigen::MatrixXd p =
-        posterior.information.llt().solve(Eigen::MatrixXd::Identity(posterior.mean.size(), posterior.mean.size()));
+    const Eigen::MatrixXd p = posterior.information.llt().solve(
+        Eigen::MatrixXd::Identity(posterior.mean.size(), posterior.mean.size()));
     return {static_cast<int>(log), time, posterior.mean, p.diagonal().cwiseMax(0.0).cwiseSqrt()};
   }
 
@@ -320,8 +326,8 @@ class Estimator {
     return out;
   }
 
-  // Windows of `map` with their knots, searched at a given gain. A window that does not fit is cut in two, down to
-  // the length of a window of `online`, so that a disturbance costs only its surroundings.
+  // Windows of `map` with their knots, searched at a given gain. A window that does not fit is cut in two,
+  // down to the length of a window of `online`, so that a disturbance costs only its surroundings.
   std::vector<Item> lay_out(const std::vector<double>& spacing, int intervals,
                             const std::vector<Eigen::VectorXd>& theta) const {
     std::vector<Item> items;
@@ -351,7 +357,8 @@ class Estimator {
     if (enough_samples(w)) {
       const int start = std::max(1, static_cast<int>(length / (4.0 * spacing)));
       WindowSolver<N> solver(models_[item.log], settings_.knots);
-      item.fit = solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, start)), theta, nullptr, finest_[item.log]);
+      item.fit = solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, start)), theta, nullptr,
+                               finest_[item.log]);
       if (item.fit.status != WindowStatus::fitted && length >= 2.0 * settings_.window) {
         const double middle = 0.5 * (w.begin + w.end);
         const bool closed = w.wrench.second == range(logs_[item.log], w.begin, w.end, true).wrench.second;
@@ -451,9 +458,9 @@ class Estimator {
     return settings_.knots.samples_per_coefficient * narrowest / finest_[log];
   }
 
-  // Deviate of the gain against that of neighbouring windows joined in pairs on the same knots, which have fewer
-  // coefficients and less noise in the motion. Asked where windows have few samples per coefficient, for there the
-  // residuals cannot show that the noise of the inferred motion passes for excitation.
+  // Deviate of the gain against that of neighbouring windows joined in pairs on the same knots, which have
+  // fewer coefficients and less noise in the motion. Asked where windows have few samples per coefficient,
+  // for there the residuals cannot show that the noise of the inferred motion passes for excitation.
   double doubled(const std::vector<Item>& items, const Posterior& posterior) const {
     struct Pair {
       const Item* first;

@@ -1,9 +1,10 @@
-// One window solved: Gauss-Newton on (motion, common parameters), and the search for the coarsest knots that the
-// data accept (docs/method.md, "Knots").
+// One window solved: Gauss-Newton on (motion, common parameters), and the search for the coarsest knots that
+// the data accept (docs/method.md, "Knots").
 //
-// Coarse to fine. At every spacing two questions are asked of each interval: are the residuals of every stream
-// as large as their noise says, and would halving the interval lower the cost by more than chance (the score
-// test of the nested, finer spline: one linearisation, no second fit)? An interval that fails is halved.
+// Coarse to fine. At every spacing two questions are asked of each interval: are the residuals of every
+// stream as large as their noise says, and would halving the interval lower the cost by more than chance (the
+// score test of the nested, finer spline: one linearisation, no second fit)? An interval that fails is
+// halved.
 #pragma once
 
 #include "truewrench/window.hpp"
@@ -15,34 +16,34 @@
 namespace truewrench {
 
 struct KnotSettings {
-  int blocks_per_interval = 12;         // samples of an interval are averaged into this many blocks, if it has more
-  double samples_per_coefficient = 2;   // the finest spacing, in periods of the slower stream
-  double interval_sigma = 4;            // an interval is halved when its score test exceeds its mean by this much,
-  double window_sigma = 3;              // all that exceed their mean, when the window's sum exceeds its own by this
-  double residual_sigma = 5;            // or when a stream's residuals on it exceed their noise by this
-  double reject_sigma = 5;              // a window is rejected when a stream's residuals exceed their noise by this
+  int blocks_per_interval = 12;  // samples of an interval are averaged into this many blocks, if it has more
+  double samples_per_coefficient = 2;  // the finest spacing, in periods of the slower stream
+  double interval_sigma = 4;  // an interval is halved when its score test exceeds its mean by this much,
+  double window_sigma = 3;    // all that exceed their mean, when the window's sum exceeds its own by this
+  double residual_sigma = 5;  // or when a stream's residuals on it exceed their noise by this
+  double reject_sigma = 5;    // a window is rejected when a stream's residuals exceed their noise by this
   int max_iterations = 12;
-  double tolerance = 1e-3;              // remaining decrease of the cost (chi-square units) that counts as converged
+  double tolerance = 1e-3;  // remaining decrease of the cost (chi-square units) that counts as converged
   int max_levels = 30;
 };
 
 enum class WindowStatus : std::uint8_t {
   fitted,
-  too_short,             // fewer samples than coefficients of the coarsest spline
-  motion_undetermined,   // the streams present do not determine the motion
+  too_short,            // fewer samples than coefficients of the coarsest spline
+  motion_undetermined,  // the streams present do not determine the motion
   not_converged,
-  misfit,                // residuals above their noise at every admissible spacing
-  unresolved,            // finer knots would still fit better, but the samples do not resolve them
+  misfit,      // residuals above their noise at every admissible spacing
+  unresolved,  // finer knots would still fit better, but the samples do not resolve them
 };
 
-// Groups of residuals that are judged apart: the sensor's forces and moments (or all channels, when there are not
-// six), and the motion's linear and angular parts.
+// Groups of residuals that are judged apart: the sensor's forces and moments (or all channels, when there are
+// not six), and the motion's linear and angular parts.
 enum Group : std::uint8_t { kForce, kMoment, kLinear, kAngular, kGroups };
 
 struct GroupStatistics {
   double sum_of_squares = 0.0;  // of residuals over their sigma
   double count = 0.0;
-  double leverage = 0.0;        // degrees of freedom that the motion took from this group
+  double leverage = 0.0;  // degrees of freedom that the motion took from this group
 
   double degrees_of_freedom() const { return count - leverage; }
 
@@ -95,7 +96,8 @@ struct WindowFit {
 template <int N>
 class WindowSolver {
  public:
-  WindowSolver(const WindowModel<N>& model, const KnotSettings& settings) : model_(model), settings_(settings) {}
+  WindowSolver(const WindowModel<N>& model, const KnotSettings& settings)
+      : model_(model), settings_(settings) {}
 
   // Searches knots from `start` on. With `prior` theta is solved for, else it is held.
   WindowFit search(const WindowRange& window, const BSpline& start, const Eigen::VectorXd& theta,
@@ -146,8 +148,8 @@ class WindowSolver {
                     });
   }
 
-  // Statistics of a converged fit: the score test of halved knots, residuals at every sample, leverage; and the
-  // verdict on the window.
+  // Statistics of a converged fit: the score test of halved knots, residuals at every sample, leverage; and
+  // the verdict on the window.
   void finish(WindowFit& fit, const WindowRange& window, const Prior* prior) {
     const Refinement r = test(fit, window, Terms::all, prior, true);
     fit.nested = r.nested;
@@ -220,7 +222,8 @@ class WindowSolver {
       double step = 1.0;
       for (; step > 1e-3; step *= 0.5) {
         const Coefficients x = fit.x + step * dx;
-        const Eigen::VectorXd theta = prior != nullptr ? Eigen::VectorXd(fit.theta + step * dtheta) : fit.theta;
+        const Eigen::VectorXd theta =
+            prior != nullptr ? Eigen::VectorXd(fit.theta + step * dtheta) : fit.theta;
         if (decrement < settings_.tolerance ||
             cost(x, theta) + prior_cost(theta, prior) < before - 1e-4 * step * decrement) {
           fit.x = x;
@@ -252,14 +255,15 @@ class WindowSolver {
     return sum;
   }
 
-  ChannelVector<N> predict(const WrenchBlock<N>& b, const Coefficients& x, const Eigen::VectorXd& theta) const {
+  ChannelVector<N> predict(const WrenchBlock<N>& b, const Coefficients& x,
+                           const Eigen::VectorXd& theta) const {
     const auto xi = x.middleRows<kActive>(b.interval);
-    return model_.predict(
-        theta, model_.wrench_at(xi.transpose() * b.basis, xi.transpose() * b.basis_rate, b.gravity, b.spread));
+    return model_.predict(theta, model_.wrench_at(xi.transpose() * b.basis, xi.transpose() * b.basis_rate,
+                                                  b.gravity, b.spread));
   }
 
-  // The score test of the spline with every interval halved. `keep`: leave its information in fit.finer and that
-  // of the present knots in fit.information.
+  // The score test of the spline with every interval halved. `keep`: leave its information in fit.finer and
+  // that of the present knots in fit.information.
   Refinement test(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior, bool keep) {
     Refinement out;
     out.residuals = residuals(fit, window, terms);
@@ -287,8 +291,7 @@ class WindowSolver {
     const Coefficients x_new = x + fine_normal_.motion_step(dtheta);
     const Eigen::VectorXd theta_new = prior != nullptr ? Eigen::VectorXd(fit.theta + dtheta) : fit.theta;
     for (const MotionBlock& b : fine_blocks_.motion) {
-      const Vector6 d =
-          (x_new - x).middleRows<kActive>(b.interval).transpose() * b.basis;
+      const Vector6 d = (x_new - x).middleRows<kActive>(b.interval).transpose() * b.basis;
       out.gain[static_cast<std::size_t>(b.interval / 2)] += b.weight.dot(d.cwiseAbs2());
     }
     if (terms == Terms::all) {
@@ -337,7 +340,8 @@ class WindowSolver {
                         const Vector6 s = series.order == 0 ? x * u : x * fit.spline.rate(i, u);
                         const Vector6 r =
                             (Eigen::Map<const Vector6>(series.value + 6 * k) - s).cwiseProduct(precision);
-                        for (int c = 0; c < 6; ++c) add(out[static_cast<std::size_t>(i)][motion_group(c)], r[c]);
+                        for (int c = 0; c < 6; ++c)
+                          add(out[static_cast<std::size_t>(i)][motion_group(c)], r[c]);
                       });
     }
     if (terms == Terms::motion) return out;
@@ -350,7 +354,8 @@ class WindowSolver {
                       const Vector6 w = model_.wrench_at(x * u, x * fit.spline.rate(i, u), model_.gravity(k));
                       const ChannelVector<N> r =
                           (model_.raw(k) - gain * w - offset).cwiseProduct(model_.precision());
-                      for (int c = 0; c < n; ++c) add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
+                      for (int c = 0; c < n; ++c)
+                        add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
                     });
     return out;
   }
@@ -401,7 +406,8 @@ class WindowSolver {
       for (int c = 0; c < n; ++c) {
         const auto jc = by_coordinate.row(c);
         const auto jr = by_rate.row(c);
-        const double variance = (jc * cc * jc.transpose() + 2.0 * jc * cr * jr.transpose() + jr * rr * jr.transpose())(0);
+        const double variance =
+            (jc * cc * jc.transpose() + 2.0 * jc * cr * jr.transpose() + jr * rr * jr.transpose())(0);
         fit.groups[wrench_group(c, n)].leverage += b.weight[c] * variance;
       }
     }

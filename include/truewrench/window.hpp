@@ -2,8 +2,8 @@
 // (spline coefficients, common parameters), and the Schur complement onto the common parameters
 // (docs/method.md, "Windows of motion").
 //
-// Everything here is normalised: wrenches by the sensor's range per axis, channels by their full scale, so the
-// gain has elements near one and no unit is mixed with another.
+// Everything here is normalised: wrenches by the sensor's range per axis, channels by their full scale, so
+// the gain has elements near one and no unit is mixed with another.
 #pragma once
 
 #include "truewrench/block_banded.hpp"
@@ -21,8 +21,9 @@
 
 namespace truewrench {
 
-inline constexpr int kCoordinates = 6;   // motion coordinates: the components of a twist
-inline constexpr int kMaxChannels = 32;  // storage bound when the number of channels is known only at run time
+inline constexpr int kCoordinates = 6;  // motion coordinates: the components of a twist
+inline constexpr int kMaxChannels =
+    32;  // storage bound when the number of channels is known only at run time
 
 template <int N>
 inline constexpr int kChannelStorage = N == Eigen::Dynamic ? kMaxChannels : N;
@@ -74,7 +75,8 @@ struct LogData {
   WrenchSeries wrench;
 };
 
-// What is known of the sensor beforehand. `wrench_scale` = sign / range turns w into normalised, signed units.
+// What is known of the sensor beforehand. `wrench_scale` = sign / range turns w into normalised, signed
+// units.
 template <int N>
 struct SensorScale {
   ChannelVector<N> channel;  // full scale per channel, raw units
@@ -104,9 +106,9 @@ struct MotionBlock {
 template <int N>
 struct WrenchBlock {
   int interval;
-  BasisRow basis;        // mean of the active basis functions
-  BasisRow basis_rate;   // and of their time derivatives
-  double spread;         // variance of the time stamps inside the block [s^2]
+  BasisRow basis;       // mean of the active basis functions
+  BasisRow basis_rate;  // and of their time derivatives
+  double spread;        // variance of the time stamps inside the block [s^2]
   Vector3 gravity;
   ChannelVector<N> raw;
   ChannelVector<N> weight;
@@ -130,8 +132,8 @@ class WindowModel {
     const Vector6 nu = log_.map.shift * s;
     const Vector6 a = log_.map.shift * ds;
     Vector6 w = wrench(log_.payload, nu, a, g);
-    // Mean over a block of a term quadratic in nu: its value at the mean plus its value at the slope times the
-    // spread of the time stamps.
+    // Mean over a block of a term quadratic in nu: its value at the mean plus its value at the slope times
+    // the spread of the time stamps.
     if (spread > 0.0) w += spread * wrench_quadratic(log_.payload, a);
     return w.cwiseProduct(sensor_.wrench_scale);
   }
@@ -155,9 +157,7 @@ class WindowModel {
     return sensor_.wrench_scale.asDiagonal() * wrench_jacobian_twist(log_.payload, log_.map.shift * s) *
            log_.map.shift;
   }
-  Matrix6 wrench_by_rates() const {
-    return sensor_.wrench_scale.asDiagonal() * dw_da_ * log_.map.shift;
-  }
+  Matrix6 wrench_by_rates() const { return sensor_.wrench_scale.asDiagonal() * dw_da_ * log_.map.shift; }
 
   Vector3 gravity(std::size_t k) const {
     if (log_.wrench.gravity == nullptr) return log_.wrench.gravity_constant;
@@ -194,8 +194,10 @@ struct Blocks {
   std::vector<MotionBlock> motion;
   std::vector<WrenchBlock<N>> wrench;
 
-  // `per_interval`: blocks of a series on one interval of the spline, where it has at least that many samples.
-  void build(const WindowModel<N>& model, const WindowRange& window, const BSpline& spline, int per_interval) {
+  // `per_interval`: blocks of a series on one interval of the spline, where it has at least that many
+  // samples.
+  void build(const WindowModel<N>& model, const WindowRange& window, const BSpline& spline,
+             int per_interval) {
     motion.clear();
     wrench.clear();
     for (std::size_t m = 0; m < model.log().motion.size(); ++m) {
@@ -211,8 +213,8 @@ struct Blocks {
               sum += Eigen::Map<const Vector6>(series.value + 6 * k);
             }
             const double count = static_cast<double>(last - first);
-            MotionBlock b{interval, series.order, spline.basis(interval, u / count, series.order), sum / count,
-                          series.sigma.cwiseAbs2().cwiseInverse() * count};
+            MotionBlock b{interval, series.order, spline.basis(interval, u / count, series.order),
+                          sum / count, series.sigma.cwiseAbs2().cwiseInverse() * count};
             for (int c = 0; c < 6; ++c) {
               if (!(mask >> c & 1U)) b.value[c] = b.weight[c] = 0.0;
             }
@@ -255,7 +257,8 @@ struct Blocks {
  private:
   template <typename Mask, typename Emit>
   static void for_each_block(const BSpline& spline, std::span<const double> time,
-                             std::pair<std::size_t, std::size_t> range, int per_interval, Mask mask, Emit emit) {
+                             std::pair<std::size_t, std::size_t> range, int per_interval, Mask mask,
+                             Emit emit) {
     std::size_t k = range.first;
     for (int i = 0; i < spline.intervals() && k < range.second; ++i) {
       std::size_t last = range.second;
@@ -281,13 +284,14 @@ struct Blocks {
 
 enum class Terms { motion, all };  // the motion measurements alone, or with the sensor's
 
-// Normal equations of one window at (x, theta): H [dx; dtheta] = g, with the common part eliminated on demand.
+// Normal equations of one window at (x, theta): H [dx; dtheta] = g, with the common part eliminated on
+// demand.
 template <int N>
 class WindowNormal {
  public:
   // Linearises at (x, theta). Without `common`, only the motion's part is formed (theta held).
-  void assemble(const WindowModel<N>& model, const Blocks<N>& blocks, const BSpline& spline, const Coefficients& x,
-                const Eigen::VectorXd& theta, Terms terms, bool common) {
+  void assemble(const WindowModel<N>& model, const Blocks<N>& blocks, const BSpline& spline,
+                const Coefficients& x, const Eigen::VectorXd& theta, Terms terms, bool common) {
     const int p = common ? model.layout().size() : 0;
     hxx_.reset(spline.coefficients());
     rhs_.setZero(kCoordinates * spline.coefficients(), p + 1);
@@ -343,8 +347,8 @@ class WindowNormal {
     }
   }
 
-  void add_wrench(const WindowModel<N>& model, const std::vector<WrenchBlock<N>>& blocks, const Coefficients& x,
-                  const Eigen::VectorXd& theta, bool common) {
+  void add_wrench(const WindowModel<N>& model, const std::vector<WrenchBlock<N>>& blocks,
+                  const Coefficients& x, const Eigen::VectorXd& theta, bool common) {
     const int n = model.layout().channels;
     const int p = static_cast<int>(rhs_.cols()) - 1;
     const ChannelMatrix<N> gain = model.gain(theta);
@@ -376,7 +380,8 @@ class WindowNormal {
         for (int l = 0; l <= k; ++l) {
           const double bl = b.basis[l];
           const double dl = b.basis_rate[l];
-          hxx_(b.interval + k, b.interval + l) += (bk * bl) * cc + (bk * dl) * cr + (dk * bl) * rc + (dk * dl) * rr;
+          hxx_(b.interval + k, b.interval + l) +=
+              (bk * bl) * cc + (bk * dl) * cr + (dk * bl) * rc + (dk * dl) * rr;
         }
         const int row = kCoordinates * (b.interval + k);
         if (common) {
@@ -391,13 +396,15 @@ class WindowNormal {
 
   // Cross terms with the gains (rows of w) and the offset, and the moments of [w; 1] per channel.
   void fill_cross(const ChannelMatrix<N>& weighted_c, const ChannelMatrix<N>& weighted_r, const Vector6& w,
-                  const ChannelVector<N>& wr, const ChannelVector<N>& weight, int n, const ParameterLayout& layout) {
+                  const ChannelVector<N>& wr, const ChannelVector<N>& weight, int n,
+                  const ParameterLayout& layout) {
     Eigen::Matrix<double, 7, 1> w1;
     w1 << w, 1.0;
     const Eigen::Matrix<double, 7, 7> w1w1 = w1 * w1.transpose();
     for (int i = 0; i < n; ++i) {
       cross_.block<kCoordinates, 6>(0, 6 * i).noalias() = weighted_c.row(i).transpose() * w.transpose();
-      cross_.block<kCoordinates, 6>(kCoordinates, 6 * i).noalias() = weighted_r.row(i).transpose() * w.transpose();
+      cross_.block<kCoordinates, 6>(kCoordinates, 6 * i).noalias() =
+          weighted_r.row(i).transpose() * w.transpose();
       moment_.template middleRows<7>(7 * i) += weight[i] * w1w1;
       gt_.segment<6>(6 * i) += wr[i] * w;
       if (layout.offset) {

@@ -10,9 +10,7 @@
 namespace truewrench {
 
 // [A00] Table 1.
-inline Payload table_1() {
-  return {50.0, Vector3(0.2, 0.0, 0.0), Vector3(1.5, 1.5, 0.4).asDiagonal()};
-}
+inline Payload table_1() { return {50.0, Vector3(0.2, 0.0, 0.0), Vector3(1.5, 1.5, 0.4).asDiagonal()}; }
 
 // The arrays behind a LogData; stays where it is while the engine reads it.
 struct Recording {

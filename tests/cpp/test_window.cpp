@@ -188,9 +188,7 @@ TEST(WindowNormal, SixChannelsAndOffsetGiveTheDenseNormalEquations) {
   expect_dense_normal_equations<6>(Scene(6, true));
 }
 
-TEST(WindowNormal, WithoutOffsetTheGainsAlone) {
-  expect_dense_normal_equations<6>(Scene(6, false));
-}
+TEST(WindowNormal, WithoutOffsetTheGainsAlone) { expect_dense_normal_equations<6>(Scene(6, false)); }
 
 TEST(WindowNormal, EightGaugesGiveTheDenseNormalEquations) {
   expect_dense_normal_equations<Eigen::Dynamic>(Scene(8, true));
