@@ -2,11 +2,12 @@
 
     python benchmarks/efficiency.py --case scenario --seeds 200 --estimators map,online,ekf,ls,spline
 
-RMS is that of the 36 normalised gains over all seeds, median that of a seed; efficiency is RMS over the RMS
-of the Cramer-Rao bound, taken per seed for its gain and with the prior; NEES/36 is honest when its mean lies in
-the 99.8% chi-square interval widened by 0.05. In brackets what an efficient, honest estimator shows when the
-gains are drawn more narrowly than the prior says. `ekf` starts with the acceleration of the case and stands at
-the process density with the least RMS of its grid: one for all axes, and a pair (linear, angular).
+RMS is that of the 36 normalised gains over all seeds, median that of a seed. Efficiency is RMS over the
+RMS of the Cramer-Rao bound, taken per seed for its gain and with the prior. NEES/36 is honest when its
+mean lies in the 99.8% chi-square interval widened by 0.05. In brackets stands what an efficient, honest
+estimator shows when gains are drawn more narrowly than the prior says. `ekf` starts with the acceleration
+of the case, and is shown at the densities of its grid with the least RMS: one for all axes, and a pair
+(linear, angular).
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def run_seed(
 ) -> Drawn:
     """All estimators on the problem of one seed."""
     problem = cases.problem(name, cell, seed)
-    outcomes = []
+    outcomes: list[Outcome] = []
     for estimator in estimators:
         if estimator == "ekf":
             outcomes += filtered(name, problem)
