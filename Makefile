@@ -85,8 +85,9 @@ format: $(VENV)/.dev
 stubs: $(VENV)/.built
 	$(BIN)/python scripts/make_stubs.py
 
-figures: $(VENV)/.built
+figures: demo
 	$(BIN)/python docs/figures/frames.py
+	cp out/demo/fig3_gain_error.png docs/figures/demo.png
 
 lock: $(VENV)/.created
 	$(PIP) install uv

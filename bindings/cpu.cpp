@@ -17,5 +17,6 @@ bool supports_x86_64_v3() {
 
 NB_MODULE(_cpu, m) {
   m.doc() = "Processor features, for the choice of the compiled core.";
-  m.def("supports_x86_64_v3", &supports_x86_64_v3, "Whether code compiled for x86-64-v3 (AVX2, FMA) runs here.");
+  m.def("supports_x86_64_v3", &supports_x86_64_v3,
+        "Whether code compiled for x86-64-v3 (AVX2, FMA) runs here.");
 }

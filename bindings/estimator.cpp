@@ -30,20 +30,23 @@ struct RecordedLog {
 
   void add_motion(int order, Array1 time, Array2 value, const Vector6& sigma) {
     if (order < 0 || order > 1) throw nb::value_error("order must be 0 (twist) or 1 (its derivative)");
-    if (value.shape(0) != time.shape(0) || value.shape(1) != 6) throw nb::value_error("motion: N x 6 is expected");
+    if (value.shape(0) != time.shape(0) || value.shape(1) != 6)
+      throw nb::value_error("motion: N x 6 is expected");
     motion.emplace_back(std::move(time), std::move(value));
     motion_kind.emplace_back(order, sigma);
   }
 
   void set_wrench(Array1 time, Array2 raw, std::optional<Array1> departure) {
     if (raw.shape(0) != time.shape(0)) throw nb::value_error("raw: one row per time is expected");
-    if (departure && departure->shape(0) != time.shape(0)) throw nb::value_error("temperature: one per time is expected");
+    if (departure && departure->shape(0) != time.shape(0))
+      throw nb::value_error("temperature: one per time is expected");
     wrench.emplace(std::move(time), std::move(raw));
     temperature = std::move(departure);
   }
 
   void set_gravity(Array1 time, Array2 value) {
-    if (value.shape(0) != time.shape(0) || value.shape(1) != 3) throw nb::value_error("gravity: N x 3 is expected");
+    if (value.shape(0) != time.shape(0) || value.shape(1) != 3)
+      throw nb::value_error("gravity: N x 3 is expected");
     gravity.emplace(std::move(time), std::move(value));
   }
 
@@ -54,7 +57,8 @@ struct RecordedLog {
     d.point = point;
     for (std::size_t i = 0; i < motion.size(); ++i) {
       const auto& [time, value] = motion[i];
-      d.motion.push_back({motion_kind[i].first, {time.data(), time.shape(0)}, value.data(), motion_kind[i].second});
+      d.motion.push_back(
+          {motion_kind[i].first, {time.data(), time.shape(0)}, value.data(), motion_kind[i].second});
     }
     d.wrench = {{wrench->first.data(), wrench->first.shape(0)},
                 wrench->second.data(),
@@ -72,7 +76,8 @@ template <int N>
 Estimate run(const std::string& method, std::vector<LogData> logs, const Eigen::VectorXd& channel_scale,
              const Eigen::VectorXd& sigma, const Vector6& wrench_scale, const CommonPrior& prior,
              const EstimatorSettings& settings) {
-  Estimator<N> estimator(std::move(logs), SensorScale<N>{channel_scale, sigma, wrench_scale}, prior, settings);
+  Estimator<N> estimator(std::move(logs), SensorScale<N>{channel_scale, sigma, wrench_scale}, prior,
+                         settings);
   return method == "online" ? estimator.online() : estimator.map();
 }
 
@@ -81,6 +86,7 @@ void check(const CommonPrior& prior, const std::vector<const RecordedLog*>& logs
   if (prior.mean.size() != p || prior.information.size() != p) {
     throw nb::value_error("prior: mean and information of every common parameter of a log are expected");
   }
+  if (!prior.layout.payload) return;
   if (prior.payload_of.size() != logs.size()) throw nb::value_error("prior: one payload per log is expected");
   for (const int k : prior.payload_of) {
     if (k < 0 || k >= static_cast<int>(prior.payload_information.size())) {
@@ -88,17 +94,19 @@ void check(const CommonPrior& prior, const std::vector<const RecordedLog*>& logs
     }
   }
   for (const Eigen::VectorXd& i : prior.payload_information) {
-    if (i.size() != kPayloadParameters) throw nb::value_error("prior: ten parameters per payload are expected");
+    if (i.size() != kPayloadParameters)
+      throw nb::value_error("prior: ten parameters per payload are expected");
   }
 }
 
 Estimate estimate(const std::string& method, const std::vector<const RecordedLog*>& logs,
-                  const Eigen::VectorXd& channel_scale, const Eigen::VectorXd& sigma, const Vector6& wrench_scale,
-                  const CommonPrior& prior, const EstimatorSettings& settings) {
+                  const Eigen::VectorXd& channel_scale, const Eigen::VectorXd& sigma,
+                  const Vector6& wrench_scale, const CommonPrior& prior, const EstimatorSettings& settings) {
   const int n = prior.layout.channels;
   if (method != "online" && method != "map") throw nb::value_error("method must be 'online' or 'map'");
   if (n < 6 || n > kMaxChannels) throw nb::value_error("6 to 32 channels are supported");
-  if (channel_scale.size() != n || sigma.size() != n) throw nb::value_error("one scale and sigma per channel is expected");
+  if (channel_scale.size() != n || sigma.size() != n)
+    throw nb::value_error("one scale and sigma per channel is expected");
   check(prior, logs);
   std::vector<LogData> data;
   for (const RecordedLog* log : logs) {
@@ -135,7 +143,8 @@ void bind_estimator(nb::module_& m) {
       .def_rw("tolerance", &KnotSettings::tolerance)
       .def_rw("max_levels", &KnotSettings::max_levels);
 
-  nb::class_<EstimatorSettings>(m, "EstimatorSettings", "Settings of the window estimators, with their defaults.")
+  nb::class_<EstimatorSettings>(m, "EstimatorSettings",
+                                "Settings of the window estimators, with their defaults.")
       .def(nb::init<>())
       .def_rw("knots", &EstimatorSettings::knots)
       .def_rw("window", &EstimatorSettings::window)
@@ -172,7 +181,8 @@ void bind_estimator(nb::module_& m) {
       .def_rw("information", &CommonPrior::information, "1 / variance; the payload's entries are not used.")
       .def_rw("payload_of", &CommonPrior::payload_of, "Per log: which payload it carries.")
       .def_rw("payload_information", &CommonPrior::payload_information,
-              "Per payload, 1 / variance of [mass, relative; centre of mass [m]; xx yy zz xy xz yz of the inertia, "
+              "Per payload, 1 / variance of [mass, relative; centre of mass [m]; xx yy zz xy xz yz of the "
+              "inertia, "
               "relative to sqrt(I_ii I_jj)].");
 
   nb::class_<RecordedLog>(m, "RecordedLog", "The streams of one log, each at its own times [s].")
@@ -181,10 +191,12 @@ void bind_estimator(nb::module_& m) {
       .def_rw("point", &RecordedLog::point, "The point whose twist is logged, fixed to the sensor [m].")
       .def_rw("gravity_constant", &RecordedLog::gravity_constant)
       .def("add_motion", &RecordedLog::add_motion, nb::arg("order"), nb::arg("time"), nb::arg("value"),
-           nb::arg("sigma"), "Measurements (N, 6) of the order-th derivative of the twist, NaN where missing.")
+           nb::arg("sigma"),
+           "Measurements (N, 6) of the order-th derivative of the twist, NaN where missing.")
       .def("set_wrench", &RecordedLog::set_wrench, nb::arg("time"), nb::arg("raw"),
            nb::arg("temperature").none() = nb::none(),
-           "Raw sensor samples (N, n), NaN where missing, and the departure from the reference temperature (N,) [K].")
+           "Raw sensor samples (N, n), NaN where missing, and the departure from the reference temperature "
+           "(N,) [K].")
       .def("set_gravity", &RecordedLog::set_gravity, nb::arg("time"), nb::arg("value"),
            "Gravity (N, 3) in sensor axes on the clock of the motion.");
 
@@ -202,7 +214,10 @@ void bind_estimator(nb::module_& m) {
       .def_ro("intervals", &WindowReport::intervals)
       .def_ro("samples_per_coefficient", &WindowReport::samples_per_coefficient)
       .def_ro("samples", &WindowReport::samples)
-      .def_prop_ro("groups", [](const WindowReport& r) { return std::vector<GroupStatistics>(r.groups.begin(), r.groups.end()); })
+      .def_prop_ro("groups",
+                   [](const WindowReport& r) {
+                     return std::vector<GroupStatistics>(r.groups.begin(), r.groups.end());
+                   })
       .def_ro("nested", &WindowReport::nested)
       .def_ro("nested_expected", &WindowReport::nested_expected);
 
@@ -212,15 +227,18 @@ void bind_estimator(nb::module_& m) {
       .def_ro("mean", &HistoryEntry::mean)
       .def_ro("sigma", &HistoryEntry::sigma);
 
-  nb::class_<Estimate>(m, "Estimate", "Result of `online` or `map`, normalised: the common parameters of every log.")
-      .def_prop_ro("solved", [](const Estimate& e) { return e.status == Status::ok && !e.posterior.mean.empty(); })
+  nb::class_<Estimate>(m, "Estimate",
+                       "Result of `online` or `map`, normalised: the common parameters of every log.")
+      .def_prop_ro("solved",
+                   [](const Estimate& e) { return e.status == Status::ok && !e.posterior.mean.empty(); })
       .def_ro("converged", &Estimate::converged)
       .def_prop_ro("mean", [](const Estimate& e) { return e.posterior.mean; })
       .def_prop_ro("covariance", [](const Estimate& e) { return e.posterior.covariance; })
       .def_ro("windows", &Estimate::windows)
       .def_ro("history", &Estimate::history)
-      .def_prop_ro("wrench", [](const Estimate& e) { return e.wrench; },
-                   "Per log: the payload's wrench (rows of set_wrench, 6), SI, NaN where no window fits.")
+      .def_prop_ro(
+          "wrench", [](const Estimate& e) { return e.wrench; },
+          "Per log: the payload's wrench (rows of set_wrench, 6), SI, NaN where no window fits.")
       .def_ro("knot_dependence", &Estimate::knot_dependence)
       .def_ro("window_dependence", &Estimate::window_dependence)
       .def_ro("iterations", &Estimate::iterations);

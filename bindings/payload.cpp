@@ -66,6 +66,9 @@ void bind_payload(nb::module_& m) {
         "component-wise derivative (N, 6) and gravity (N, 3), all in sensor axes.");
   m.def("payload_jacobians", &payload_jacobians, nb::arg("payload"), nb::arg("nu"),
         "Jacobians of payload_wrench, two (N, 6, 6): by the acceleration and by the twist.");
+  m.def(
+      "twist_shift", &twist_shift, nb::arg("r"),
+      "6 x 6 map from the twist of a point to that of another of the same body, r [m] from the first to it.");
 }
 
 }  // namespace truewrench::python

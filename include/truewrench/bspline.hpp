@@ -1,4 +1,5 @@
-// Quintic B-splines on any increasing breakpoints: the motion of one window (docs/method.md, "Windows of motion").
+// Quintic B-splines on any increasing breakpoints: the motion of one window (docs/method.md, "Windows of
+// motion").
 //
 // With K intervals there are K + 5 coefficients; on interval i the six coefficients i ... i+5 are active. The
 // end knots are repeated, so halving an interval gives a space that contains the old one: coarse and fine

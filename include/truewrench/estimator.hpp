@@ -18,16 +18,16 @@ namespace truewrench {
 
 struct EstimatorSettings {
   KnotSettings knots;
-  double window = 1.0;           // shortest window of `online` [s]; doubled while a window has fewer knot
-  int window_intervals = 4;      // intervals than this
-  int map_window_intervals = 64; // knot intervals of a window of `map`, about
-  double gap_periods = 5.0;      // no window spans a longer gap
-  double dependence_sigma = 3.1; // the gain must not depend on knots or windows by more than this (99.9%)
-  double few_samples = 10.0;     // below so many samples per coefficient, doubled windows are tried as well
+  double window = 1.0;            // shortest window of `online` [s]; doubled while a window has fewer knot
+  int window_intervals = 4;       // intervals than this
+  int map_window_intervals = 64;  // knot intervals of a window of `map`, about
+  double gap_periods = 5.0;       // no window spans a longer gap
+  double dependence_sigma = 3.1;  // the gain must not depend on knots or windows by more than this (99.9%)
+  double few_samples = 10.0;      // below so many samples per coefficient, doubled windows are tried as well
   int max_rounds = 6;
   int max_iterations = 25;
-  double tolerance = 1e-9;       // last Gauss-Newton decrement of the common parameters
-  int threads = 0;               // 0: all
+  double tolerance = 1e-9;  // last Gauss-Newton decrement of the common parameters
+  int threads = 0;          // 0: all
 };
 
 struct WindowReport {
@@ -45,20 +45,21 @@ struct WindowReport {
 
 struct HistoryEntry {
   int log = 0;
-  double time = 0.0;       // end of the window [s]
-  Eigen::VectorXd mean;    // [gain, offset], normalised
+  double time = 0.0;     // end of the window [s]
+  Eigen::VectorXd mean;  // [gain, offset], normalised
   Eigen::VectorXd sigma;
 };
 
 struct Estimate {
   Status status = Status::ok;
   bool converged = false;
-  Posterior posterior;               // normalised
+  Posterior posterior;  // normalised
   std::vector<WindowReport> windows;
   std::vector<HistoryEntry> history;  // `online`: after every window
-  std::vector<RowMatrix> wrench;      // per log: the payload's wrench at the sensor's samples, NaN where no window
-  double knot_dependence = 0.0;       // deviate of the gain against that of halved knots
-  double window_dependence = 0.0;     // and against that of doubled windows, where there are few samples
+  std::vector<RowMatrix>
+      wrench;                    // per log: the payload's wrench at the sensor's samples, NaN where no window
+  double knot_dependence = 0.0;  // deviate of the gain against that of halved knots
+  double window_dependence = 0.0;  // and against that of doubled windows, where there are few samples
   int iterations = 0;
 };
 
@@ -101,7 +102,9 @@ class Estimator {
       share(out, items, spacing, intervals);
       if (out.status != Status::ok) break;
       out.window_dependence = doubled(items, out.posterior);
-      if (out.window_dependence < settings_.dependence_sigma || intervals >= 8 * settings_.map_window_intervals) break;
+      if (out.window_dependence < settings_.dependence_sigma ||
+          intervals >= 8 * settings_.map_window_intervals)
+        break;
     }
     predict(items, out);
     return out;
@@ -115,7 +118,8 @@ class Estimator {
   };
 
   // Samples of [begin, end) of a log, given what is known of its clocks.
-  WindowRange range(std::size_t log, double begin, double end, bool closed, double delay, double sigma) const {
+  WindowRange range(std::size_t log, double begin, double end, bool closed, double delay,
+                    double sigma) const {
     return range_of(logs_[log], begin, end, closed, delay, 2.0 * sigma);
   }
 
@@ -182,8 +186,8 @@ class Estimator {
           WindowFit fit;
           if (enough_samples(window)) {
             const int start = spacing > 0.0 ? static_cast<int>((stop - t) / (2.0 * spacing)) : 1;
-            fit = solver.search(window, BSpline(BSpline::uniform(t, stop, std::max(1, start))), prior.mean, &prior,
-                                finest_[l]);
+            fit = solver.search(window, BSpline(BSpline::uniform(t, stop, std::max(1, start))), prior.mean,
+                                &prior, finest_[l]);
           }
           const bool fitted = fit.status == WindowStatus::fitted;
           // Motion that is slow for the window: a longer one determines it better.
@@ -205,8 +209,8 @@ class Estimator {
             const Eigen::MatrixXd covariance = inverse(prior.information);
             std::tie(delay, delay_sigma) = clock(prior.mean, covariance);
             spacing = (stop - t) / fit.spline.intervals();
-            out.history.push_back({static_cast<int>(l), stop, prior.mean,
-                                   covariance.diagonal().cwiseMax(0.0).cwiseSqrt()});
+            out.history.push_back(
+                {static_cast<int>(l), stop, prior.mean, covariance.diagonal().cwiseMax(0.0).cwiseSqrt()});
             solver.predict(fit, window, out.wrench[l]);
             if (fit.spline.intervals() > 4 * settings_.window_intervals) {
               length = std::max(settings_.window, 0.5 * length);
@@ -235,9 +239,11 @@ class Estimator {
 
   static Eigen::MatrixXd inverse(const Eigen::MatrixXd& m) {
     // Scaled to a unit diagonal: the parameters' units, and with them the matrix' elements, are far apart.
-    const Eigen::VectorXd d = m.diagonal().cwiseMax(std::numeric_limits<double>::min()).cwiseSqrt().cwiseInverse();
+    const Eigen::VectorXd d =
+        m.diagonal().cwiseMax(std::numeric_limits<double>::min()).cwiseSqrt().cwiseInverse();
     const Eigen::MatrixXd scaled = d.asDiagonal() * m * d.asDiagonal();
-    return d.asDiagonal() * scaled.llt().solve(Eigen::MatrixXd::Identity(m.rows(), m.cols())) * d.asDiagonal();
+    return d.asDiagonal() * scaled.llt().solve(Eigen::MatrixXd::Identity(m.rows(), m.cols())) *
+           d.asDiagonal();
   }
 
   WindowReport report(std::size_t log, const WindowRange& w, const WindowFit& fit) const {
@@ -288,9 +294,8 @@ class Estimator {
       }
     }
     std::vector<std::vector<Item>> parts(items.size());
-    parallel_for(items.size(), settings_.threads, [&](std::size_t i) {
-      search(items[i], spacing[items[i].log], posterior, parts[i]);
-    });
+    parallel_for(items.size(), settings_.threads,
+                 [&](std::size_t i) { search(items[i], spacing[items[i].log], posterior, parts[i]); });
     std::vector<Item> out;
     for (auto& part : parts) std::move(part.begin(), part.end(), std::back_inserter(out));
     return out;
@@ -302,8 +307,8 @@ class Estimator {
     if (enough_samples(w)) {
       const int start = std::max(1, static_cast<int>(length / (4.0 * spacing)));
       WindowSolver<N> solver(models_[item.log], settings_.knots);
-      item.fit = solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, start)), posterior.mean[item.log], nullptr,
-                               finest_[item.log]);
+      item.fit = solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, start)), posterior.mean[item.log],
+                               nullptr, finest_[item.log]);
       if (item.fit.status != WindowStatus::fitted && length >= 2.0 * settings_.window) {
         const auto [first, second] = halves(item, posterior);
         search({item.log, first, {}}, spacing, posterior, out);

@@ -15,24 +15,24 @@
 namespace truewrench {
 
 struct KnotSettings {
-  int blocks_per_interval = 12;         // samples of an interval are averaged into this many blocks, if it has more
-  double samples_per_coefficient = 2;   // the finest spacing, in periods of the slower stream
-  double interval_sigma = 4;            // an interval is halved when its score test exceeds its mean by this much,
-  double window_sigma = 3;              // all that exceed their mean, when the window's sum exceeds its own by this
-  double residual_sigma = 5;            // or when a stream's residuals on it exceed their noise by this
-  double reject_sigma = 5;              // a window is rejected when a stream's residuals exceed their noise by this
+  int blocks_per_interval = 12;  // samples of an interval are averaged into this many blocks, if it has more
+  double samples_per_coefficient = 2;  // the finest spacing, in periods of the slower stream
+  double interval_sigma = 4;  // an interval is halved when its score test exceeds its mean by this much,
+  double window_sigma = 3;    // all that exceed their mean, when the window's sum exceeds its own by this
+  double residual_sigma = 5;  // or when a stream's residuals on it exceed their noise by this
+  double reject_sigma = 5;    // a window is rejected when a stream's residuals exceed their noise by this
   int max_iterations = 12;
-  double tolerance = 1e-3;              // remaining decrease of the cost (chi-square units) that counts as converged
+  double tolerance = 1e-3;  // remaining decrease of the cost (chi-square units) that counts as converged
   int max_levels = 30;
 };
 
 enum class WindowStatus : std::uint8_t {
   fitted,
-  too_short,             // fewer samples than coefficients of the coarsest spline
-  motion_undetermined,   // the streams present do not determine the motion
+  too_short,            // fewer samples than coefficients of the coarsest spline
+  motion_undetermined,  // the streams present do not determine the motion
   not_converged,
-  misfit,                // residuals above their noise at every admissible spacing
-  unresolved,            // finer knots would still fit better, but the samples do not resolve them
+  misfit,      // residuals above their noise at every admissible spacing
+  unresolved,  // finer knots would still fit better, but the samples do not resolve them
 };
 
 // Groups of residuals that are judged apart: the sensor's forces and moments (or all channels, when there are not
@@ -42,7 +42,7 @@ enum Group : std::uint8_t { kForce, kMoment, kLinear, kAngular, kGroups };
 struct GroupStatistics {
   double sum_of_squares = 0.0;  // of residuals over their sigma
   double count = 0.0;
-  double leverage = 0.0;        // degrees of freedom that the motion took from this group
+  double leverage = 0.0;  // degrees of freedom that the motion took from this group
 
   double degrees_of_freedom() const { return count - leverage; }
 
@@ -106,7 +106,8 @@ inline double disagreement(const Posterior& coarse, const Posterior& fine, int g
 template <int N>
 class WindowSolver {
  public:
-  WindowSolver(const WindowModel<N>& model, const KnotSettings& settings) : model_(model), settings_(settings) {}
+  WindowSolver(const WindowModel<N>& model, const KnotSettings& settings)
+      : model_(model), settings_(settings) {}
 
   // Searches knots from `start` on. With `prior` theta is solved for, else it is held.
   WindowFit search(const WindowRange& window, const BSpline& start, const Eigen::VectorXd& theta,
@@ -206,7 +207,8 @@ class WindowSolver {
     return true;
   }
 
-  void build(Blocks<N>& blocks, const WindowRange& window, const BSpline& spline, const Eigen::VectorXd& theta) const {
+  void build(Blocks<N>& blocks, const WindowRange& window, const BSpline& spline,
+             const Eigen::VectorXd& theta) const {
     blocks.build(model_, window, spline, settings_.blocks_per_interval, delay(theta));
   }
 
@@ -241,7 +243,8 @@ class WindowSolver {
       for (;; step *= 0.5) {
         if (step < 1e-3) return WindowStatus::not_converged;
         const Coefficients x = fit.x + step * dx;
-        const Eigen::VectorXd theta = prior != nullptr ? Eigen::VectorXd(fit.theta + step * dtheta) : fit.theta;
+        const Eigen::VectorXd theta =
+            prior != nullptr ? Eigen::VectorXd(fit.theta + step * dtheta) : fit.theta;
         if (prior != nullptr && model_.layout().time_offset) {
           blocks_.build_wrench(model_, window, fit.spline, settings_.blocks_per_interval, delay(theta));
         }
@@ -269,13 +272,16 @@ class WindowSolver {
       sum += b.weight.dot(r.cwiseAbs2());
     }
     const WindowModelAt<N> model(model_, theta);
-    for (const WrenchBlock<N>& b : blocks_.wrench) sum += b.weight.dot((b.raw - raw_of(model, b, x)).cwiseAbs2());
+    for (const WrenchBlock<N>& b : blocks_.wrench)
+      sum += b.weight.dot((b.raw - raw_of(model, b, x)).cwiseAbs2());
     return sum;
   }
 
-  static ChannelVector<N> raw_of(const WindowModelAt<N>& model, const WrenchBlock<N>& b, const Coefficients& x) {
+  static ChannelVector<N> raw_of(const WindowModelAt<N>& model, const WrenchBlock<N>& b,
+                                 const Coefficients& x) {
     const auto xi = x.middleRows<kActive>(b.interval);
-    const Vector6 w = model.wrench_at(xi.transpose() * b.basis, xi.transpose() * b.basis_rate, b.gravity, b.spread);
+    const Vector6 w =
+        model.wrench_at(xi.transpose() * b.basis, xi.transpose() * b.basis_rate, b.gravity, b.spread);
     return model.raw_of(w, b.temperature);
   }
 
@@ -308,8 +314,7 @@ class WindowSolver {
     const Coefficients x_new = x + fine_normal_.motion_step(dtheta);
     const Eigen::VectorXd theta_new = prior != nullptr ? Eigen::VectorXd(fit.theta + dtheta) : fit.theta;
     for (const MotionBlock& b : fine_blocks_.motion) {
-      const Vector6 d =
-          (x_new - x).middleRows<kActive>(b.interval).transpose() * b.basis;
+      const Vector6 d = (x_new - x).middleRows<kActive>(b.interval).transpose() * b.basis;
       out.gain[static_cast<std::size_t>(b.interval / 2)] += b.weight.dot(d.cwiseAbs2());
     }
     if (terms == Terms::all) {
@@ -360,7 +365,8 @@ class WindowSolver {
                         const Vector6 s = series.order == 0 ? x * u : x * fit.spline.rate(i, u);
                         const Vector6 r =
                             (Eigen::Map<const Vector6>(series.value + 6 * k) - s).cwiseProduct(precision);
-                        for (int c = 0; c < 6; ++c) add(out[static_cast<std::size_t>(i)][motion_group(c)], r[c]);
+                        for (int c = 0; c < 6; ++c)
+                          add(out[static_cast<std::size_t>(i)][motion_group(c)], r[c]);
                       });
     }
     if (terms == Terms::motion) return out;
@@ -432,7 +438,8 @@ class WindowSolver {
       for (int c = 0; c < n; ++c) {
         const auto jc = by_coordinate.row(c);
         const auto jr = by_rate.row(c);
-        const double variance = (jc * cc * jc.transpose() + 2.0 * jc * cr * jr.transpose() + jr * rr * jr.transpose())(0);
+        const double variance =
+            (jc * cc * jc.transpose() + 2.0 * jc * cr * jr.transpose() + jr * rr * jr.transpose())(0);
         fit.groups[wrench_group(c, n)].leverage += b.weight[c] * variance;
       }
     }

@@ -15,9 +15,7 @@ struct ProcessWeights {
   double acceleration;  // dt
 };
 
-inline ProcessWeights process_weights(double dt) {
-  return {dt * dt * dt / 3.0, 0.5 * dt * dt, dt};
-}
+inline ProcessWeights process_weights(double dt) { return {dt * dt * dt / 3.0, 0.5 * dt * dt, dt}; }
 
 // F on [nu; a]: nu(t + dt) = nu + dt a.
 inline Matrix12 transition(double dt) {

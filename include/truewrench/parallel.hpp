@@ -1,4 +1,5 @@
-// A loop over independent items on several threads. Which thread takes an item has no influence on its result.
+// A loop over independent items on several threads. Which thread takes an item has no influence on its
+// result.
 #pragma once
 
 #include <algorithm>

@@ -93,9 +93,9 @@ struct Prior {
 // Priors of the common parameters, normalised and independent.
 struct CommonPrior {
   ParameterLayout layout;
-  Eigen::VectorXd mean;                      // of one log's vector
-  Eigen::VectorXd information;               // 1 / variance; the payload's entries are not used
-  std::vector<int> payload_of;               // per log: which payload it carries,
+  Eigen::VectorXd mean;                              // of one log's vector
+  Eigen::VectorXd information;                       // 1 / variance; the payload's entries are not used
+  std::vector<int> payload_of;                       // per log: which payload it carries,
   std::vector<Eigen::VectorXd> payload_information;  // and per payload, what is known of it
 
   int payloads() const { return layout.payload ? static_cast<int>(payload_information.size()) : 0; }
@@ -112,7 +112,7 @@ struct CommonPrior {
     for (int i = 0; i < layout.shared(); ++i) {
       if (i < layout.gains()) {
         out.push_back(i);
-      } else if (i < layout.temperature_begin()) {
+      } else if (i < layout.temperature_begin()) {  // none without an uncertain payload
         out.push_back(i + kPayloadParameters * payload_of[log]);
       } else {
         out.push_back(i + behind);
@@ -124,7 +124,7 @@ struct CommonPrior {
   // Prior of the shared parameters of all logs.
   Prior shared_prior() const {
     Prior out{Eigen::MatrixXd::Zero(shared(), shared()), Eigen::VectorXd::Zero(shared())};
-    for (std::size_t log = 0; log < payload_of.size(); ++log) {
+    for (std::size_t log = 0; log < (layout.payload ? payload_of.size() : 1); ++log) {
       const std::vector<int> at = places(log);
       for (int i = 0; i < layout.shared(); ++i) {
         const auto k = at[static_cast<std::size_t>(i)];

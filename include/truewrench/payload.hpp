@@ -13,15 +13,16 @@ namespace truewrench {
 
 // Everything beyond the sensing element, as one rigid body.
 struct Payload {
-  double mass = 1.0;                           // [kg]
-  Vector3 center_of_mass = Vector3::Zero();    // c: from the sensor centre, sensor axes [m]
-  Matrix3 inertia = Matrix3::Identity();       // I_c: about the centre of mass, sensor axes [kg m^2]
+  double mass = 1.0;                         // [kg]
+  Vector3 center_of_mass = Vector3::Zero();  // c: from the sensor centre, sensor axes [m]
+  Matrix3 inertia = Matrix3::Identity();     // I_c: about the centre of mass, sensor axes [kg m^2]
 };
 
 // A body of positive mass whose principal moments are positive and satisfy the triangle inequality.
 // `slack` forgives rounding in a table, relative to the largest principal moment.
 inline Status check(const Payload& p, double slack = 1e-9) {
-  if (!std::isfinite(p.mass) || !p.center_of_mass.allFinite() || !p.inertia.allFinite()) return Status::not_finite;
+  if (!std::isfinite(p.mass) || !p.center_of_mass.allFinite() || !p.inertia.allFinite())
+    return Status::not_finite;
   if (p.mass <= 0.0) return Status::not_positive;
   const Vector3 principal =
       Eigen::SelfAdjointEigenSolver<Matrix3>().computeDirect(p.inertia, Eigen::EigenvaluesOnly).eigenvalues();
@@ -35,11 +36,11 @@ inline Status check(const Payload& p, double slack = 1e-9) {
 inline Vector6 wrench(const Payload& p, const Vector6& nu, const Vector6& a, const Vector3& g) {
   const Vector3 v = nu.head<3>();
   const Vector3 omega = nu.tail<3>();
-  const Vector3 f = p.mass * (a.head<3>() + omega.cross(v) - g);                       // [A00] 5
-  const Vector3 n = p.inertia * a.tail<3>() + omega.cross(p.inertia * omega);           // [A00] 6
+  const Vector3 f = p.mass * (a.head<3>() + omega.cross(v) - g);               // [A00] 5
+  const Vector3 n = p.inertia * a.tail<3>() + omega.cross(p.inertia * omega);  // [A00] 6
   Vector6 w;
-  w.head<3>() = -f;                                                                     // [A00] 7
-  w.tail<3>() = -(p.center_of_mass.cross(f) + n);                                       // [A00] 8
+  w.head<3>() = -f;                                // [A00] 7
+  w.tail<3>() = -(p.center_of_mass.cross(f) + n);  // [A00] 8
   return w;
 }
 

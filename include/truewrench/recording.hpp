@@ -57,8 +57,9 @@ struct GravitySeries {
 
 // One recording of one payload.
 struct LogData {
-  Payload payload;                  // as stated
-  Vector3 point = Vector3::Zero();  // the point whose twist is logged, fixed to the sensor, seen from its centre [m]
+  Payload payload;  // as stated
+  Vector3 point =
+      Vector3::Zero();  // the point whose twist is logged, fixed to the sensor, seen from its centre [m]
   std::vector<MotionSeries> motion;
   WrenchSeries wrench;
   GravitySeries gravity;

@@ -20,8 +20,9 @@
 
 namespace truewrench {
 
-inline constexpr int kCoordinates = 6;   // motion coordinates: the components of a twist
-inline constexpr int kMaxChannels = 32;  // storage bound when the number of channels is known only at run time
+inline constexpr int kCoordinates = 6;  // motion coordinates: the components of a twist
+inline constexpr int kMaxChannels =
+    32;  // storage bound when the number of channels is known only at run time
 
 template <int N>
 inline constexpr int kChannelStorage = N == Eigen::Dynamic ? kMaxChannels : N;
@@ -114,7 +115,8 @@ class WindowModelAt {
   }
 
   ChannelMatrix<N> raw_by_coordinate(const Vector6& s) const {
-    return gain_ * (model_.wrench_scale().asDiagonal() * wrench_jacobian_twist(payload_, shift_ * s) * shift_);
+    return gain_ *
+           (model_.wrench_scale().asDiagonal() * wrench_jacobian_twist(payload_, shift_ * s) * shift_);
   }
   const ChannelMatrix<N>& raw_by_rate() const { return raw_by_rate_; }
 
@@ -203,8 +205,8 @@ struct Blocks {
               sum += Eigen::Map<const Vector6>(series.value + 6 * k);
             }
             const double count = static_cast<double>(last - first);
-            MotionBlock b{interval, series.order, spline.basis(interval, u / count, series.order), sum / count,
-                          series.sigma.cwiseAbs2().cwiseInverse() * count};
+            MotionBlock b{interval, series.order, spline.basis(interval, u / count, series.order),
+                          sum / count, series.sigma.cwiseAbs2().cwiseInverse() * count};
             for (int c = 0; c < 6; ++c) {
               if (!(mask >> c & 1U)) b.value[c] = b.weight[c] = 0.0;
             }
@@ -259,7 +261,8 @@ struct Blocks {
  private:
   template <typename Mask, typename Emit>
   static void for_each_block(const BSpline& spline, std::span<const double> time, double delay,
-                             std::pair<std::size_t, std::size_t> range, int per_interval, Mask mask, Emit emit) {
+                             std::pair<std::size_t, std::size_t> range, int per_interval, Mask mask,
+                             Emit emit) {
     std::size_t k = range.first;
     for (int i = 0; i < spline.intervals() && k < range.second; ++i) {
       std::size_t last = range.second;
@@ -290,8 +293,8 @@ template <int N>
 class WindowNormal {
  public:
   // Linearises at (x, theta). Without `common`, only the motion's part is formed (theta held).
-  void assemble(const WindowModel<N>& model, const Blocks<N>& blocks, const BSpline& spline, const Coefficients& x,
-                const Eigen::VectorXd& theta, Terms terms, bool common) {
+  void assemble(const WindowModel<N>& model, const Blocks<N>& blocks, const BSpline& spline,
+                const Coefficients& x, const Eigen::VectorXd& theta, Terms terms, bool common) {
     const int p = common ? model.layout().size() : 0;
     hxx_.reset(spline.coefficients());
     rhs_.setZero(kCoordinates * spline.coefficients(), p + 1);
@@ -299,7 +302,8 @@ class WindowNormal {
     gt_.setZero(p);
     cost_ = 0.0;
     for (const MotionBlock& b : blocks.motion) add_motion(b, x);
-    if (terms == Terms::all) add_wrench(WindowModelAt<N>(model, theta), model.layout(), blocks.wrench, x, common);
+    if (terms == Terms::all)
+      add_wrench(WindowModelAt<N>(model, theta), model.layout(), blocks.wrench, x, common);
   }
 
   // Cholesky of the motion part and S = Htt - Htx Hxx^-1 Hxt, s = gt - Htx Hxx^-1 gx.
@@ -382,7 +386,8 @@ class WindowNormal {
         z << w, 1.0, b.temperature;
         add_linear(layout, b.weight, z, wr, weighted_c, weighted_r);
         if (extra_.cols() > 0) {
-          if (layout.payload) extra_.template leftCols<kPayloadParameters>() = model.raw_by_payload(s, ds, b.gravity);
+          if (layout.payload)
+            extra_.template leftCols<kPayloadParameters>() = model.raw_by_payload(s, ds, b.gravity);
           if (layout.time_offset) {
             extra_.col(extra_.cols() - 1) =
                 model.raw_by_time(by_coordinate, s, ds, xi.transpose() * b.basis_second, b.gravity);
@@ -396,7 +401,8 @@ class WindowNormal {
         for (int l = 0; l <= k; ++l) {
           const double bl = b.basis[l];
           const double dl = b.basis_rate[l];
-          hxx_(b.interval + k, b.interval + l) += (bk * bl) * cc + (bk * dl) * cr + (dk * bl) * rc + (dk * dl) * rr;
+          hxx_(b.interval + k, b.interval + l) +=
+              (bk * bl) * cc + (bk * dl) * cr + (dk * bl) * rc + (dk * dl) * rr;
         }
         const int row = kCoordinates * (b.interval + k);
         if (common) {
@@ -411,12 +417,14 @@ class WindowNormal {
 
   // Gains, temperature slope and offset: channel i is linear in them, with the regressors z = [w, 1, temperature].
   void add_linear(const ParameterLayout& layout, const ChannelVector<N>& weight, const Regressor& z,
-                  const ChannelVector<N>& wr, const ChannelMatrix<N>& weighted_c, const ChannelMatrix<N>& weighted_r) {
+                  const ChannelVector<N>& wr, const ChannelMatrix<N>& weighted_c,
+                  const ChannelMatrix<N>& weighted_r) {
     const Eigen::Matrix<double, kRegressors, kRegressors> zz = z * z.transpose();
     const auto w = z.template head<6>();
     for (int i = 0; i < layout.channels; ++i) {
       cross_.block<kCoordinates, 6>(0, 6 * i).noalias() = weighted_c.row(i).transpose() * w.transpose();
-      cross_.block<kCoordinates, 6>(kCoordinates, 6 * i).noalias() = weighted_r.row(i).transpose() * w.transpose();
+      cross_.block<kCoordinates, 6>(kCoordinates, 6 * i).noalias() =
+          weighted_r.row(i).transpose() * w.transpose();
       moment_.template middleRows<kRegressors>(kRegressors * i) += weight[i] * zz;
       gt_.segment<6>(6 * i) += wr[i] * w;
       const auto add = [&](int at, double factor) {
@@ -431,14 +439,13 @@ class WindowNormal {
 
   // Payload and time offset, on which every channel depends: the columns of extra_.
   void add_extra(const ParameterLayout& layout, const ChannelVector<N>& weight, const Regressor& z,
-                 const ChannelVector<N>& wr, const ChannelMatrix<N>& weighted_c, const ChannelMatrix<N>& weighted_r) {
+                 const ChannelVector<N>& wr, const ChannelMatrix<N>& weighted_c,
+                 const ChannelMatrix<N>& weighted_r) {
     const Extra weighted = weight.asDiagonal() * extra_;
     const auto place = [&](int first, int count, int at) {
       const auto columns = extra_.middleCols(first, count);
-      cross_.block(0, at, kCoordinates, count).noalias() =
-          weighted_c.transpose() * columns;
-      cross_.block(kCoordinates, at, kCoordinates, count).noalias() =
-          weighted_r.transpose() * columns;
+      cross_.block(0, at, kCoordinates, count).noalias() = weighted_c.transpose() * columns;
+      cross_.block(kCoordinates, at, kCoordinates, count).noalias() = weighted_r.transpose() * columns;
       gt_.segment(at, count).noalias() += columns.transpose() * wr;
       htt_.block(at, at, count, count).noalias() += columns.transpose() * weighted.middleCols(first, count);
       for (int i = 0; i < layout.channels; ++i) {
@@ -476,7 +483,8 @@ class WindowNormal {
       if (layout.offset && layout.temperature) htt_(t, o) = m(6, 7);
     }
     if (layout.payload && layout.offset) move_below(layout.offset_begin(), layout.payload_begin(), layout);
-    if (layout.payload && layout.temperature) move_below(layout.temperature_begin(), layout.payload_begin(), layout);
+    if (layout.payload && layout.temperature)
+      move_below(layout.temperature_begin(), layout.payload_begin(), layout);
     htt_.template triangularView<Eigen::StrictlyLower>() = htt_.transpose();
   }
 

@@ -17,9 +17,9 @@ from truewrench.calibration import AXES, AxisImprovement, Bound, Calibration, Lo
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.least_squares import least_squares
-from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
 from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.rig import PayloadSpec, Rig
 from truewrench.verdict import group_fits, judge_reference, judge_windows
 
 __all__ = ["calibrate"]
@@ -63,6 +63,8 @@ def calibrate(
     records = [logs] if isinstance(logs, Log) else list(logs)
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
+    if window is not None and not window > 0.0:
+        raise InputError.at(None, "window", f"{window:g} s", "a positive length")
     _check_supported(rig)
     _check_options(
         estimator, window=window, published=published, smooth=smooth, process_density=process_density
@@ -98,12 +100,15 @@ def _from_windows(
         estimate.gain,
         estimate.covariance,
         verdict,
-        [
-            _log_report(log, k, estimate.offsets[k], estimate.offsets_std[k], estimate.windows)
-            for k, log in enumerate(logs)
-        ],
+        [_log_report(log, k, estimate) for k, log in enumerate(logs)],
         inverse=inverse,
         improvement=_improvement(rig, logs, estimate, inverse),
+        offset_temperature=estimate.offset_temperature,
+        time_offset=float(estimate.time_offsets[-1]),
+        time_offset_std=float(estimate.time_offsets_std[-1]),
+        payload_posterior={
+            name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
+        },
         bound=_bound(rig, estimate),
         figures=_figures(rig, estimate),
         timings={"estimate": estimated - started, "judge": time.perf_counter() - estimated},
@@ -196,10 +201,6 @@ def _check_supported(rig: Rig) -> None:
         raise refuse(
             "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz:g}", "null: a filtered sensor is not supported"
         )
-    if rig.temperature.prior > 0.0:
-        raise refuse(
-            "temperature.prior", f"{rig.temperature.prior:g}", "0: drift with temperature is not supported"
-        )
     if rig.reference_noise is not None:
         raise refuse("reference_noise", "six numbers", "nothing: reference wrenches are not supported")
 
@@ -229,11 +230,9 @@ def _inverse(rig: Rig, gain: Array) -> Array:
         return np.full((6, rig.sensor.n), np.nan)
 
 
-def _log_report(
-    log: Log, k: int, offset: Array, offset_std: Array, windows: Sequence[_core.WindowReport]
-) -> LogReport:
+def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
     samples = Counter[str]()
-    for w in windows:
+    for w in estimate.windows:
         if w.log == k:
             samples[w.status.name.replace("_", " ")] += w.samples
     used = samples.pop("fitted", 0)
@@ -243,13 +242,33 @@ def _log_report(
         log.path,
         log.sha256,
         log.payload,
-        offset,
-        offset_std,
+        estimate.offsets[k],
+        estimate.offsets_std[k],
+        time_offset=float(estimate.time_offsets[k]),
         used=used,
         rejected=dict(+samples),
         dropped_rows=log.dropped_rows,
         nan_counts=log.nan_counts,
     )
+
+
+def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, Any]:
+    """What the data say of a payload, in the terms of the rig."""
+    inertia = stated.inertia_matrix
+    root = np.sqrt(np.diag(inertia))
+    places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+    unit = {name: float(root[i] * root[j]) for name, (i, j) in places.items()}
+    mean, std = departure.mean.tolist(), departure.std.tolist()
+    return {
+        "mass": stated.mass * (1.0 + mean[0]),
+        "mass_std": stated.mass * std[0],
+        "center_of_mass": (stated.center_of_mass_array + departure.mean[1:4]).tolist(),
+        "center_of_mass_std": std[1:4],
+        "inertia": {
+            name: float(inertia[at]) + mean[4 + k] * unit[name] for k, (name, at) in enumerate(places.items())
+        },
+        "inertia_std": {name: std[4 + k] * unit[name] for k, name in enumerate(places)},
+    }
 
 
 def _improvement(
@@ -326,4 +345,8 @@ def _figures(rig: Rig, estimate: WindowEstimate) -> dict[str, Any]:
         "condition_number": posed.condition_number,
         "departure_norm": posed.departure_norm,
         "iterations": estimate.iterations,
+        "limited_by": {
+            source: dict(zip(AXES, np.sqrt(np.mean(sigma**2, axis=0)).tolist(), strict=True))
+            for source, sigma in estimate.contributions.items()
+        },
     }

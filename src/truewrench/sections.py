@@ -5,11 +5,12 @@ SI units; six-vectors [linear; angular]; sensor axes.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+import math
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from truewrench.strict import (
     Listed,
@@ -321,6 +322,13 @@ class PlanSpec(Section):
     rest_to_rest: Switch = True
 
 
+def _random_or_seconds(value: Any) -> Any:
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not number and value != "random":
+        raise refuse("", shown(value), "`random` or a number of seconds")
+    return value
+
+
 class SimulateSpec(Section):
     """What a simulated run is made of."""
 
@@ -337,7 +345,7 @@ class SimulateSpec(Section):
         | Annotated[NonNegative, Zero],
         choice("`none`, `random` or a list, one per channel"),
     ] = "random"
-    time_offset: Number = 0.0  # [s]
+    time_offset: Annotated[float | Literal["random"], BeforeValidator(_random_or_seconds)] = 0.0  # [s]
     payload: Literal["nominal", "random"] = "nominal"
 
 

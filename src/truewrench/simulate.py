@@ -120,7 +120,7 @@ def simulate(
     inside = (shown >= 0.0) & (shown <= motion.duration)
     sensor_ns, shown = sensor_ns[inside], shown[inside]
     if sensor_ns.size == 0:
-        found = f"{truth.time_offset} s"
+        found = f"{truth.time_offset:g} s"
         raise InputError.at(
             rig.path, "simulate.time_offset", found, f"less than the {motion.duration} s of motion"
         )
@@ -299,7 +299,10 @@ def _draw_truth(rig: Rig, seed: int) -> Truth:
     payloads = {
         name: _draw_payload(spec, rng) if draw else _stated(spec) for name, spec in rig.payloads.items()
     }
-    return Truth(gain, offset, options.time_offset, payloads, seed)
+    time_offset = options.time_offset
+    if time_offset == "random":
+        time_offset = sensor.time_offset_prior * float(np.random.default_rng([seed, 2]).standard_normal())
+    return Truth(gain, offset, time_offset, payloads, seed)
 
 
 def _stated(spec: PayloadSpec) -> Body:

@@ -22,9 +22,20 @@ Array = NDArray[np.float64]
 UNDETERMINED = 0.5  # of the prior's sigma: a direction less certain than that was not determined by the data
 REJECTED = 0.05  # share of the samples in rejected windows that is still accepted
 CHI_SQUARE = 1.05  # residual chi-square per degree of freedom that is still accepted,
+CHI_SQUARE_LOW = 0.5  # below it the stated noise is too large to say anything
 DEVIATE = 4.0  # unless chance alone explains it: standard normal deviate
 DEPENDENCE = 3.1  # deviate (99.9%) of the gain against other knots and windows
+SINGULAR = 1e12  # condition number that only rounding keeps from infinity
 CONDITION = 100.0  # condition number of the normalised gain: noise of one axis that another would inherit
+
+SURPRISE = 3.0  # sigma of the prior that a common parameter may depart from it
+
+PAYLOAD_PARAMETERS = (
+    "the mass",
+    *(f"the centre of mass along {axis}" for axis in "xyz"),
+    *(f"the inertia {element}" for element in ("xx", "yy", "zz", "xy", "xz", "yz")),
+)
+"""What the ten departures of a payload are."""
 
 _WRENCH = tuple(f"{kind} {axis}" for kind in ("force along", "moment about") for axis in "xyz")
 _CAUSES = {
@@ -62,13 +73,14 @@ def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> di
 def judge_windows(rig: Rig, estimate: WindowEstimate) -> Verdict:
     """The verdict on what `map` or `online` found."""
     n = rig.sensor.n
-    reasons = [*_unmodelled(rig), *_of_windows(estimate)]
+    reasons = [*_of_windows(estimate), *_surprises(rig, estimate)]
     if not estimate.solved:
         reasons.append("the sums over the windows could not be solved")
     elif not estimate.converged:
         reasons.append("the estimate did not converge")
     for name, fit in group_fits(estimate.windows).items():
-        if fit.chi_square > CHI_SQUARE and fit.deviate > DEVIATE:
+        above = fit.chi_square > CHI_SQUARE and fit.deviate > DEVIATE
+        if above or (fit.chi_square < CHI_SQUARE_LOW and fit.deviate < -DEVIATE):
             reasons.append(
                 f"residuals of {name} do not match the stated noise: chi-square {fit.chi_square:.3g} "
                 f"per degree of freedom ({fit.deviate:.1f} sigma from 1)"
@@ -158,21 +170,26 @@ def _direction_words(direction: Array, channels: Sequence[str]) -> str:
     return f"{_wrench_words(columns[0])}: gain of {' and '.join(strong)}"
 
 
-def _unmodelled(rig: Rig) -> list[str]:
-    """What the rig says is uncertain, but the stated sigma does not contain."""
-    inexact = [name for name, payload in rig.payloads.items() if not payload.exact]
-    reasons = []
-    if inexact:
-        reasons.append(
-            f"sigma does not contain the stated uncertainty of the payload ({', '.join(inexact)}): "
-            "it was taken for exact"
-        )
-    if rig.sensor.time_offset_prior > 0.0:
-        reasons.append(
-            f"sigma does not contain the time offset between sensor and motion "
-            f"(stated as {rig.sensor.time_offset_prior:g} s): the clocks were taken for synchronous"
-        )
-    return reasons
+def _surprises(rig: Rig, estimate: WindowEstimate) -> list[str]:
+    """Common parameters that the data put further from what the rig states than its uncertainty allows."""
+    found = []
+    for name, departure in estimate.payloads.items():
+        u = rig.payloads[name].uncertainty
+        stated = np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
+        for value, sigma, parameter in zip(departure.mean, stated, PAYLOAD_PARAMETERS, strict=True):
+            if abs(value) > SURPRISE * sigma > 0.0:
+                found.append(
+                    f"suspected set-up error: {parameter} of payload `{name}` comes out {abs(value) / sigma:.1f} "
+                    "sigma from what the rig states"
+                )
+    prior = rig.sensor.time_offset_prior
+    for k, value in enumerate(estimate.time_offsets):
+        if abs(value) > SURPRISE * prior > 0.0:
+            found.append(
+                f"suspected set-up error: the time offset of log {k + 1} comes out as {1e3 * value:.3g} ms: "
+                f"{abs(value) / prior:.1f} sigma of what the rig states"
+            )
+    return found
 
 
 def _of_windows(estimate: WindowEstimate) -> list[str]:
@@ -183,8 +200,13 @@ def _of_windows(estimate: WindowEstimate) -> list[str]:
         count[w.status.name] += 1
     total = samples.total()
     rejected = {name: count[name] for name in count if name != "fitted"}
+    without = [
+        f"no window of log {log + 1} fits: its offset is not determined"
+        for log in range(len(estimate.offsets))
+        if count["fitted"] and not any(w.log == log and w.status.name == "fitted" for w in estimate.windows)
+    ]
     if count["fitted"] and total - samples["fitted"] <= REJECTED * total:
-        return []
+        return without
     worst = max(
         ((fit.chi_square, name) for name, fit in group_fits(estimate.windows, fitted=False).items()),
         default=None,
@@ -196,7 +218,7 @@ def _of_windows(estimate: WindowEstimate) -> list[str]:
             f"no window of motion fits{level}: {causes}" if rejected else "the log holds no window of motion"
         ]
     share = 100.0 * (total - samples["fitted"]) / total
-    return [f"{share:.0f} % of the samples lie in rejected windows{level}: {causes}"]
+    return [*without, f"{share:.0f} % of the samples lie in rejected windows{level}: {causes}"]
 
 
 def _listed(rejected: Mapping[str, int]) -> str:
@@ -206,7 +228,7 @@ def _listed(rejected: Mapping[str, int]) -> str:
 def _of_gain(rig: Rig, gain: Array) -> list[str]:
     sensor = rig.sensor
     found = _core.conditioning(gain, sensor.noise_array, sensor.nominal_gain_array, sensor.range_array)
-    if not math.isfinite(found.condition_number):
+    if not found.condition_number < SINGULAR:
         return ["the gain is singular: some wrench leaves no trace in the channels"]
     if found.condition_number > CONDITION:
         return [

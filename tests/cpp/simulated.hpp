@@ -10,14 +10,12 @@
 namespace truewrench {
 
 // [A00] Table 1.
-inline Payload table_1() {
-  return {50.0, Vector3(0.2, 0.0, 0.0), Vector3(1.5, 1.5, 0.4).asDiagonal()};
-}
+inline Payload table_1() { return {50.0, Vector3(0.2, 0.0, 0.0), Vector3(1.5, 1.5, 0.4).asDiagonal()}; }
 
 // The arrays behind a LogData; stays where it is while the engine reads it.
 struct Recording {
   Payload payload;
-  Matrix6 shift = Matrix6::Identity();
+  Vector3 point = Vector3::Zero();
   Vector6 twist_sigma;
   std::vector<double> motion_time;
   std::vector<double> sensor_time;
@@ -28,9 +26,10 @@ struct Recording {
   LogData data() const {
     LogData d;
     d.payload = payload;
-    d.map.shift = shift;
+    d.point = point;
     d.motion.push_back({0, motion_time, twist.data(), twist_sigma});
-    d.wrench = {sensor_time, raw.data(), gravity.size() > 0 ? gravity.data() : nullptr, Vector3::Zero()};
+    d.wrench = {sensor_time, raw.data(), nullptr};
+    if (gravity.size() > 0) d.gravity = {sensor_time, gravity.data(), Vector3::Zero()};
     return d;
   }
 };
@@ -75,7 +74,7 @@ struct Simulation {
     std::mt19937 random(seed);
     Recording r;
     r.payload = payload;
-    r.shift.topRightCorner<3, 3>() = -cross_matrix(payload.center_of_mass - point);
+    r.point = point;
     r.twist_sigma.setConstant(twist_sigma);
     for (int k = 0; k < duration * motion_rate; ++k) r.motion_time.push_back(begin + k / motion_rate);
     for (int k = 0; k < duration * sensor_rate; ++k) r.sensor_time.push_back(begin + k / sensor_rate);

@@ -1,5 +1,5 @@
 // How logs add up, against one dense problem in all their unknowns.
-#include "truewrench/common.hpp"
+#include "truewrench/knots.hpp"
 
 #include "oracles.hpp"
 
@@ -14,8 +14,9 @@ constexpr int gains = 36;
 CommonPrior prior_of(bool offset, bool pooled) {
   std::mt19937 random(1);
   CommonPrior prior;
-  prior.layout = {n, offset};
-  prior.pool_offsets = pooled;
+  prior.layout.channels = n;
+  prior.layout.offset = offset;
+  prior.layout.pool_offsets = pooled;
   prior.mean = oracle::normal_matrix(random, prior.layout.size(), 1);
   prior.information = oracle::normal_matrix(random, prior.layout.size(), 1).cwiseAbs2().array() + 0.1;
   return prior;

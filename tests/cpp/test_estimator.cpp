@@ -24,8 +24,9 @@ Simulation with_gain(int channels = 6) {
 CommonPrior prior_of(const Simulation& s, bool pooled = false) {
   const int n = static_cast<int>(s.channel.size());
   CommonPrior prior;
-  prior.layout = {n, true};
-  prior.pool_offsets = pooled;
+  prior.layout.channels = n;
+  prior.layout.offset = true;
+  prior.layout.pool_offsets = pooled;
   prior.mean.setZero(7 * n);
   for (int i = 0; i < n; ++i) prior.mean[6 * i + i % 6] = 1.0;
   prior.information.setConstant(7 * n, 1.0 / (0.3 * 0.3));

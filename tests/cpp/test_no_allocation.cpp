@@ -61,18 +61,10 @@ void* operator new(std::size_t n, std::align_val_t alignment) {
   if (void* p = std::aligned_alloc(a, (n + a - 1) / a * a)) return p;
   throw std::bad_alloc();
 }
-void operator delete(void* p) noexcept {
-  std::free(p);
-}
-void operator delete(void* p, std::size_t) noexcept {
-  std::free(p);
-}
-void operator delete(void* p, std::align_val_t) noexcept {
-  std::free(p);
-}
-void operator delete(void* p, std::size_t, std::align_val_t) noexcept {
-  std::free(p);
-}
+void operator delete(void* p) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t) noexcept { std::free(p); }
+void operator delete(void* p, std::align_val_t) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t, std::align_val_t) noexcept { std::free(p); }
 
 namespace truewrench {
 namespace {
@@ -146,12 +138,8 @@ TEST(NoAllocation, TrapsSeeAllocations) {
   EXPECT_EQ(allocations_in([] { EXPECT_EQ(Eigen::MatrixXd::Zero(3, 3).eval()(0, 0), 0.0); }), 2);
 }
 
-TEST(NoAllocation, FilterStep) {
-  filter_does_not_allocate<false>();
-}
-TEST(NoAllocation, FilterStepWithOffset) {
-  filter_does_not_allocate<true>();
-}
+TEST(NoAllocation, FilterStep) { filter_does_not_allocate<false>(); }
+TEST(NoAllocation, FilterStepWithOffset) { filter_does_not_allocate<true>(); }
 TEST(NoAllocation, CorrectorStep) {
   corrector_does_not_allocate<6>(6);
   corrector_does_not_allocate<Eigen::Dynamic>(9);

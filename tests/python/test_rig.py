@@ -217,6 +217,8 @@ def test_unknown_key_is_named_with_the_nearest_known_one(
         ("simulate", {"gain": "wild"}, "simulate.gain", "'wild'", "`nominal` or `random`"),
         ("simulate", {"gain": np.eye(6)[:4].tolist()}, "simulate.gain", "4 rows", "6 rows"),
         ("simulate", {"offset": [0] * 7}, "simulate.offset", "7 entries", "6"),
+        ("simulate", {"time_offset": "wild"}, "simulate.time_offset", "'wild'", "`random` or a number"),
+        ("simulate", {"time_offset": True}, "simulate.time_offset", "true", "`random` or a number"),
         ("simulate", {"payload": "default"}, "simulate.payload", "'default'", "`nominal` or `random`"),
         ("recording", {"stamps": "now"}, "recording.stamps", "'now'", "`header` or `receive`"),
         ("sensor", None, "sensor", "nothing", "a mapping"),

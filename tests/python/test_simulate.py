@@ -115,6 +115,20 @@ def test_gain_and_offset_make_the_raw_channels() -> None:
     np.testing.assert_allclose(run.log.raw, wrench @ np.array(gain).T + offset, atol=1e-7)
 
 
+def test_random_time_offset_follows_its_prior_and_changes_no_other_draw() -> None:
+    sensor = {"time_offset_prior": 2e-3}
+    options = {"gain": "random", "offset": "random", "payload": "random", "rate": 20, "sensor_rate": 20}
+    drawn = rig_of(sensor=sensor, simulate=options | {"time_offset": "random"})
+    truths = [simulate(drawn, seed=seed).truth for seed in range(300)]
+    offsets = np.array([truth.time_offset for truth in truths])
+    assert abs(offsets.std() / 2e-3 - 1.0) < 4.0 / np.sqrt(2.0 * offsets.size)
+    assert abs(offsets.mean()) < 4.0 * 2e-3 / np.sqrt(offsets.size)
+    fixed = simulate(rig_of(sensor=sensor, simulate=options), seed=7).truth
+    assert np.array_equal(fixed.gain, truths[7].gain)
+    assert np.array_equal(fixed.offset, truths[7].offset)
+    assert fixed.payloads["table_1"].mass == truths[7].payloads["table_1"].mass
+
+
 def test_sensor_sample_shows_the_motion_at_its_stamp_plus_the_time_offset() -> None:
     rig = rig_of(**QUIET | {"simulate": {"gain": "nominal", "offset": "none", "time_offset": 0.013}})
     run = simulate(rig)

@@ -52,6 +52,9 @@ class WindowEstimate:
         time_offsets: (L,) [s], t_motion = t_sensor + time_offset.
         time_offsets_std: (L,).
         payloads: departures from what is stated, per payload that is not exact.
+        contributions: 1 sigma of the normalised gain (n, 6) that each source alone accounts for: noise, and
+            what is uncertain of the rig (mass, center_of_mass, inertia, timing).
+        offset_temperature: (n,) slope of the offset per K, None without a temperature column or prior.
         solved: whether any window left information and the sums could be solved.
         converged: whether the iterations ended below their tolerance.
         windows: one report per window.
@@ -75,6 +78,8 @@ class WindowEstimate:
     time_offsets: Array
     time_offsets_std: Array
     payloads: dict[str, PayloadDeparture]
+    contributions: dict[str, Array]
+    offset_temperature: Array | None
     solved: bool
     converged: bool
     windows: tuple[_core.WindowReport, ...]
@@ -119,11 +124,14 @@ def estimate_windows(
     to_gain = scale[:, None] / span  # SI gain per normalised gain
     units = np.append(to_gain.ravel(), scale)
     normalised = nominal
-    covariance = np.diag(np.append(np.full(6 * n, sensor.gain_prior), sensor.offset_prior_array / scale) ** 2.0)
+    covariance = np.diag(
+        np.append(np.full(6 * n, sensor.gain_prior), sensor.offset_prior_array / scale) ** 2.0
+    )
     offsets, offsets_std = np.zeros((len(logs), n)), np.tile(sensor.offset_prior_array, (len(logs), 1))
     clocks = np.zeros(len(logs))
     clocks_std = np.full(len(logs), sensor.time_offset_prior)
     payloads: dict[str, PayloadDeparture] = {}
+    slope = np.zeros(n) if layout.temperature else None
     if estimate.solved:
         normalised = estimate.mean[-1][: 6 * n].reshape(n, 6)
         stds = [np.sqrt(np.diag(c)) for c in estimate.covariance]
@@ -135,6 +143,8 @@ def estimate_windows(
             offsets_std = np.array([std[o] for std in stds]) * scale
         covariance = np.zeros((7 * n, 7 * n))
         covariance[: kept.size, : kept.size] = estimate.covariance[-1][np.ix_(kept, kept)]
+        if layout.temperature:
+            slope = estimate.mean[-1][layout.temperature_begin : layout.temperature_begin + n] * scale
         if layout.time_offset:
             clocks = np.array([m[layout.time_offset_begin] for m in estimate.mean])
             clocks_std = np.array([std[layout.time_offset_begin] for std in stds])
@@ -152,6 +162,8 @@ def estimate_windows(
         time_offsets=clocks,
         time_offsets_std=clocks_std,
         payloads=payloads,
+        offset_temperature=slope,
+        contributions=_contributions(layout, estimate.covariance[-1]) if estimate.solved else {},
         solved=estimate.solved,
         converged=estimate.converged,
         windows=tuple(estimate.windows),
@@ -167,9 +179,35 @@ def estimate_windows(
     )
 
 
+def _contributions(layout: _core.ParameterLayout, covariance: Array) -> dict[str, Array]:
+    """Split the variance of the gain: P_gg = P_g|nu + K P_nu K^T, K = P_g,nu P_nu^-1, nu uncertain."""
+    first, clock, g = layout.payload_begin, layout.time_offset_begin, 6 * layout.channels
+    groups: dict[str, list[int]] = {}
+    if layout.payload:
+        groups["mass"] = [first]
+        groups["center_of_mass"] = list(range(first + 1, first + 4))
+        groups["inertia"] = list(range(first + 4, first + 10))
+    if layout.time_offset:
+        groups["timing"] = [clock]
+    nuisance = [k for group in groups.values() for k in group]
+    total = covariance[:g, :g].diagonal()
+    if not nuisance:
+        return {"noise": np.sqrt(total).reshape(-1, 6)}
+    inner = covariance[np.ix_(nuisance, nuisance)]
+    sensitivity = np.linalg.solve(inner, covariance[nuisance, :g]).T
+    explained = np.einsum("ij,jk,ik->i", sensitivity, inner, sensitivity)
+    found = {"noise": np.sqrt(np.maximum(total - explained, 0.0)).reshape(-1, 6)}
+    for name, group in groups.items():
+        at = [nuisance.index(k) for k in group]
+        part = np.einsum("ij,jk,ik->i", sensitivity[:, at], inner[np.ix_(at, at)], sensitivity[:, at])
+        found[name] = np.sqrt(part).reshape(-1, 6)
+    return found
+
+
 def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:
     """Priors of the common parameters, normalised; what is exact and not needed is left out."""
     sensor = rig.sensor
+    _check_temperature(rig, logs)
     names = list(dict.fromkeys(log.payload for log in logs))
     layout = _core.ParameterLayout()
     layout.channels = sensor.n
@@ -177,6 +215,7 @@ def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:
     layout.offset = bool(sensor.offset_prior_array.any())
     layout.pool_offsets = sensor.pool_offsets
     layout.time_offset = sensor.time_offset_prior > 0.0
+    layout.temperature = rig.temperature.prior > 0.0 and any(log.temperature is not None for log in logs)
     mean, sigma = np.zeros(layout.size), np.ones(layout.size)
     mean[: nominal.size] = nominal.ravel()
     sigma[: nominal.size] = sensor.gain_prior
@@ -184,6 +223,8 @@ def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:
         sigma[layout.offset_begin : layout.offset_begin + sensor.n] = (
             sensor.offset_prior_array / sensor.channel_scale
         )
+    if layout.temperature:
+        sigma[layout.temperature_begin : layout.temperature_begin + sensor.n] = rig.temperature.prior
     if layout.time_offset:
         sigma[layout.time_offset_begin] = sensor.time_offset_prior
     prior = _core.CommonPrior()
@@ -194,7 +235,9 @@ def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:
     known = []
     for name in names:
         u = rig.payloads[name].uncertainty
-        known.append(np.maximum(np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6), _EXACT) ** -2.0)
+        known.append(
+            np.maximum(np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6), _EXACT) ** -2.0
+        )
     prior.payload_information = known
     return prior
 
@@ -227,5 +270,23 @@ def _recorded(rig: Rig, log: Log) -> tuple[_core.RecordedLog, NDArray[np.int64]]
         rows = rows[(time[rows] >= first) & (time[rows] <= last)]
     elif rig.in_gravity:
         raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
-    recorded.set_wrench(time[rows], np.ascontiguousarray(log.raw[rows]))
+    recorded.set_wrench(time[rows], np.ascontiguousarray(log.raw[rows]), _temperature(rig, log, time[rows]))
     return recorded, rows
+
+
+def _check_temperature(rig: Rig, logs: Sequence[Log]) -> None:
+    measured = [log for log in logs if log.temperature is not None]
+    for log in logs:
+        if rig.temperature.prior > 0.0 and measured and log.temperature is None:
+            raise InputError.at(
+                log.path, "temperature", "no such column", "one in every log, as in the others"
+            )
+
+
+def _temperature(rig: Rig, log: Log, at: Array) -> Array | None:
+    """Departure from the reference temperature at the sensor's times [K]."""
+    if log.temperature is None or rig.temperature.prior == 0.0:
+        return None
+    known = np.isfinite(log.temperature)
+    values = np.interp(at, log.time[known], log.temperature[known])
+    return np.ascontiguousarray(values - rig.temperature.reference)
