@@ -227,6 +227,50 @@ def simulate(
     )
 
 
+@app.command()
+def campaign(
+    rig: RigArgument,
+    trials: Annotated[int, typer.Option(min=1, help="Simulated calibrations.")],
+    output: OutputFolderOption,
+    plan: Annotated[Path | None, typer.Argument(metavar="[PLAN]", help="Table of the motion.")] = None,
+    estimator: Annotated[
+        Literal["map", "online", "ekf", "ls"], typer.Option(help="map, online; ekf and ls are references.")
+    ] = "map",
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
+    processes: Annotated[int | None, typer.Option(min=1, help="All cores; no effect on the rows.")] = None,
+    restart: Annotated[bool, typer.Option("--restart", help="Drop another campaign in DIR.")] = False,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Simulate and calibrate many times: accuracy, honesty, time. A rerun goes on where it stood."""
+    from truewrench.campaign import campaign as run
+    from truewrench.campaign_statistics import campaign_words
+    from truewrench.rig import load_rig
+    from truewrench.simulate import read_plan
+
+    _check_folder(output)
+    settings = load_rig(rig)
+    trajectory = None if plan is None else read_plan(plan)
+    with _progress() as update:
+        result = run(
+            settings,
+            trials,
+            output,
+            estimator,
+            seed,
+            processes,
+            update,
+            trajectory=trajectory,
+            restart=restart,
+        )
+    return Outcome(
+        outputs=result.outputs,
+        verdict=result.summary["verdict"],
+        figures=result.summary,
+        words=lambda: campaign_words(result),
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and exit with its status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
