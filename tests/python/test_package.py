@@ -17,7 +17,17 @@ PACKAGE = ROOT / "src" / "truewrench"
 # the data types and what they stand on. "estimate" and "io" stand for the modules inside them.
 FLOORS = [
     {"errors", "log", "smooth", "workers", "trajectory", "_core", "_cpu"},
-    {"files", "strict", "fields", "sections", "rig", "payload", "calibration", "signed_axes", "setup_hypotheses"},
+    {
+        "files",
+        "strict",
+        "fields",
+        "sections",
+        "rig",
+        "payload",
+        "calibration",
+        "signed_axes",
+        "setup_hypotheses",
+    },
     {"io"},
     {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "validate"},
     {"setup_errors"},
