@@ -29,7 +29,7 @@ FLOORS = [
         "setup_hypotheses",
     },
     {"io"},
-    {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "validate"},
+    {"estimate", "simulate", "apply", "inspect_log", "bound", "figures"},
     {"setup_errors"},
     {"verdict", "summary"},
     {"pipeline", "campaign_statistics"},
