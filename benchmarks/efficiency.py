@@ -38,8 +38,8 @@ from truewrench.estimate.ekf import estimate_ekf
 
 Array = NDArray[np.float64]
 
-DENSITIES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-PAIRED = (0.001, 0.01, 0.1, 1.0, 10.0, 100.0)  # every second: all pairs of them
+DENSITIES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0, 10000.0)
+PAIRED = (0.001, 0.01, 0.1, 1.0, 10.0, 100.0, 1000.0, 10000.0)  # all pairs of them
 NO_BOUND = (
     "random_walk_0.3",
     "random_walk_3",
@@ -134,8 +134,8 @@ def score(problem: cases.Problem, gain: Array, covariance: Array) -> tuple[float
     return float(np.mean(error**2)), nees
 
 
-def report(name: str, cell: tuple[float, float], drawn: list[Drawn], window: float | None) -> None:
-    """Print the rows of one noise cell."""
+def report(cell: tuple[float, float], drawn: list[Drawn], window: float | None) -> list[str]:
+    """Print the rows of one noise cell; return the commonest reasons why results are not to be used."""
     bound, oracle, expected = (
         np.sqrt(np.mean([getattr(d, key) for d in drawn]))
         for key in ("bound", "oracle", "expected_squared_error")
@@ -167,10 +167,12 @@ def report(name: str, cell: tuple[float, float], drawn: list[Drawn], window: flo
             f"{1e3 * np.median([o.seconds for o in outcomes]):.0f}",
         ]
         print("| " + " | ".join(cells) + " |", flush=True)
-    for label in columns.keys() & {"map", "online"}:
-        reasons = Counter(re.split(r"[:(]", r)[0].strip() for o in columns[label] for r in o.reasons)
-        for reason, count in reasons.most_common(3):
-            print(f"<!-- {label}: {count} of {len(drawn)}: {reason} -->")
+    notes = []
+    for label in ("map", "online"):
+        reasons = (re.split(r"[:(]", r)[0].strip() for o in columns.get(label, []) for r in o.reasons)
+        for reason, count in Counter(reasons).most_common(3):
+            notes.append(f"- {cell[0]:g}, {cell[1]:g}, {label}: {count} of {len(drawn)}: {reason}")
+    return notes
 
 
 def mean_square(outcomes: list[Outcome]) -> float:
@@ -208,10 +210,14 @@ def main() -> None:
     header = "sf [N], sv|estimator|RMS|median|bound|oracle|efficiency|NEES/36|honest|worst|usable|ms"
     print("| " + header.replace("|", " | ") + " |")
     print("|---" * 12 + "|")
+    reasons: list[str] = []
     with ProcessPoolExecutor(options.processes) as pool:
         for cell in cells:
             job = partial(run_seed, options.case, cell, estimators, options.window)
-            report(options.case, cell, list(pool.map(job, seeds, chunksize=4)), options.window)
+            drawn = list(pool.map(job, seeds, chunksize=4))
+            reasons += report(cell, drawn, options.window)
+    if reasons:
+        print("\nNot to be used:\n\n" + "\n".join(reasons))
 
 
 if __name__ == "__main__":
