@@ -9,70 +9,38 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
-from scipy.stats import norm
 
 from truewrench import _core
-from truewrench.calibration import Calibration
 from truewrench.campaign_statistics import Campaign, summarise
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.figures_campaign import coverage_figure, nees_figure, sigma_figure
 from truewrench.files import read_yaml, write_yaml
 from truewrench.io.output import write_batches
-from truewrench.pipeline import EstimatorName, calibrate
+from truewrench.pipeline import EstimatorName
 from truewrench.rig import Rig
-from truewrench.simulate import Truth, default_trajectory, simulate
+from truewrench.simulate import default_trajectory
 from truewrench.strict import key_path
 from truewrench.trajectory import Trajectory
+from truewrench.trial import SCHEMA, Row, make_row, run_trial, trial_seed
 from truewrench.workers import Lost, available_cores, in_processes
 
-__all__ = ["FORMAT", "STREAMS", "campaign", "nees", "run_trial", "trial_seed"]
+__all__ = ["FORMAT", "campaign"]
 
 FORMAT = "truewrench-campaign/1"
-STREAMS = ("force", "moment", "v", "Omega")
-
-Array = NDArray[np.float64]
-Outcome = Literal["calibrated", "refused", "fault"]
-Row = dict[str, Any]
 
 _SHARD = 64  # trials in a file
 _SAVE_EVERY = 30.0  # [s] the most that a power cut costs
-_WITHIN_95 = float(norm.ppf(0.975))
-
-_NUMBERS = (
-    *("rms_error", "rms_stated", "rms_oracle", "nees", "largest_deviation", "coverage"),
-    *(f"chi_square_{stream}" for stream in STREAMS),
-    *("time_offset_error", "time_offset_std", "seconds"),
-)
-SCHEMA = pa.schema(
-    [
-        pa.field("trial", pa.int64()),
-        pa.field("seed", pa.int64()),
-        pa.field("outcome", pa.string()),
-        pa.field("usable", pa.bool_()),
-        pa.field("reasons", pa.list_(pa.string())),
-        *(pa.field(name, pa.float64()) for name in _NUMBERS),
-        *(
-            pa.field(name, pa.int64())
-            for name in ("nees_dof", "windows", "windows_fitted", "windows_rejected")
-        ),
-        # normalised, row by row of the gain
-        pa.field("error", pa.list_(pa.float64())),
-        pa.field("std", pa.list_(pa.float64())),
-    ]
-)
 
 
 def campaign(
@@ -124,7 +92,7 @@ def campaign(
             if isinstance(row, UnsupportedError):  # so would every other trial be
                 raise row
             if isinstance(row, Lost):
-                row = _row(trial, trial_seed(seed, trial), "fault", (row.reason,))
+                row = make_row(trial, trial_seed(seed, trial), "fault", (row.reason,))
             shards.add(row)
             done += 1
             report(f"{done} of {trials} trials", done / trials)
@@ -134,91 +102,6 @@ def campaign(
     table = pa.Table.from_pylist([shards.rows[trial] for trial in range(trials)], schema=SCHEMA)
     result = summarise(rig, table, estimator, seed)
     return _write(result, shards)
-
-
-def run_trial(
-    rig: Rig, trajectory: Trajectory, estimator: EstimatorName, seed: int, trial: int
-) -> Row | UnsupportedError:
-    """One row: what a simulated calibration found, was refused for, or stumbled over.
-
-    A combination of settings that is not supported is returned, since it holds for every trial alike.
-    """
-    drawn = trial_seed(seed, trial)
-    try:
-        run = simulate(rig, trajectory, seed=drawn)
-        started = time.perf_counter()
-        found = calibrate(rig, run.log, estimator, threads=1)
-        seconds = time.perf_counter() - started
-        return _row(
-            trial, drawn, "calibrated", found.verdict.reasons, **_judge(found, run.truth), seconds=seconds
-        )
-    except UnsupportedError as error:
-        return error
-    except InputError as error:
-        return _row(trial, drawn, "refused", error.problems)
-    except Exception as error:  # any: a fault is a finding of the campaign, with its place
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(place.filename).name}:{place.lineno}"
-        return _row(trial, drawn, "fault", (f"{type(error).__name__}: {error} ({where})",))
-
-
-def trial_seed(seed: int, trial: int) -> int:
-    """The seed with which `simulate` repeats the log of a trial; campaigns of other seeds share none."""
-    return int(np.random.SeedSequence((seed, trial)).generate_state(1, np.uint64)[0] >> np.uint64(1))
-
-
-def nees(error: Array, covariance: Array) -> tuple[float, int]:
-    """Normalised estimation error squared, e^T P^-1 e, and its degrees of freedom, the rank of P.
-
-    NaN where P is not a covariance. P is scaled to correlations first: its rank must not depend on units.
-    """
-    scale = np.sqrt(np.diag(covariance))
-    if not (np.isfinite(covariance).all() and np.isfinite(error).all() and (scale > 0.0).all()):
-        return float("nan"), 0
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > 1e-12 * values[-1]
-    return float(np.sum((vectors[:, kept].T @ (error / scale)) ** 2 / values[kept])), int(kept.sum())
-
-
-def _row(trial: int, seed: int, outcome: Outcome, reasons: tuple[str, ...], **values: Any) -> Row:
-    empty: Row = dict.fromkeys(SCHEMA.names)
-    identity = {"trial": trial, "seed": seed, "outcome": outcome, "usable": False, "reasons": list(reasons)}
-    return empty | identity | values
-
-
-def _judge(found: Calibration, truth: Truth) -> Row:
-    """The columns of a calibration whose truth is known."""
-    sensor, n = found.rig.sensor, found.rig.sensor.n
-    normalise = (sensor.range_array / sensor.channel_scale[:, None]).ravel()
-    error = (found.gain - truth.gain).ravel() * normalise
-    covariance = found.covariance[: 6 * n, : 6 * n] * np.outer(normalise, normalise)
-    std = np.sqrt(np.diag(covariance))
-    deviation = np.abs(error) / std
-    squared, freedom = nees(error, covariance)
-    chi_square = found.figures.get("chi_square")
-    windows, fitted = found.figures.get("windows"), found.figures.get("windows_fitted")
-    values: Row = {
-        "rms_error": np.sqrt(np.mean(error**2)),
-        "rms_stated": np.sqrt(np.mean(std**2)),
-        "rms_oracle": None if found.bound is None else found.bound.oracle_rms,
-        "nees": squared,
-        "largest_deviation": deviation.max(),
-        "coverage": np.mean(deviation <= _WITHIN_95),
-        "time_offset_error": found.time_offset - truth.time_offset,
-        "time_offset_std": found.time_offset_std,
-    }
-    if isinstance(chi_square, Mapping):
-        values |= {f"chi_square_{stream}": chi_square.get(stream) for stream in STREAMS}
-    known = {name: float(x) for name, x in values.items() if x is not None and np.isfinite(x)}
-    return known | {
-        "usable": found.verdict.usable,
-        "nees_dof": freedom,
-        "windows": windows,
-        "windows_fitted": fitted,
-        "windows_rejected": None if windows is None or fitted is None else windows - fitted,
-        "error": error.tolist(),
-        "std": std.tolist(),
-    }
 
 
 def _manifest(rig: Rig, motion: Trajectory, estimator: str, seed: int) -> dict[str, Any]:

@@ -70,7 +70,7 @@ class Campaign:
 
 
 def summarise(rig: Rig, rows: pa.Table, estimator: str, seed: int) -> Campaign:
-    """Judge the rows of a campaign (campaign.py, `SCHEMA`), at least one."""
+    """Judge the rows of a campaign (trial.py, `SCHEMA`), at least one."""
     n, total = rig.sensor.n, rows.num_rows
     outcome = np.array(rows["outcome"].to_pylist())
     calibrated, usable = outcome == "calibrated", _column(rows, "usable") > 0.0

@@ -33,7 +33,7 @@ def nees_figure(path: Path, result: Campaign) -> bool:
     dof = float(np.median(freedom))
     low, high = _both(chi2.ppf(_LIMITS, freedom.sum()) / nees.size)
     mean = float(nees.mean())
-    figure, ax = _axes(7.6, 5.6, bottom=0.34)
+    figure, ax = _axes(7.6, 5.6, bottom=0.27)
     # what lies beyond any honest value is counted in the last bin
     end = min(float(nees.max()) * 1.02, 3.0 * float(chi2.isf(1e-4, dof)))
     start = min(float(nees.min()), float(chi2.ppf(1e-4, dof)))
@@ -54,7 +54,10 @@ def nees_figure(path: Path, result: Campaign) -> bool:
     ax.legend(frameon=False)
     ax.set_title(result.population)
     if low <= mean <= high:
-        conclusion = "the stated covariance is honest as a whole"
+        precision = max(1.0 - np.sqrt(low / dof), np.sqrt(high / dof) - 1.0)
+        conclusion = (
+            f"as a whole the stated sigma is honest, as far as so many trials tell: to {precision:.1%}"
+        )
     elif mean > high:
         conclusion = f"errors are larger than stated: the sigma is {np.sqrt(mean / dof):.2f} times too small"
     else:
@@ -81,7 +84,7 @@ def sigma_figure(path: Path, result: Campaign) -> bool:
     # of all gains together, honest ones stay within this
     widest = _both(np.sqrt(chi2.ppf(_limits_of_all(ratio.size), trials) / trials))
     outside = int(((ratio < widest[0]) | (ratio > widest[1])).sum())
-    figure, ax = _axes(7.2, 2.8 + 0.55 * n, bottom=1.9 / (2.8 + 0.55 * n))
+    figure, ax = _axes(7.2, 2.4 + 0.55 * n, bottom=1.5 / (2.4 + 0.55 * n), right=0.88)
     span = max(2.0, float(np.max(np.maximum(ratio, 1.0 / np.maximum(ratio, 1e-9)))))
     picture = ax.imshow(ratio, norm=LogNorm(1.0 / span, span), cmap="RdBu_r", aspect="auto")
     for (i, j), value in np.ndenumerate(ratio):
@@ -125,7 +128,7 @@ def coverage_figure(path: Path, result: Campaign) -> bool:
     band = _both(100.0 * binom.ppf(_LIMITS, trials, 0.95) / trials)
     widest = _both(100.0 * binom.ppf(_limits_of_all(covered.size), trials, 0.95) / trials)
     low, high = ((share < widest[0]).sum(), (share > widest[1]).sum())
-    figure, ax = _axes(max(7.6, 1.3 * n), 5.6, bottom=0.34)
+    figure, ax = _axes(max(7.6, 1.3 * n), 5.6, bottom=0.27)
     ax.axhspan(*band, color=GREY, alpha=0.25, linewidth=0, label="95% of honest gains")
     ax.axhline(95.0, color="black", linewidth=1.0)
     for i in range(n):
@@ -144,7 +147,7 @@ def coverage_figure(path: Path, result: Campaign) -> bool:
     elif high:
         conclusion = f"the intervals of {high} of {covered.size} gains are wider than they need be"
     else:
-        conclusion = "the 95% interval of every gain can be taken at its word"
+        conclusion = "no gain's interval can be told from an honest one"
     caption = (
         f"Share of {trials} trials in which estimate ± 1.96 sigma covers the true gain, with its 95% "
         f"confidence. Over all gains {share.mean():.1f}%. All {covered.size} honest gains lie within "
@@ -164,9 +167,9 @@ def _both(values: object) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _axes(width: float, height: float, bottom: float) -> tuple[Figure, Axes]:
+def _axes(width: float, height: float, bottom: float, right: float = 0.97) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width, height))
     ax = figure.subplots()
-    figure.subplots_adjust(left=0.11, right=0.97, top=0.93, bottom=bottom)
+    figure.subplots_adjust(left=0.11, right=right, top=0.93, bottom=bottom)
     ax.spines[["top", "right"]].set_visible(False)
     return figure, ax

@@ -33,7 +33,7 @@ FLOORS = [
     {"setup_errors"},
     {"verdict", "summary"},
     {"pipeline", "campaign_statistics"},
-    {"figures_campaign"},
+    {"figures_campaign", "trial"},
     {"demo", "campaign"},
     {"cli"},
 ]
