@@ -160,6 +160,45 @@ def calibrate(
 
 
 @app.command()
+def validate(
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml.")],
+    rig: RigArgument,
+    logs: LogsArgument,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of validation.yaml.")
+    ] = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Judge a calibration by logs it was not made with: is it better than the nominal gain?"""
+    from truewrench.calibration import load_calibration
+    from truewrench.io.tables import read_log
+    from truewrench.rig import load_rig
+    from truewrench.summary import validation_summary
+    from truewrench.validation import validate as run
+
+    if output is not None:
+        _check_folder(output)
+    loaded, settings = load_calibration(calibration), load_rig(rig)
+    with _progress() as update:
+        records = [read_log(log, settings) for log in logs]
+        update("validating", None)
+        validation = run(loaded, settings, records)
+    for record in records:
+        _report_left_out(record.path, record.dropped_rows, record.nan_counts)
+    outputs = [] if output is None else [output / "validation.yaml"]
+    for target in outputs:
+        validation.write_yaml(target)
+    figures = validation.to_mapping()
+    return Outcome(
+        outputs=outputs,
+        verdict=figures.pop("verdict"),
+        figures=figures,
+        words=lambda: validation_summary(validation),
+    )
+
+
+@app.command()
 def apply(
     calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml.")],
     log: Annotated[str, typer.Argument(metavar="LOG", help="CSV or Parquet.")],
