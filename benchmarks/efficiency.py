@@ -7,7 +7,7 @@ RMS of the Cramer-Rao bound, taken per seed for its gain and with the prior. NEE
 mean lies in the 99.8% chi-square interval widened by 0.05. In brackets stands what an efficient, honest
 estimator shows when gains are drawn more narrowly than the prior says. `ekf` starts with the acceleration
 of the case, and is shown at the densities of its grid with the least RMS: one for all axes, and a pair
-(linear, angular).
+(linear, angular). `known` is regression on the true motion: the draw of the noise alone.
 """
 
 from __future__ import annotations
@@ -79,6 +79,8 @@ def run_seed(
     for estimator in estimators:
         if estimator == "ekf":
             outcomes += filtered(name, problem)
+        elif estimator == "known":
+            outcomes.append(with_known_motion(name, cell, seed, problem))
         else:
             outcomes.append(calibrated(problem, estimator, window))
     if name in NO_BOUND:
@@ -108,6 +110,23 @@ def filtered(name: str, problem: cases.Problem) -> Iterator[Outcome]:
         label = f"ekf q = {linear:g}" if linear == angular else f"ekf q_v = {linear:g}, q_o = {angular:g}"
         squared, nees = score(problem, estimate.gain, estimate.covariance)
         yield Outcome(label, squared, nees, False, seconds)
+
+
+def with_known_motion(name: str, cell: tuple[float, float], seed: int, problem: cases.Problem) -> Outcome:
+    """Linear regression on the true motion: by how much chance alone departs from the oracle."""
+    start = time.perf_counter()
+    wrench = cases.information(name, cell, seed).wrench
+    prior, variance = cases.load_case(name)["gain_prior"] ** 2, cases.normalised_noise(name, cell) ** 2
+    raw = problem.logs[0].raw / np.array(cases.load_case(name)["range"])
+    gain, covariance = np.empty((6, 6)), np.zeros((36, 36))
+    for i in range(6):
+        of_row = np.linalg.inv(wrench.T @ wrench / variance[i] + np.eye(6) / prior)
+        gain[i] = of_row @ (wrench.T @ raw[:, i] / variance[i] + np.eye(6)[i] / prior)
+        covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = of_row
+    unit = problem.normalised(np.ones((6, 6)))
+    in_si = covariance / unit.ravel()[:, None] / unit.ravel()
+    squared, nees = score(problem, gain / unit, in_si)
+    return Outcome("regression, motion known", squared, nees, False, time.perf_counter() - start)
 
 
 def calibrated(problem: cases.Problem, label: str, window: float | None) -> Outcome:
