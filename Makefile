@@ -10,18 +10,20 @@ VENV := .venv
 BIN := $(abspath $(VENV))/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
+HEADERS := $(wildcard include/truewrench/*.hpp)
 # What the compiled modules are made of.
 CORE_SOURCES := pyproject.toml CMakeLists.txt $(wildcard cmake/*) \
-  $(wildcard include/truewrench/*.hpp) $(wildcard bindings/*)
+  $(HEADERS) $(wildcard bindings/*)
 CXX_FILES = $(shell git ls-files -co --exclude-standard '*.hpp' '*.cpp')
 
-.PHONY: help demo test test-cpp test-python bench lint format stubs lock figures clean
+.PHONY: help demo test test-cpp test-python bench lint tidy format stubs lock figures clean
 
 help:
 	@echo "make demo     the case of the paper, from motion to pictures, in out/demo"
 	@echo "make test     all tests, C++ and Python"
 	@echo "make bench    time per sample beside other filters, accuracy over a few seeds"
 	@echo "make lint     format, types and static checks; make format repairs what can be repaired"
+	@echo "make tidy     clang-tidy over every C++ test, some minutes"
 	@echo "make stubs    type stubs of the compiled modules, after a change of bindings/"
 	@echo "make figures  the figures of docs/"
 	@echo "make lock     requirements/*.txt from pyproject.toml"
@@ -70,12 +72,17 @@ bench: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/efficiency.py --seeds $(SEEDS)
 
-lint: $(VENV)/.built $(VENV)/.dev build/cpp/build.ninja
+lint: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(CXX_FILES)
-	$(BIN)/clang-tidy -p build/cpp --quiet $(wildcard tests/cpp/*.cpp)
+	printf '#include "truewrench/%s"\n' $(notdir $(HEADERS)) > build/headers.cpp
+	$(BIN)/clang-tidy --quiet build/headers.cpp -- -std=c++20 -Iinclude \
+	  -isystem $$($(BIN)/python -m cmeel cmake)/include/eigen3
+
+tidy: build/cpp/build.ninja
+	printf '%s\n' $(wildcard tests/cpp/*.cpp) | xargs -P 2 -n 1 $(BIN)/clang-tidy -p build/cpp --quiet
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .

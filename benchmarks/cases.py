@@ -127,11 +127,20 @@ def problem(name: str, cell: tuple[float, float], seed: int) -> Problem:
 
 def bound(name: str, cell: tuple[float, float], seed: int, *, oracle: bool = False) -> Array:
     """Cramer-Rao covariance (36, 36) of a drawn problem's normalised gains, at its truth, with its prior."""
-    drawn_motion = "ripple" in load_case(name)
-    information = _information(name, cell[1], seed if drawn_motion else 0)
     case, instance = load_case(name), problem_gain(name, seed)
-    noise = np.array([cell[0]] * 3 + [cell[0] / 10] * 3) / np.array(case["range"])
-    return covariance([information], instance, noise, gain_prior=case["gain_prior"], oracle=oracle)
+    noise = normalised_noise(name, cell)
+    motion = information(name, cell, seed)
+    return covariance([motion], instance, noise, gain_prior=case["gain_prior"], oracle=oracle)
+
+
+def information(name: str, cell: tuple[float, float], seed: int) -> MotionInformation:
+    """What the true motion of a drawn problem tells of its gain."""
+    return _information(name, cell[1], seed if "ripple" in load_case(name) else 0)
+
+
+def normalised_noise(name: str, cell: tuple[float, float]) -> Array:
+    """Noise of the channels (6,) in units of the ranges."""
+    return np.array([cell[0]] * 3 + [cell[0] / 10] * 3) / np.array(load_case(name)["range"])
 
 
 def problem_gain(name: str, seed: int) -> Array:

@@ -7,7 +7,7 @@ RMS of the Cramer-Rao bound, taken per seed for its gain and with the prior. NEE
 mean lies in the 99.8% chi-square interval widened by 0.05. In brackets stands what an efficient, honest
 estimator shows when gains are drawn more narrowly than the prior says. `ekf` starts with the acceleration
 of the case, and is shown at the densities of its grid with the least RMS: one for all axes, and a pair
-(linear, angular).
+(linear, angular). `known` is regression on the true motion: the draw of the noise alone.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from truewrench.estimate.ekf import estimate_ekf
 
 Array = NDArray[np.float64]
 
-DENSITIES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-PAIRED = (0.001, 0.01, 0.1, 1.0, 10.0, 100.0)  # every second: all pairs of them
+DENSITIES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0, 10000.0)
+PAIRED = (0.001, 0.01, 0.1, 1.0, 10.0, 100.0, 1000.0, 10000.0)  # all pairs of them
 NO_BOUND = (
     "random_walk_0.3",
     "random_walk_3",
@@ -79,6 +79,8 @@ def run_seed(
     for estimator in estimators:
         if estimator == "ekf":
             outcomes += filtered(name, problem)
+        elif estimator == "known":
+            outcomes.append(with_known_motion(name, cell, seed, problem))
         else:
             outcomes.append(calibrated(problem, estimator, window))
     if name in NO_BOUND:
@@ -110,6 +112,23 @@ def filtered(name: str, problem: cases.Problem) -> Iterator[Outcome]:
         yield Outcome(label, squared, nees, False, seconds)
 
 
+def with_known_motion(name: str, cell: tuple[float, float], seed: int, problem: cases.Problem) -> Outcome:
+    """Linear regression on the true motion: by how much chance alone departs from the oracle."""
+    start = time.perf_counter()
+    wrench = cases.information(name, cell, seed).wrench
+    prior, variance = cases.load_case(name)["gain_prior"] ** 2, cases.normalised_noise(name, cell) ** 2
+    raw = problem.logs[0].raw / np.array(cases.load_case(name)["range"])
+    gain, covariance = np.empty((6, 6)), np.zeros((36, 36))
+    for i in range(6):
+        of_row = np.linalg.inv(wrench.T @ wrench / variance[i] + np.eye(6) / prior)
+        gain[i] = of_row @ (wrench.T @ raw[:, i] / variance[i] + np.eye(6)[i] / prior)
+        covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = of_row
+    unit = problem.normalised(np.ones((6, 6)))
+    in_si = covariance / unit.ravel()[:, None] / unit.ravel()
+    squared, nees = score(problem, gain / unit, in_si)
+    return Outcome("regression, motion known", squared, nees, False, time.perf_counter() - start)
+
+
 def calibrated(problem: cases.Problem, label: str, window: float | None) -> Outcome:
     """What `truewrench calibrate` makes of it."""
     options: dict[str, Any] = {"estimator": label}
@@ -134,8 +153,8 @@ def score(problem: cases.Problem, gain: Array, covariance: Array) -> tuple[float
     return float(np.mean(error**2)), nees
 
 
-def report(name: str, cell: tuple[float, float], drawn: list[Drawn], window: float | None) -> None:
-    """Print the rows of one noise cell."""
+def report(cell: tuple[float, float], drawn: list[Drawn], window: float | None) -> list[str]:
+    """Print the rows of one noise cell; return the commonest reasons why results are not to be used."""
     bound, oracle, expected = (
         np.sqrt(np.mean([getattr(d, key) for d in drawn]))
         for key in ("bound", "oracle", "expected_squared_error")
@@ -167,10 +186,12 @@ def report(name: str, cell: tuple[float, float], drawn: list[Drawn], window: flo
             f"{1e3 * np.median([o.seconds for o in outcomes]):.0f}",
         ]
         print("| " + " | ".join(cells) + " |", flush=True)
-    for label in columns.keys() & {"map", "online"}:
-        reasons = Counter(re.split(r"[:(]", r)[0].strip() for o in columns[label] for r in o.reasons)
-        for reason, count in reasons.most_common(3):
-            print(f"<!-- {label}: {count} of {len(drawn)}: {reason} -->")
+    notes = []
+    for label in ("map", "online"):
+        reasons = (re.split(r"[:(]", r)[0].strip() for o in columns.get(label, []) for r in o.reasons)
+        for reason, count in Counter(reasons).most_common(3):
+            notes.append(f"- {cell[0]:g}, {cell[1]:g}, {label}: {count} of {len(drawn)}: {reason}")
+    return notes
 
 
 def mean_square(outcomes: list[Outcome]) -> float:
@@ -208,10 +229,14 @@ def main() -> None:
     header = "sf [N], sv|estimator|RMS|median|bound|oracle|efficiency|NEES/36|honest|worst|usable|ms"
     print("| " + header.replace("|", " | ") + " |")
     print("|---" * 12 + "|")
+    reasons: list[str] = []
     with ProcessPoolExecutor(options.processes) as pool:
         for cell in cells:
             job = partial(run_seed, options.case, cell, estimators, options.window)
-            report(options.case, cell, list(pool.map(job, seeds, chunksize=4)), options.window)
+            drawn = list(pool.map(job, seeds, chunksize=4))
+            reasons += report(cell, drawn, options.window)
+    if reasons:
+        print("\nNot to be used:\n\n" + "\n".join(reasons))
 
 
 if __name__ == "__main__":

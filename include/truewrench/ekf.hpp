@@ -187,19 +187,26 @@ class Ekf {
   // w_ <- H P with H = [C dw/dnu, C dw/da, I6 kron w^T, I; I 0 0 0]; rows without a sample are zero.
   void project(const MotionColumns& h, const Vector6& w, const bool (&missing)[12]) noexcept {
     for (int j = 0; j < stride; j += tile_columns) {
-      auto raw = Tile<6>::zero();
-      raw.template accumulate<1, 12, 8, 1>(h.data(), &p_[0][j], stride);
-#pragma GCC unroll 6
-      for (int i = 0; i < 6; ++i) {
-#pragma GCC unroll 6
-        for (int k = 0; k < 6; ++k) raw.add_scaled(i, w(k), &p_[first_gain + 6 * i + k][j]);
-        if constexpr (Offset) raw.add_scaled(i, 1.0, &p_[first_offset + i][j]);
-      }
-      raw.store(&w_[0][j], stride);
+      project_rows<0>(h, w, j);
+      project_rows<3>(h, w, j);
       Tile<6>::load(&p_[0][j], stride).store(&w_[6][j], stride);
     }
     for (int i = 0; i < 12; ++i)
       if (missing[i]) std::fill_n(w_[i], stride, 0.0);
+  }
+
+  // Three channels in the columns of one tile; six would not fit the registers.
+  template <int first>
+  void project_rows(const MotionColumns& h, const Vector6& w, int j) noexcept {
+    auto rows = Tile<3>::zero();
+    rows.template accumulate<1, 12, 8, 1>(h.data() + first, &p_[0][j], stride);
+#pragma GCC unroll 3
+    for (int i = 0; i < 3; ++i) {
+#pragma GCC unroll 6
+      for (int k = 0; k < 6; ++k) rows.add_scaled(i, w(k), &p_[first_gain + 6 * (first + i) + k][j]);
+      if constexpr (Offset) rows.add_scaled(i, 1.0, &p_[first_offset + first + i][j]);
+    }
+    rows.store(&w_[first][j], stride);
   }
 
   // S = (H P) H^T + R. A row without a sample becomes one of the identity: it changes nothing else.

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from truewrench.log import Log
     from truewrench.pipeline import calibrate
     from truewrench.rig import Rig, load_rig
+    from truewrench.validation import Validation, validate
 
 __version__ = version("truewrench")
 
@@ -30,11 +31,13 @@ _HOMES = {
     "Rig": "rig",
     "TruewrenchError": "errors",
     "UnsupportedError": "errors",
+    "Validation": "validation",
     "Verdict": "calibration",
     "calibrate": "pipeline",
     "load_calibration": "calibration",
     "load_rig": "rig",
     "read_log": "io.tables",
+    "validate": "validation",
 }
 
 __all__ = [
@@ -44,12 +47,14 @@ __all__ = [
     "Rig",
     "TruewrenchError",
     "UnsupportedError",
+    "Validation",
     "Verdict",
     "__version__",
     "calibrate",
     "load_calibration",
     "load_rig",
     "read_log",
+    "validate",
 ]
 
 

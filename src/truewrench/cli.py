@@ -160,6 +160,45 @@ def calibrate(
 
 
 @app.command()
+def validate(
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml.")],
+    rig: RigArgument,
+    logs: LogsArgument,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of validation.yaml.")
+    ] = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Judge a calibration by logs it was not made with: is it better than the nominal gain?"""
+    from truewrench.calibration import load_calibration
+    from truewrench.io.tables import read_log
+    from truewrench.rig import load_rig
+    from truewrench.summary import validation_summary
+    from truewrench.validation import validate as run
+
+    if output is not None:
+        _check_folder(output)
+    loaded, settings = load_calibration(calibration), load_rig(rig)
+    with _progress() as update:
+        records = [read_log(log, settings) for log in logs]
+        update("validating", None)
+        validation = run(loaded, settings, records)
+    for record in records:
+        _report_left_out(record.path, record.dropped_rows, record.nan_counts)
+    outputs = [] if output is None else [output / "validation.yaml"]
+    for target in outputs:
+        validation.write_yaml(target)
+    figures = validation.to_mapping()
+    return Outcome(
+        outputs=outputs,
+        verdict=figures.pop("verdict"),
+        figures=figures,
+        words=lambda: validation_summary(validation),
+    )
+
+
+@app.command()
 def apply(
     calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml.")],
     log: Annotated[str, typer.Argument(metavar="LOG", help="CSV or Parquet.")],
@@ -224,6 +263,50 @@ def simulate(
         outputs=[log, truth],
         figures={"rows": rows, "duration": float(simulated.log.time[-1])},
         words=lambda: iter([f"{rows} rows with `{simulated.log.payload}`, and what they were made with"]),
+    )
+
+
+@app.command()
+def campaign(
+    rig: RigArgument,
+    trials: Annotated[int, typer.Option(min=1, help="Simulated calibrations.")],
+    output: OutputFolderOption,
+    plan: Annotated[Path | None, typer.Argument(metavar="[PLAN]", help="Table of the motion.")] = None,
+    estimator: Annotated[
+        Literal["map", "online", "ekf", "ls"], typer.Option(help="map, online; ekf and ls are references.")
+    ] = "map",
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
+    processes: Annotated[int | None, typer.Option(min=1, help="All cores; no effect on the rows.")] = None,
+    restart: Annotated[bool, typer.Option("--restart", help="Drop another campaign in DIR.")] = False,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Simulate and calibrate many times: accuracy, honesty, time. A rerun goes on where it stood."""
+    from truewrench.campaign import campaign as run
+    from truewrench.campaign_statistics import campaign_words
+    from truewrench.rig import load_rig
+    from truewrench.simulate import read_plan
+
+    _check_folder(output)
+    settings = load_rig(rig)
+    trajectory = None if plan is None else read_plan(plan)
+    with _progress() as update:
+        result = run(
+            settings,
+            trials,
+            output,
+            estimator,
+            seed,
+            processes,
+            update,
+            trajectory=trajectory,
+            restart=restart,
+        )
+    return Outcome(
+        outputs=result.outputs,
+        verdict=result.summary["verdict"],
+        figures=result.summary,
+        words=lambda: campaign_words(result),
     )
 
 

@@ -26,6 +26,7 @@ __all__ = [
     "ReadingError",
     "ReadingPanels",
     "convergence_figure",
+    "finish",
     "path_figure",
     "reading_error_figure",
 ]
@@ -116,7 +117,7 @@ def path_figure(path: Path, time: Array, position: Array, rotation: Array, capti
     ax.view_init(elev=20, azim=-52)
     bar = figure.colorbar(line, cax=figure.add_axes((0.86, 0.38, 0.025, 0.42)))
     bar.set_label("time [s]")
-    _finish(figure, path, caption)
+    finish(figure, path, caption)
 
 
 def convergence_figure(path: Path, panels: Sequence[Panel], caption: str) -> None:
@@ -144,7 +145,7 @@ def convergence_figure(path: Path, panels: Sequence[Panel], caption: str) -> Non
         ax.set_xlabel("time [s]")
     axes[0].set_ylabel(r"gain error $\|C-\hat{C}\|_\infty$ [SI units]")
     _legend(figure, axes[0], 0.215)
-    _finish(figure, path, caption)
+    finish(figure, path, caption)
 
 
 def reading_error_figure(path: Path, columns: Sequence[ReadingPanels], caption: str) -> None:
@@ -164,7 +165,7 @@ def reading_error_figure(path: Path, columns: Sequence[ReadingPanels], caption: 
     axes[0, 0].set_ylabel("force reading error [N]")
     axes[1, 0].set_ylabel("moment reading error [N m]")
     _legend(figure, axes[0, 0], 0.155)
-    _finish(figure, path, caption)
+    finish(figure, path, caption)
 
 
 def _logarithmic(ax: Axes) -> None:
@@ -179,7 +180,8 @@ def _legend(figure: Figure, ax: Axes, height: float) -> None:
     figure.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.53, height), ncols=3, frameon=False)
 
 
-def _finish(figure: Figure, path: Path, caption: str) -> None:
+def finish(figure: Figure, path: Path, caption: str) -> None:
+    """Write the caption below a figure, and the figure to a file."""
     width = int(figure.get_figwidth() * 14.2)
     text = textwrap.fill(caption, width)
     figure.text(

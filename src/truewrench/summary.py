@@ -13,8 +13,9 @@ from rich.text import Text
 
 from truewrench.calibration import AXES, Calibration
 from truewrench.inspect_log import LogContent
+from truewrench.validation import Validation
 
-__all__ = ["calibration_summary", "log_summary", "show", "with_uncertainty"]
+__all__ = ["calibration_summary", "log_summary", "show", "validation_summary", "with_uncertainty"]
 
 _UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
 
@@ -122,6 +123,48 @@ def _logs(calibration: Calibration) -> RenderableType:
         left_out = ", ".join(f"{count} ({reason})" for reason, count in reasons.items() if count) or "none"
         table.add_row(Text(str(log.path or "-")), Text(log.payload), str(log.used), Text(left_out))
     return table
+
+
+def validation_summary(validation: Validation) -> Iterator[RenderableType]:
+    """The verdict first, then the axes, and what the comparison rests on."""
+    text = Text()
+    if validation.verdict.usable:
+        better = [name for name, axis in validation.axes.items() if axis.better is True]
+        text.append("HOLDS", style="bold green")
+        text.append(f": better than the nominal gain on {', '.join(better) or 'no axis'}, worse on none.")
+    else:
+        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
+    for reason in validation.verdict.reasons:
+        text.append(f"\n  - {reason}")
+    yield text
+    data = "held-out data" if validation.held_out else "data it was calibrated with"
+    columns = [
+        "axis",
+        "nominal gain",
+        "new gain",
+        "ratio (99 %)",
+        "better",
+        "square / claimed",
+        "within 95 %",
+    ]
+    table = _table(f"RMS residual on {data}", columns)
+    words = {True: "yes", False: "no", "unsure": "unsure"}
+    for name, axis in validation.axes.items():
+        unit = _UNITS[name]
+        table.add_row(
+            name,
+            f"{axis.nominal:.4g} {unit}",
+            f"{axis.new:.4g} {unit}",
+            f"{axis.ratio_low:.3f} - {axis.ratio_high:.3f}",
+            words[axis.better],
+            with_uncertainty(axis.nis, axis.nis_std),
+            f"{100 * axis.coverage:.1f} %",
+        )
+    yield table
+    basis = f"{validation.samples} samples in blocks of {validation.block:.3g} s"
+    yield Text(
+        f"Compared: {basis}, each log with a constant of its own." if validation.tared else f"{basis}."
+    )
 
 
 def log_summary(content: LogContent) -> Iterator[RenderableType]:

@@ -58,9 +58,9 @@ def in_processes(
         processes: at most; no more than there are items.
 
     Raises:
-        RuntimeError: a process died before it could take any work.
+        RuntimeError: processes die before they can take any work.
     """
-    waiting, deaths = deque(range(len(items))), Counter[int]()
+    waiting, deaths = deque(range(len(items))), Counter[int | None]()  # None: while starting
     workers = [_start(function) for _ in range(min(processes, len(items)))]
     try:
         while workers:
@@ -73,14 +73,15 @@ def in_processes(
                 except (EOFError, OSError):
                     workers.remove(worker)
                     reason = _death(worker)
-                    if index is None:
-                        raise RuntimeError(f"a process {reason} before it could take any work") from None
                     deaths[index] += 1
-                    if deaths[index] < _ATTEMPTS:
+                    given_up = deaths[index] >= _ATTEMPTS
+                    if index is None and given_up:
+                        raise RuntimeError(f"a process {reason} before it could take any work") from None
+                    if index is not None and not given_up:
                         waiting.appendleft(index)
                     if waiting:
                         workers.append(_start(function))
-                    if deaths[index] < _ATTEMPTS:
+                    if not given_up:
                         continue
                     result = Lost(f"its process {reason}, {_ATTEMPTS} times")
                 else:

@@ -8,7 +8,7 @@
 namespace truewrench {
 namespace {
 
-const std::vector<double> uneven{-0.4, -0.1, 0.0, 0.5, 0.55, 1.3, 2.0};
+std::vector<double> uneven_breakpoints() { return {-0.4, -0.1, 0.0, 0.5, 0.55, 1.3, 2.0}; }
 
 using Rows = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
 
@@ -33,6 +33,7 @@ Eigen::RowVector3d value(const BSpline& spline, const Rows& x, double t, int der
 }
 
 TEST(BSpline, BasisAndDerivativesAreThoseOfCoxAndDeBoor) {
+  const std::vector<double> uneven = uneven_breakpoints();
   for (const auto& breakpoints : {uneven, std::vector<double>{2.0, 2.5}, BSpline::uniform(-1.0, 1.0, 9)}) {
     const BSpline spline(breakpoints);
     for (const double t : times(breakpoints)) {
@@ -50,6 +51,7 @@ TEST(BSpline, BasisAndDerivativesAreThoseOfCoxAndDeBoor) {
 }
 
 TEST(BSpline, BasisFunctionsSumToOneAndTheirRatesToZero) {
+  const std::vector<double> uneven = uneven_breakpoints();
   const BSpline spline(uneven);
   for (const double t : times(uneven)) {
     const int i = spline.interval(t);
@@ -61,6 +63,7 @@ TEST(BSpline, BasisFunctionsSumToOneAndTheirRatesToZero) {
 }
 
 TEST(BSpline, EveryTimeBelongsToTheIntervalThatHoldsItAndTimesOutsideToTheEnds) {
+  const std::vector<double> uneven = uneven_breakpoints();
   const BSpline spline(uneven);
   EXPECT_EQ(spline.intervals(), 6);
   EXPECT_EQ(spline.interval(-0.4), 0);
@@ -72,6 +75,7 @@ TEST(BSpline, EveryTimeBelongsToTheIntervalThatHoldsItAndTimesOutsideToTheEnds) 
 }
 
 TEST(BSpline, FourDerivativesAreContinuousAcrossBreakpoints) {
+  const std::vector<double> uneven = uneven_breakpoints();
   const BSpline spline(uneven);
   const Rows x = random_coefficients(spline.coefficients());
   for (int i = 0; i + 1 < spline.intervals(); ++i) {
@@ -89,6 +93,7 @@ TEST(BSpline, FourDerivativesAreContinuousAcrossBreakpoints) {
 }
 
 TEST(BSpline, PolynomialOfAnIntervalIsTheSplineThere) {
+  const std::vector<double> uneven = uneven_breakpoints();
   const BSpline spline(uneven);
   const Rows x = random_coefficients(spline.coefficients());
   for (const double t : times(uneven)) {
@@ -100,6 +105,7 @@ TEST(BSpline, PolynomialOfAnIntervalIsTheSplineThere) {
 }
 
 TEST(BSpline, MeanOfASplineOverSamplesIsTheSplineOfTheirMeanPowers) {
+  const std::vector<double> uneven = uneven_breakpoints();
   const BSpline spline(uneven);
   const Rows x = random_coefficients(spline.coefficients());
   const std::vector<double> samples{0.01, 0.02, 0.1, 0.25, 0.49};
@@ -117,6 +123,7 @@ TEST(BSpline, MeanOfASplineOverSamplesIsTheSplineOfTheirMeanPowers) {
 }
 
 TEST(BSpline, RefinementKeepsTheSplineExactly) {
+  const std::vector<double> uneven = uneven_breakpoints();
   const BSpline spline(uneven);
   const Rows x = random_coefficients(spline.coefficients());
   std::vector<double> thirds = uneven;  // knots at other places than the middle

@@ -31,6 +31,7 @@ struct Measured {
 std::vector<Measured> measurements(int size, int logs, int rows) {
   std::mt19937 random(2);
   std::vector<Measured> out;
+  out.reserve(static_cast<std::size_t>(logs));
   for (int l = 0; l < logs; ++l) {
     out.push_back({oracle::normal_matrix(random, rows, size), oracle::normal_matrix(random, rows, 1)});
   }

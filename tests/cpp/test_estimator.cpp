@@ -40,6 +40,7 @@ template <int N>
 Estimate estimate(Method method, const Simulation& s, const std::vector<Recording>& recordings,
                   int threads = 1, const CommonPrior* prior = nullptr) {
   std::vector<LogData> logs;
+  logs.reserve(recordings.size());
   for (const Recording& r : recordings) logs.push_back(r.data());
   EstimatorSettings settings;
   settings.threads = threads;
@@ -138,7 +139,7 @@ TEST_P(Methods, NoWindowSpansAGap) {
       t.push_back(time[k]);
     }
     rows = kept.topRows(static_cast<Eigen::Index>(t.size()));
-    time = t;
+    time = std::move(t);
   };
   drop(r.motion_time, r.twist, 2.0, 3.0);
   drop(r.sensor_time, r.raw, 4.0, 4.5);

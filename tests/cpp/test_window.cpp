@@ -293,7 +293,7 @@ struct Averaged {
     scene.twist =
         (noise ? 1.0 : 0.0) * oracle::normal_matrix(random, 480, 6) * scene.twist_sigma.asDiagonal();
     scene.raw = (noise ? 1.0 : 0.0) * oracle::normal_matrix(random, 480, 6) *
-                (scene.channel.cwiseProduct(scene.sensor_sigma)).asDiagonal();
+                scene.channel.cwiseProduct(scene.sensor_sigma).asDiagonal();
     scene.gravity.resize(480, 3);
     for (Eigen::Index k = 0; k < 480; ++k) {
       const double t = scene.sensor_time[static_cast<std::size_t>(k)];

@@ -139,6 +139,38 @@ def test_demo_names_its_files(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert json.loads(out)["figures"] == {"seed": 5}
 
 
+def test_validation_judges_held_out_logs_with_status_0_or_3(
+    run: Run, settings: dict[str, Any], tmp_path: Path
+) -> None:
+    settings["sensor"]["time_offset_prior"] = 0
+    settings["simulate"] = {"gain": "nominal"}
+    settings["plan"] = {"duration": 10}
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    log, out_folder = tmp_path / "run.csv", tmp_path / "out"
+    assert run("simulate", rig, "-o", log)[0] == 0
+    gain, none = np.diag([1.0, 1.0, 1.4, 1.0, 1.0, 1.0]), np.zeros(6)
+    for name, found in (("right", np.eye(6)), ("wrong", gain)):
+        Calibration(
+            gain=found, gain_std=np.full((6, 6), 1e-3), offset=none, offset_std=none,
+            inverse=np.linalg.inv(found), covariance=np.diag(np.append(np.full(36, 1e-6), none)),
+            verdict=Verdict(usable=True), logs=(), rig=Rig.from_mapping(settings), estimator="map",
+        ).write_yaml(tmp_path / f"{name}.yaml")  # fmt: skip
+    status, out, err = run("validate", tmp_path / "right.yaml", rig, log)
+    assert (status, err) == (0, "")
+    assert out.startswith("HOLDS")
+    assert "wrote" not in out
+    status, out, _ = run("validate", tmp_path / "wrong.yaml", rig, log, "-o", out_folder)
+    assert status == 3
+    assert "fz is worse than with the nominal gain" in out
+    assert yaml.safe_load((out_folder / "validation.yaml").read_text())["axes"]["fz"]["better"] is False
+    status, out, _ = run("validate", tmp_path / "wrong.yaml", rig, log, "-o", out_folder, "--json")
+    answer = json.loads(out)
+    assert answer["status"] == status == 3
+    assert answer["verdict"]["usable"] is False
+    assert answer["figures"]["axes"]["fx"]["better"] in (True, False, "unsure")
+
+
 def test_simulated_log_is_written_with_its_truth(run: Run, rig_file: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.csv"
     status, _, err = run("simulate", rig_file, "-o", log)

@@ -16,13 +16,26 @@ PACKAGE = ROOT / "src" / "truewrench"
 # The floors of the package, lowest first: imports run downward only, and sideways only between
 # the data types and what they stand on. "estimate" and "io" stand for the modules inside them.
 FLOORS = [
-    {"errors", "log", "smooth", "trajectory", "_core", "_cpu"},
-    {"files", "strict", "fields", "sections", "rig", "payload", "calibration"},
+    {"errors", "log", "smooth", "workers", "trajectory", "_core", "_cpu"},
+    {
+        "files",
+        "strict",
+        "fields",
+        "sections",
+        "rig",
+        "payload",
+        "calibration",
+        "signed_axes",
+        "setup_hypotheses",
+    },
     {"io"},
-    {"estimate", "simulate", "apply", "inspect_log", "bound", "figures"},
-    {"verdict", "summary"},
-    {"pipeline"},
-    {"demo"},
+    {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "inertial"},
+    {"setup_errors", "residuals"},
+    {"verdict", "validation"},
+    {"summary"},
+    {"pipeline", "campaign_statistics"},
+    {"figures_campaign", "trial"},
+    {"demo", "campaign"},
     {"cli"},
 ]
 SIDEWAYS = {0, 1}

@@ -1,0 +1,186 @@
+"""The payload's wrench by a motion estimated from the velocities alone, and how uncertain that makes it.
+
+No raw sample enters: what the sensor reads can be held against it. Each component of the twist is a quintic
+spline, linear in its samples, so that their noise is carried through to the wrench exactly, in time, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, PchipInterpolator
+from scipy.linalg import cholesky, solve_triangular
+
+from truewrench import _core
+from truewrench.errors import InputError
+from truewrench.log import Log
+from truewrench.payload import core_payload, payload_wrench
+from truewrench.rig import Rig
+from truewrench.smooth import segments, smooth_twist
+
+__all__ = ["InertialChunk", "inertial_wrench"]
+
+Array = NDArray[np.float64]
+
+_DEGREE = 5
+_FINER = 1.5  # knots than the coarsest that pass: their bias would count as an error of the sensor
+_CHUNK = 1500  # rows of a spline, unless that is less than
+_CHUNK_SECONDS = 4.0
+_SHORTEST = 24  # rows
+_MOST = 60_000  # rows of a log that are looked at, in chunks spread over it
+_LAGGED = 24  # rows per chunk at which covariances in time are taken
+_PERIODS = 1e-3  # of a chunk: step of the derivative by time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialChunk:
+    """A stretch of a log.
+
+    Attributes:
+        rows: (M,) rows of the log with every raw channel.
+        wrench: (M, 6) with the sign of the rig [N, N m].
+        rate: (M, 6) its derivative by time [N/s, N m/s].
+        twist: (M, 6) of the logged point.
+        acceleration: (M, 6).
+        gravity: (M, 3).
+        variance: (M, 6) of the wrench, by the noise of the velocities.
+        lagged: (S,) positions among the rows,
+        covariance: (S, H + 1, 6) and between the wrench there and at 0 ... H rows later.
+    """
+
+    rows: NDArray[np.int64]
+    wrench: Array
+    rate: Array
+    twist: Array
+    acceleration: Array
+    gravity: Array
+    variance: Array
+    lagged: NDArray[np.int64]
+    covariance: Array
+
+
+def inertial_wrench(rig: Rig, log: Log, time_offset: float, lags: int) -> list[InertialChunk]:
+    """The wrench at the rows where every raw channel has a sample.
+
+    Args:
+        rig: sensor, payloads, motion.
+        log: the rows.
+        time_offset: t_motion = t_sensor + time_offset [s].
+        lags: H, the longest lag of `covariance`.
+
+    Raises:
+        InputError: for a log without a twist, or without gravity where gravity acts.
+    """
+    if log.twist is None:
+        raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
+    if log.gravity is None and rig.in_gravity:
+        raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
+    moving = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
+    sensed = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
+    gravity = None if log.gravity is None else _gravity(log)
+    found = []
+    for piece in _chunks(log.time[moving]):
+        time, twist = log.time[moving[piece]], log.twist[moving[piece]]
+        at = log.time[sensed] + time_offset
+        inside = (at >= time[0]) & (at <= time[-1])
+        if np.count_nonzero(inside) > max(_SHORTEST, 2 * lags):
+            found.append(_chunk(rig, log.payload, time, twist, sensed[inside], at[inside], gravity, lags))
+    return found
+
+
+def _chunks(time: Array) -> Iterator[slice]:
+    """Stretches without a gap, short enough for one spline each; of a long record a share of them."""
+    chunks = []
+    for piece in segments(time):
+        size = piece.stop - piece.start
+        if size < _SHORTEST:
+            continue
+        rate = (size - 1) / (time[piece.stop - 1] - time[piece.start])
+        count = max(1, round(size / max(_CHUNK, _CHUNK_SECONDS * rate)))
+        edges = np.linspace(piece.start, piece.stop, count + 1).astype(int)
+        chunks += [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    total = sum(c.stop - c.start for c in chunks)
+    keep = max(1, round(len(chunks) * min(1.0, _MOST / max(total, 1))))
+    for k in np.unique(np.linspace(0, len(chunks) - 1, keep).astype(int)) if chunks else ():
+        yield chunks[k]
+
+
+def _gravity(log: Log) -> PchipInterpolator:
+    assert log.gravity is not None
+    rows = np.isfinite(log.gravity).all(axis=1)
+    if np.count_nonzero(rows) < 2:
+        raise InputError.at(log.path, "gx gy gz", f"{np.count_nonzero(rows)} complete rows", "at least 2")
+    return PchipInterpolator(log.time[rows], log.gravity[rows], axis=0)
+
+
+def _chunk(
+    rig: Rig,
+    payload: str,
+    time: Array,
+    twist: Array,
+    rows: NDArray[np.int64],
+    at: Array,
+    gravity: PchipInterpolator | None,
+    lags: int,
+) -> InertialChunk:
+    span = time[-1] - time[0]
+    noise = rig.motion.noise_array
+    spacing = smooth_twist(time, twist, noise).spacing
+    fits = [_Spline(time, *of) for of in zip(twist.T, noise, spacing, strict=True)]
+
+    def motion(t: Array) -> tuple[Array, Array, Array, Array]:
+        nu = np.column_stack([fit.spline(t) for fit in fits])
+        a = np.column_stack([fit.spline(t, nu=1) for fit in fits])
+        g = np.zeros((t.size, 3)) if gravity is None else np.asarray(gravity(t))
+        return nu, a, g, payload_wrench(rig, payload, nu, a, g)
+
+    nu, a, g, wrench = motion(at)
+    before, after = (np.clip(at + step * _PERIODS * span, time[0], time[-1]) for step in (-1.0, 1.0))
+    rate = (motion(after)[-1] - motion(before)[-1]) / (after - before)[:, None]
+
+    spec = rig.payloads[payload]
+    shift = _core.twist_shift(spec.center_of_mass_array) if rig.motion.of == "sensor" else np.eye(6)
+    by_a, by_nu = _core.payload_jacobians(core_payload(spec), np.ascontiguousarray(nu @ shift.T))
+    by_a, by_nu = by_a @ shift, by_nu @ shift
+    variance = np.zeros((at.size, 6))
+    lagged = np.unique(np.linspace(0, at.size - lags - 1, _LAGGED).astype(int))
+    later = lagged[:, None] + np.arange(lags + 1)  # (S, H + 1)
+    covariance = np.zeros((lagged.size, lags + 1, 6))
+    for j, fit in enumerate(fits):
+        X, dX = fit.roots(at)  # (M, p) whose products are covariances of the value and of the slope
+        n_, a_ = by_nu[:, :, j], by_a[:, :, j]  # (M, 6)
+        square, cross, slope = (np.sum(x * y, axis=1)[:, None] for x, y in ((X, X), (X, dX), (dX, dX)))
+        variance += n_**2 * square + 2.0 * n_ * a_ * cross + a_**2 * slope
+        for s, position in enumerate(lagged):
+            there = later[s]
+            for first, x in ((n_, X), (a_, dX)):
+                for second, y in ((n_, X), (a_, dX)):
+                    covariance[s] += first[position] * second[there] * (y[there] @ x[position])[:, None]
+    return InertialChunk(rows, wrench, rate, nu, a, g, variance, lagged, covariance)
+
+
+class _Spline:
+    """A least-squares spline through samples of one sigma."""
+
+    def __init__(self, time: Array, values: Array, sigma: float, spacing: float) -> None:
+        intervals = round(_FINER * (time[-1] - time[0]) / spacing)
+        intervals = max(1, min(intervals, time.size // 3 - _DEGREE))
+        inner = np.linspace(time[0], time[-1], intervals + 1)[1:-1]
+        ends = [np.full(_DEGREE + 1, time[0]), np.full(_DEGREE + 1, time[-1])]
+        self._knots = np.concatenate([ends[0], inner, ends[1]])
+        design = BSpline.design_matrix(time, self._knots, _DEGREE) / sigma
+        normal = (design.T @ design).toarray()
+        self._root = cholesky(normal + 1e-12 * np.trace(normal) * np.eye(len(normal)), lower=True)
+        half = solve_triangular(self._root, np.asarray(design.T @ (values / sigma)), lower=True)
+        self.spline = BSpline(self._knots, solve_triangular(self._root.T, half), _DEGREE)
+
+    def roots(self, at: Array) -> tuple[Array, Array]:
+        """(M, p) each: rows whose inner products are the covariances of the spline and of its derivative."""
+        values = BSpline.design_matrix(at, self._knots, _DEGREE).toarray()
+        slopes = np.asarray(BSpline(self._knots, np.eye(len(self._root)), _DEGREE)(at, nu=1))
+        first, second = (solve_triangular(self._root, x.T, lower=True).T for x in (values, slopes))
+        return np.asarray(first), np.asarray(second)

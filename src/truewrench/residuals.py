@@ -1,0 +1,190 @@
+"""Residuals of the corrected wrench against the payload's, and what they are claimed to be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.calibration import Calibration
+from truewrench.errors import InputError
+from truewrench.inertial import InertialChunk, inertial_wrench
+from truewrench.log import Log
+from truewrench.payload import payload_wrench
+from truewrench.rig import PayloadSpec, Rig
+
+__all__ = ["LONGEST_LAG", "Residuals", "joined_columns", "residuals", "tared"]
+
+Array = NDArray[np.float64]
+
+LONGEST_LAG = 60
+"""Rows over which the correlation in time, which the motion brings, is followed."""
+
+_FEWEST = 10  # rows of a stretch
+_EDGE = 4.0  # times the median of the motion's variance: ends of splines, not compared
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """Of one log."""
+
+    old: Array  # (M, 6)
+    new: Array  # (M, 6)
+    wrench: Array  # (M, 6) without its mean
+    noise: Array  # (M, 6) variance by sensor and motion
+    systematic: Array  # (M, 6, k) columns whose squares add up to the variance by gain and payload
+    begin: tuple[int, ...]  # where chunks begin
+    lagged: Array  # (LONGEST_LAG + 1, 6) mean motion covariance at 0, 1, ... rows
+    period: float  # [s]
+    time_offset: float
+
+
+def tared(rig: Rig) -> bool:
+    """Whether offsets may differ from log to log, so that a constant says nothing of the gain."""
+    return bool(rig.sensor.offset_prior_array.any())
+
+
+def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
+    """Residuals of one log with the nominal and the calibration's gain.
+
+    Raises:
+        InputError: for a log without enough rows.
+    """
+    sensor = rig.sensor
+    inverse = np.nan_to_num(calibration.inverse)
+    nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
+    tau = calibration.time_offset
+    chunks = _compared(rig, log, tau)
+    if sensor.time_offset_prior > 0.0:
+        tau += _time_offset(chunks, log, inverse, sensor.noise_array, sensor.time_offset_prior)
+        chunks = _compared(rig, log, tau)
+    rows, wrench, variance, twist, acceleration, gravity = (
+        np.concatenate([getattr(chunk, name) for chunk in chunks])
+        for name in ("rows", "wrench", "variance", "twist", "acceleration", "gravity")
+    )
+    raw = log.raw[rows]
+    old, new = raw @ nominal_inverse.T - wrench, raw @ inverse.T - wrench
+    payload = _payload_columns(rig, calibration, log.payload, twist, acceleration, gravity)
+    n, P, size = sensor.n, calibration.covariance, 6 * sensor.n
+    if tared(rig):
+        old, new = old - old.mean(axis=0), new - new.mean(axis=0)
+        wrench = wrench - wrench.mean(axis=0)
+        payload = payload - payload.mean(axis=0)
+    else:
+        new = new - calibration.offset @ inverse.T
+    # the gain's part: -C^+ dC w, a random row vector g times w per axis
+    of_gain = P[:size, :size].reshape(n, 6, n, 6)
+    columns = np.empty((len(new), 6, 6 + payload.shape[2]))
+    for i in range(6):
+        Q = np.einsum("a,ajbk,b->jk", inverse[i], of_gain, inverse[i])
+        values, axes = np.linalg.eigh(Q)
+        columns[:, i, :6] = wrench @ (axes * np.sqrt(np.maximum(values, 0.0)))
+    columns[:, :, 6:] = payload
+    lags = min(chunk.covariance.shape[1] for chunk in chunks)
+    lagged = np.zeros((LONGEST_LAG + 1, 6))
+    lagged[:lags] = np.mean([chunk.covariance[:, :lags].mean(axis=0) for chunk in chunks], axis=0)
+    return Residuals(
+        old,
+        new,
+        wrench,
+        variance + inverse**2 @ sensor.noise_array**2,
+        columns,
+        tuple(np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()),
+        lagged,
+        float(np.median(np.diff(log.time[rows]))),
+        tau,
+    )
+
+
+def _compared(rig: Rig, log: Log, time_offset: float) -> list[InertialChunk]:
+    """The log's chunks without the ends of splines, where the velocities tell little of the acceleration."""
+    chunks = inertial_wrench(rig, log, time_offset, LONGEST_LAG)
+    chunks = chunks or inertial_wrench(rig, log, time_offset, _FEWEST)
+    if not chunks:
+        raise InputError.at(log.path, "", "no stretch of motion and raw channels", "at least 2 s of both")
+    usual = np.median(np.concatenate([chunk.variance for chunk in chunks]), axis=0)
+    trimmed = []
+    for chunk in chunks:
+        inside = np.flatnonzero((chunk.variance <= _EDGE * usual).all(axis=1))
+        if inside.size <= _FEWEST:
+            continue
+        cut = slice(int(inside[0]), int(inside[-1]) + 1)
+        last = chunk.lagged + chunk.covariance.shape[1] - 1
+        whole = (chunk.lagged >= cut.start) & (last < cut.stop)
+        trimmed.append(
+            replace(
+                chunk,
+                **{
+                    name: getattr(chunk, name)[cut]
+                    for name in ("rows", "wrench", "rate", "twist", "acceleration", "gravity", "variance")
+                },
+                lagged=chunk.lagged[whole] - cut.start,
+                covariance=chunk.covariance[whole] if whole.any() else chunk.covariance,
+            )
+        )
+    if not trimmed:
+        raise InputError.at(log.path, "", "too few rows", "at least 2 s of motion and raw channels")
+    return trimmed
+
+
+def _time_offset(
+    chunks: Sequence[InertialChunk], log: Log, inverse: Array, noise: Array, prior: float
+) -> float:
+    """Change of the time offset that the residuals ask for, to first order, under its prior."""
+    rows, wrench, rate, variance = (
+        np.concatenate([getattr(chunk, name) for chunk in chunks])
+        for name in ("rows", "wrench", "rate", "variance")
+    )
+    residual = log.raw[rows] @ inverse.T - wrench
+    residual, rate = residual - residual.mean(axis=0), rate - rate.mean(axis=0)
+    weight = 1.0 / (variance + inverse**2 @ noise**2)
+    return float(np.sum(weight * rate * residual) / (np.sum(weight * rate**2) + prior**-2.0))
+
+
+def _payload_columns(
+    rig: Rig, calibration: Calibration, payload: str, twist: Array, acceleration: Array, gravity: Array
+) -> Array:
+    """(M, 6, 10) change of the wrench for 1 sigma of mass, centre of mass and inertia; none if exact.
+
+    The payload that the gain was found with cannot contradict it: its errors are in both.
+    """
+    spec = rig.payloads[payload]
+    if spec.exact or payload in {report.payload for report in calibration.logs}:
+        return np.zeros((len(twist), 6, 0))
+    stated = payload_wrench(rig, payload, twist, acceleration, gravity)
+    columns = []
+    for changed in _changed_payloads(spec):
+        other = rig.model_copy(update={"payloads": {**rig.payloads, payload: changed}})
+        columns.append(payload_wrench(other, payload, twist, acceleration, gravity) - stated)
+    return np.stack(columns, axis=2)
+
+
+def _changed_payloads(spec: PayloadSpec) -> list[PayloadSpec]:
+    u, inertia = spec.uncertainty, spec.inertia
+    changed = [spec.model_copy(update={"mass": spec.mass * (1.0 + u.mass)})]
+    for k in range(3):
+        center = spec.center_of_mass_array
+        center[k] += u.center_of_mass
+        changed.append(spec.model_copy(update={"center_of_mass": tuple(center.tolist())}))
+    for key in ("xx", "yy", "zz", "xy", "xz", "yz"):
+        size = np.sqrt(getattr(inertia, 2 * key[0]) * getattr(inertia, 2 * key[1]))
+        value = getattr(inertia, key) + u.inertia * float(size)
+        changed.append(spec.model_copy(update={"inertia": inertia.model_copy(update={key: value})}))
+    return changed
+
+
+def joined_columns(parts: Sequence[Array]) -> Array:
+    """Systematic columns of all logs: those of the gain are common, each payload's its own."""
+    total = 6 + sum(part.shape[2] - 6 for part in parts)
+    joined, column = [], 6
+    for part in parts:
+        wide = np.zeros((*part.shape[:2], total))
+        wide[:, :, :6] = part[:, :, :6]
+        own = part.shape[2] - 6
+        wide[:, :, column : column + own] = part[:, :, 6:]
+        column += own
+        joined.append(wide)
+    return np.concatenate(joined)

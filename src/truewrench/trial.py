@@ -1,0 +1,145 @@
+"""One trial of a campaign: draw a truth, simulate, calibrate, and say in one row how far off it is."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from truewrench.calibration import Calibration
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.pipeline import EstimatorName, calibrate
+from truewrench.rig import Rig
+from truewrench.simulate import Truth, simulate
+from truewrench.trajectory import Trajectory
+
+__all__ = ["SCHEMA", "STREAMS", "Row", "make_row", "nees", "run_trial", "trial_seed"]
+
+STREAMS = ("force", "moment", "v", "Omega")
+
+Array = NDArray[np.float64]
+Outcome = Literal["calibrated", "refused", "fault"]
+Row = dict[str, Any]
+
+_NO_ERROR = 1e-6  # sigma, over the largest: a direction without any
+_WITHIN_95 = float(ndtri(0.975))
+
+_NUMBERS = (
+    *("rms_error", "rms_stated", "rms_oracle", "nees", "largest_deviation", "coverage"),
+    *(f"chi_square_{stream}" for stream in STREAMS),
+    *("time_offset_error", "time_offset_std", "seconds"),
+)
+SCHEMA = pa.schema(
+    [
+        pa.field("trial", pa.int64()),
+        pa.field("seed", pa.int64()),
+        pa.field("outcome", pa.string()),
+        pa.field("usable", pa.bool_()),
+        pa.field("reasons", pa.list_(pa.string())),
+        *(pa.field(name, pa.float64()) for name in _NUMBERS),
+        *(
+            pa.field(name, pa.int64())
+            for name in ("nees_dof", "windows", "windows_fitted", "windows_rejected")
+        ),
+        # normalised, row by row of the gain
+        pa.field("error", pa.list_(pa.float64())),
+        pa.field("std", pa.list_(pa.float64())),
+    ]
+)
+
+
+def run_trial(
+    rig: Rig, trajectory: Trajectory, estimator: EstimatorName, seed: int, trial: int
+) -> Row | UnsupportedError:
+    """One row: what a simulated calibration found, was refused for, or stumbled over.
+
+    A combination of settings that is not supported is returned, since it holds for every trial alike.
+    """
+    drawn = trial_seed(seed, trial)
+    try:
+        run = simulate(rig, trajectory, seed=drawn)
+        started = time.perf_counter()
+        found = calibrate(rig, run.log, estimator, threads=1)
+        seconds = time.perf_counter() - started
+        return make_row(
+            trial, drawn, "calibrated", found.verdict.reasons, **_judge(found, run.truth), seconds=seconds
+        )
+    except UnsupportedError as error:
+        return error
+    except InputError as error:
+        return make_row(trial, drawn, "refused", error.problems)
+    except Exception as error:  # any: a fault is a finding of the campaign, with its place
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}:{place.lineno}"
+        return make_row(trial, drawn, "fault", (f"{type(error).__name__}: {error} ({where})",))
+
+
+def trial_seed(seed: int, trial: int) -> int:
+    """The seed with which `simulate` repeats the log of a trial; campaigns of other seeds share none."""
+    return int(np.random.SeedSequence((seed, trial)).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def nees(error: Array, covariance: Array) -> tuple[float, int]:
+    """Normalised estimation error squared, e^T P^-1 e, and its degrees of freedom, the rank of P.
+
+    NaN where P is not a covariance, infinite for an error that P rules out. P is scaled to correlations
+    first: its rank must not depend on units.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    if not (np.isfinite(covariance).all() and np.isfinite(error).all() and (scale > 0.0).all()):
+        return float("nan"), 0
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = values > _NO_ERROR**2 * values[-1]
+    parts = vectors.T @ (error / scale)
+    if (np.abs(parts[~kept]) > _NO_ERROR).any():
+        return float("inf"), int(kept.sum())
+    return float(np.sum(parts[kept] ** 2 / values[kept])), int(kept.sum())
+
+
+def make_row(trial: int, seed: int, outcome: Outcome, reasons: Sequence[str], **values: Any) -> Row:
+    """A row of these values, null in every other column."""
+    empty: Row = dict.fromkeys(SCHEMA.names)
+    identity = {"trial": trial, "seed": seed, "outcome": outcome, "usable": False, "reasons": list(reasons)}
+    return empty | identity | values
+
+
+def _judge(found: Calibration, truth: Truth) -> Row:
+    """The columns of a calibration whose truth is known."""
+    sensor, n = found.rig.sensor, found.rig.sensor.n
+    normalise = (sensor.range_array / sensor.channel_scale[:, None]).ravel()
+    error = (found.gain - truth.gain).ravel() * normalise
+    covariance = found.covariance[: 6 * n, : 6 * n] * np.outer(normalise, normalise)
+    std = np.sqrt(np.diag(covariance))
+    deviation = np.abs(error) / std
+    squared, freedom = nees(error, covariance)
+    chi_square = found.figures.get("chi_square")
+    windows, fitted = found.figures.get("windows"), found.figures.get("windows_fitted")
+    values: Row = {
+        "rms_error": np.sqrt(np.mean(error**2)),
+        "rms_stated": np.sqrt(np.mean(std**2)),
+        "rms_oracle": None if found.bound is None else found.bound.oracle_rms,
+        "nees": squared,
+        "largest_deviation": deviation.max(),
+        "coverage": np.mean(deviation <= _WITHIN_95),
+        "time_offset_error": found.time_offset - truth.time_offset,
+        "time_offset_std": found.time_offset_std,
+    }
+    if isinstance(chi_square, Mapping):
+        values |= {f"chi_square_{stream}": chi_square.get(stream) for stream in STREAMS}
+    known = {name: float(x) for name, x in values.items() if x is not None and np.isfinite(x)}
+    return known | {
+        "usable": found.verdict.usable,
+        "nees_dof": freedom,
+        "windows": windows,
+        "windows_fitted": fitted,
+        "windows_rejected": None if windows is None or fitted is None else windows - fitted,
+        "error": error.tolist(),
+        "std": std.tolist(),
+    }

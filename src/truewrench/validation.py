@@ -1,0 +1,363 @@
+"""Is a calibration better than the nominal gain, on data it has not seen, and is its sigma honest?
+
+The corrected wrench is held against the payload's wrench by a motion that the velocities alone give
+(inertial.py), so that no gain can bend the motion to its favour. Per wrench axis: the RMS residual of the
+nominal and of the new gain with a confidence interval of their ratio by a moving-block bootstrap, and whether
+the residual is as large, and as white, as sensor noise, motion and the calibration's covariance say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from truewrench.calibration import AXES, AxisImprovement, Calibration, Verdict
+from truewrench.errors import InputError
+from truewrench.files import write_yaml
+from truewrench.log import Log
+from truewrench.residuals import LONGEST_LAG, Residuals, joined_columns, residuals
+from truewrench.residuals import tared as is_tared
+from truewrench.rig import Rig
+
+__all__ = ["AxisValidation", "Validation", "held_out", "validate"]
+
+Array = NDArray[np.float64]
+
+FORMAT = "truewrench-validation/1"
+CONFIDENCE = 0.99  # of the interval of the ratio of residuals
+DRAWS = 1000  # of the bootstrap
+CHANGE = 0.02  # a smaller relative change of the residual counts as none
+LAGS = 10  # autocorrelations that are tested
+WHITE = 1e-6  # probability of autocorrelations as large as found
+CORRELATION = 0.1  # and the departure of one of them from what the motion explains
+DEVIATE = 4.0  # of the normalised residual, in its own standard deviations,
+TOO_LARGE, TOO_SMALL = 1.2, 0.8  # and its size, mean square over claimed variance
+SIGMA_95 = 1.959964
+
+
+@dataclass(frozen=True, slots=True)
+class AxisValidation:
+    """One wrench axis.
+
+    Attributes:
+        nominal: RMS residual with the nominal gain [N, N m].
+        new: with the calibration's.
+        ratio: new over nominal.
+        ratio_low: lower end of its confidence interval.
+        ratio_high: upper end.
+        better: true and false where the interval leaves no doubt and the change is worth it.
+        nis: mean squared residual over its claimed variance; 1 is honest.
+        nis_std: 1 sigma of that, by what is claimed.
+        coverage: share of the samples within 1.96 claimed sigma.
+        autocorrelation: the largest of the residual's at the first lags, beyond what the motion explains.
+        white_probability: of autocorrelations at the first lags as large as found.
+    """
+
+    nominal: float
+    new: float
+    ratio: float
+    ratio_low: float
+    ratio_high: float
+    better: Literal[True, False, "unsure"]
+    nis: float
+    nis_std: float
+    coverage: float
+    autocorrelation: float
+    white_probability: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """What held-out data say of a calibration.
+
+    Attributes:
+        verdict: usable, or every reason why not.
+        axes: by wrench axis.
+        samples: rows compared.
+        block: length of the bootstrap's blocks [s].
+        tared: whether a constant was removed from the residuals of every log: its offset may be another.
+        time_offsets: per log, t_motion = t_sensor + time_offset [s].
+        logs: paths of the logs, empty for those that are not files.
+        held_out: whether none of the logs was calibrated with.
+        payload_seen: whether the payloads of all logs are among those calibrated with.
+    """
+
+    verdict: Verdict
+    axes: Mapping[str, AxisValidation]
+    samples: int
+    block: float
+    tared: bool
+    time_offsets: tuple[float, ...]
+    logs: tuple[str, ...]
+    held_out: bool
+    payload_seen: bool
+
+    @property
+    def improvement(self) -> dict[str, AxisImprovement]:
+        """The same as a calibration holds it."""
+        return {
+            name: AxisImprovement(axis.nominal, axis.new, self.held_out, axis.better)
+            for name, axis in self.axes.items()
+        }
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain numbers and texts, as validation.yaml holds them."""
+        return {
+            "format": FORMAT,
+            "verdict": {"usable": self.verdict.usable, "reasons": list(self.verdict.reasons)},
+            "axes": {name: asdict(axis) for name, axis in self.axes.items()},
+            "samples": self.samples,
+            "block": self.block,
+            "confidence": CONFIDENCE,
+            "tared": self.tared,
+            "held_out": self.held_out,
+            "payload_seen": self.payload_seen,
+            "logs": [
+                {"path": path, "time_offset": offset}
+                for path, offset in zip(self.logs, self.time_offsets, strict=True)
+            ],
+        }
+
+    def write_yaml(self, path: str | Path) -> None:
+        """Write validation.yaml; the file appears whole or not at all."""
+        write_yaml(path, self.to_mapping())
+
+
+def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, seed: int = 0) -> Validation:
+    """Judge a calibration by logs, which should not be those it was made with.
+
+    Args:
+        calibration: its gain, covariance and time offset are judged.
+        rig: sensor noise, payloads and motion of these logs.
+        logs: one or several; each keeps a constant and, where the rig has a prior for it, a time offset of
+            its own.
+        seed: of the bootstrap.
+
+    Raises:
+        InputError: for a rig of another sensor, or logs without enough rows.
+    """
+    records = [logs] if isinstance(logs, Log) else list(logs)
+    if not records:
+        raise InputError.at(None, "", "no log", "at least one")
+    _check_same_sensor(calibration, rig)
+    parts = [residuals(calibration, rig, log) for log in records]
+    tared = is_tared(rig)
+    used = {report.sha256 for report in calibration.logs if report.sha256}
+    payloads = {report.payload for report in calibration.logs}
+    block = max(_block(part) for part in parts)
+    old, new = (np.concatenate([getattr(part, name) for part in parts]) for name in ("old", "new"))
+    ratios = _bootstrap(old, new, min(block, max(1, len(old) // 5)), seed)
+    systematic = joined_columns([part.systematic for part in parts])
+    axes = {
+        name: _axis(i, parts, old[:, i], new[:, i], ratios[:, i], systematic[:, i])
+        for i, name in enumerate(AXES)
+    }
+    reasons = [reason for name, axis in axes.items() for reason in _reasons(name, axis)]
+    if not np.isfinite(calibration.inverse).all():
+        reasons = ["the gain of the calibration has no inverse"]
+    return Validation(
+        Verdict(not reasons, tuple(reasons)),
+        axes,
+        samples=len(old),
+        block=block * parts[0].period,
+        tared=tared,
+        time_offsets=tuple(part.time_offset for part in parts),
+        logs=tuple("" if log.path is None else str(log.path) for log in records),
+        held_out=not any(log.sha256 in used for log in records),
+        payload_seen=all(log.payload in payloads for log in records),
+    )
+
+
+def held_out(
+    rig: Rig, logs: Sequence[Log], fraction: float = 0.2, blocks: int = 4
+) -> tuple[list[Log], list[Log]]:
+    """Split logs into a part to calibrate with and a part to validate by.
+
+    Blocks of time are held out, not single rows: neighbours know too much of each other. They are spread over
+    every log, so that what moves late is in both parts. A log too short to be split is calibrated with whole.
+
+    Args:
+        rig: sensor and motion.
+        logs: at least one.
+        fraction: of every log that is held out, between 0 and 1.
+        blocks: how many stretches, fewer in logs where they would become shorter than 2 s or 200 rows.
+
+    Returns:
+        Calibration logs, as many as there are logs, and held-out logs, one per log that was split.
+    """
+    if not 0.0 < fraction < 1.0:
+        raise InputError.at(None, "fraction", f"{fraction:g}", "a number between 0 and 1")
+    kept, out = [], []
+    for log in logs:
+        rows = np.arange(len(log.time_ns))
+        duration = log.time[-1] if len(rows) else 0.0
+        possible = int(min(fraction * duration / 2.0, fraction * len(rows) / 200.0))
+        count = min(blocks, possible)
+        if count == 0:
+            kept.append(log)
+            continue
+        phase = log.time / duration * count % 1.0  # of each of `count` equal parts, the middle is held out
+        chosen = np.abs(phase - 0.5) < 0.5 * fraction
+        kept.append(_rows(log, ~chosen))
+        out.append(replace(_rows(log, chosen), nan_counts={}, dropped_rows=0))
+    return kept, out
+
+
+def _rows(log: Log, rows: NDArray[np.bool_]) -> Log:
+    def pick(values: Array | None) -> Array | None:
+        return None if values is None else values[rows]
+
+    return replace(
+        log,
+        time_ns=log.time_ns[rows],
+        raw=log.raw[rows],
+        twist=pick(log.twist),
+        gravity=pick(log.gravity),
+        acceleration=pick(log.acceleration),
+        temperature=pick(log.temperature),
+    )
+
+
+def _check_same_sensor(calibration: Calibration, rig: Rig) -> None:
+    theirs, ours = calibration.rig.sensor, rig.sensor
+    for key, found, expected in (
+        ("sensor.channels", ours.n, theirs.n),
+        ("sensor.feels", ours.feels, theirs.feels),
+    ):
+        if found != expected:
+            raise InputError.at(rig.path, key, f"{found}", f"{expected}, as in the calibration")
+    if rig.motion.source != "twist":
+        raise InputError.at(rig.path, "motion.source", f"`{rig.motion.source}`", "`twist`")
+
+
+def _block(part: Residuals) -> int:
+    """Rows of about one period of the motion: four times the first zero of the wrench's autocorrelation."""
+    longest = 1
+    for series in part.wrench.T:
+        size = 2 * len(series)
+        correlation = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2)[: len(series)]
+        below = np.flatnonzero(correlation <= 0.0)
+        longest = max(longest, 4 * int(below[0]) if below.size else len(series))
+    return max(10, min(longest, len(part.wrench) // 5))
+
+
+def _bootstrap(old: Array, new: Array, block: int, seed: int) -> Array:
+    """(DRAWS, 6) ratios of RMS residuals in moving blocks drawn with replacement."""
+    squares = np.concatenate([old**2, new**2], axis=1)
+    total = np.cumsum(np.concatenate([np.zeros((1, 12)), squares, squares[: block - 1]]), axis=0)
+    sums = total[block:] - total[:-block]  # (M, 12), circular
+    draws = max(1, round(len(old) / block))
+    chosen = np.random.default_rng(seed).integers(len(sums), size=(DRAWS, draws))
+    drawn = np.zeros((DRAWS, 12))
+    for k in range(draws):
+        drawn += sums[chosen[:, k]]
+    tiny = np.finfo(np.float64).tiny
+    return np.asarray(np.sqrt((drawn[:, 6:] + tiny) / (drawn[:, :6] + tiny)))
+
+
+def _axis(
+    i: int, parts: Sequence[Residuals], old: Array, new: Array, ratios: Array, systematic: Array
+) -> AxisValidation:
+    nominal, rms = (float(np.sqrt(np.mean(x**2))) for x in (old, new))
+    ratio = rms / max(nominal, np.finfo(np.float64).tiny)
+    low, high = (float(np.quantile(ratios, q)) for q in ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2))
+    better: Literal[True, False, "unsure"] = "unsure"
+    if high < 1.0 and ratio < 1.0 / (1.0 + CHANGE):
+        better = True
+    elif low > 1.0 and ratio > 1.0 + CHANGE:
+        better = False
+    noise = np.concatenate([part.noise[:, i] for part in parts])
+    variance = noise + np.sum(systematic**2, axis=1)
+    found, expected = _correlations(parts, i)
+    # variance of the mean of u^2: noise that is correlated in time, and errors common to the whole record
+    of_noise = np.mean(noise / variance) ** 2 * 2.0 * (1.0 + 2.0 * np.sum(expected[1:] ** 2)) / len(new)
+    common = (systematic / variance[:, None]).T @ systematic / len(new)
+    nis = float(np.mean(new**2 / variance))
+    lag, probability = _whiteness(found, expected, len(new))
+    return AxisValidation(
+        nominal,
+        rms,
+        ratio,
+        low,
+        high,
+        better,
+        nis,
+        float(np.sqrt(of_noise + 2.0 * np.sum(common**2))),
+        float(np.mean(np.abs(new) <= SIGMA_95 * np.sqrt(variance))),
+        lag,
+        probability,
+    )
+
+
+def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
+    """Autocovariance of an axis' residual over its noise, (LAGS + 1,) found and (LONGEST_LAG + 1,) expected.
+
+    What the gain's own error can do to it, a constant and a share of every wrench axis, is taken out before.
+    """
+    found, expected, total = np.zeros(LAGS + 1), np.zeros(LONGEST_LAG + 1), 0
+    for part in parts:
+        size = len(part.new)
+        design = np.column_stack([part.wrench, np.ones(size)])
+        rest = part.new[:, i] - design @ np.linalg.lstsq(design, part.new[:, i])[0]
+        u = rest / np.sqrt(part.noise[:, i])
+        pairs = np.zeros(LAGS + 1)
+        for lag in range(LAGS + 1):
+            count = 0
+            for begin, end in zip(part.begin, (*part.begin[1:], size), strict=True):
+                pairs[lag] += u[begin : end - lag] @ u[begin + lag : end]
+                count += end - begin - lag
+            pairs[lag] /= max(1, count)
+        found += size * pairs
+        expected += size * part.lagged[:, i] / np.mean(part.noise[:, i])
+        total += size
+    expected /= total
+    expected[0] = 1.0
+    return found / total, expected
+
+
+def _whiteness(found: Array, expected: Array, size: int) -> tuple[float, float]:
+    """Largest autocorrelation beyond the expected one, and the probability of the first ones (Bartlett)."""
+    c = expected.copy()
+    c[0] = max(1.0, float(found[0]))
+    reach = np.arange(-LONGEST_LAG, LONGEST_LAG + 1)
+
+    def at(lag: NDArray[np.int64]) -> Array:
+        known = np.abs(lag) <= LONGEST_LAG
+        return np.where(known, c[np.where(known, np.abs(lag), 0)], 0.0)
+
+    lags = range(1, LAGS + 1)
+    covariance = np.array(
+        [[np.sum(at(reach) * at(reach + m - k) + at(reach + m) * at(reach - k)) for m in lags] for k in lags]
+    )
+    excess = found[1:] - expected[1 : LAGS + 1]
+    statistic = size * float(excess @ np.linalg.solve(covariance, excess))
+    return float(excess[np.argmax(np.abs(excess))] / c[0]), float(chi2.sf(statistic, LAGS))
+
+
+def _reasons(name: str, axis: AxisValidation) -> list[str]:
+    reasons = []
+    if axis.better is False:
+        reasons.append(
+            f"{name} is worse than with the nominal gain: residual {axis.ratio:.3g} times as large "
+            f"({axis.ratio_low:.3g} to {axis.ratio_high:.3g})"
+        )
+    deviate = (axis.nis - 1.0) / axis.nis_std
+    if (deviate > DEVIATE and axis.nis > TOO_LARGE) or (deviate < -DEVIATE and axis.nis < TOO_SMALL):
+        how = "larger" if axis.nis > 1.0 else "smaller"
+        reasons.append(
+            f"the residual of {name} is {how} than its claimed sigma: normalised squares of {axis.nis:.3g} "
+            f"instead of 1 ({abs(deviate):.1f} sigma), {100 * axis.coverage:.0f} % of the samples within "
+            "95 % limits"
+        )
+    if axis.white_probability < WHITE and abs(axis.autocorrelation) > CORRELATION:
+        reasons.append(
+            f"the residual of {name} is not white: autocorrelation {axis.autocorrelation:+.2f} beyond what "
+            "the motion explains (filtered sensor, contact, vibration, wrong clock)"
+        )
+    return reasons
