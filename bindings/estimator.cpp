@@ -104,7 +104,7 @@ Estimate estimate(const std::string& method, const std::vector<const RecordedLog
                   const Vector6& wrench_scale, const CommonPrior& prior, const EstimatorSettings& settings) {
   const int n = prior.layout.channels;
   if (method != "online" && method != "map") throw nb::value_error("method must be 'online' or 'map'");
-  if (n < 6 || n > kMaxChannels) throw nb::value_error("6 to 32 channels are supported");
+  if (n < 6 || n > max_channels) throw nb::value_error("6 to 32 channels are supported");
   if (channel_scale.size() != n || sigma.size() != n)
     throw nb::value_error("one scale and sigma per channel is expected");
   check(prior, logs);

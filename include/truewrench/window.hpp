@@ -10,6 +10,7 @@
 #include "truewrench/bspline.hpp"
 #include "truewrench/parameters.hpp"
 #include "truewrench/recording.hpp"
+#include "truewrench/sensor.hpp"
 
 #include <Eigen/Dense>
 
@@ -21,11 +22,9 @@
 namespace truewrench {
 
 inline constexpr int kCoordinates = 6;  // motion coordinates: the components of a twist
-inline constexpr int kMaxChannels =
-    32;  // storage bound when the number of channels is known only at run time
 
 template <int N>
-inline constexpr int kChannelStorage = N == Eigen::Dynamic ? kMaxChannels : N;
+inline constexpr int kChannelStorage = N == Eigen::Dynamic ? max_channels : N;
 template <int N>
 using ChannelVector = Eigen::Matrix<double, N, 1, 0, kChannelStorage<N>, 1>;
 template <int N>

@@ -179,8 +179,8 @@ def _surprises(rig: Rig, estimate: WindowEstimate) -> list[str]:
         for value, sigma, parameter in zip(departure.mean, stated, PAYLOAD_PARAMETERS, strict=True):
             if abs(value) > SURPRISE * sigma > 0.0:
                 found.append(
-                    f"suspected set-up error: {parameter} of payload `{name}` comes out {abs(value) / sigma:.1f} "
-                    "sigma from what the rig states"
+                    f"suspected set-up error: {parameter} of payload `{name}` comes out "
+                    f"{abs(value) / sigma:.1f} sigma from what the rig states"
                 )
     prior = rig.sensor.time_offset_prior
     for k, value in enumerate(estimate.time_offsets):

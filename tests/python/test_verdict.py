@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from truewrench.calibration import Undetermined
-from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
 from truewrench.io.tables import read_log
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -305,20 +305,21 @@ def test_what_one_swung_tool_leaves_undetermined(external_data: Path, tool: str,
         assert {u.words for u in verdict.undetermined} == {"moment about y: gains of all channels"}
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"sensor": {"time_offset_prior": 5e-3}}, "time offset"),
-        (
-            {"payloads": {"table_1": {**settings_of()["payloads"]["table_1"], "uncertainty": {}}}},
-            "payload (table_1)",
-        ),
-    ],
-)
-def test_what_sigma_does_not_contain_is_said(
-    changes: dict[str, Any], words: str, good: WindowEstimate
-) -> None:
-    assert words in reason(rig_of(**changes), good)
+def test_a_payload_or_clock_far_from_what_the_rig_states_is_suspected(good: WindowEstimate) -> None:
+    uncertain = rig_of(
+        sensor={"time_offset_prior": 5e-3},
+        payloads={"table_1": {**settings_of()["payloads"]["table_1"], "uncertainty": {"mass": 1e-3}}},
+    )
+    heavy = PayloadDeparture(np.array([5e-3, *np.zeros(9)]), np.full(10, 1e-4))
+    assert "the mass of payload `table_1` comes out 5.0 sigma" in reason(
+        uncertain, replace(good, payloads={"table_1": heavy})
+    )
+    late = replace(good, time_offsets=np.array([0.02]))
+    assert "the time offset of log 1 comes out as 20 ms: 4.0 sigma" in reason(uncertain, late)
+    near = PayloadDeparture(np.array([2e-3, *np.zeros(9)]), np.full(10, 1e-4))
+    assert judge_windows(
+        uncertain, replace(good, payloads={"table_1": near}, time_offsets=np.array([0.01]))
+    ).usable
 
 
 def test_reference_estimators_are_never_usable(rig: Rig) -> None:

@@ -94,6 +94,63 @@ def test_sigma_is_honest_and_near_the_bound(method: Method, gravity: list[float]
     assert stated == pytest.approx(limit.rms, rel=0.15)
 
 
+UNCERTAIN = {"mass": 1e-3, "center_of_mass": 5e-4, "inertia": 1e-2}
+
+
+def uncertain_rig(**changes: Any) -> Rig:
+    """Payload and clock drawn from exactly what the rig states of them."""
+    payloads = {"table_1": {**rig_of().to_mapping()["payloads"]["table_1"], "uncertainty": UNCERTAIN}}
+    return rig_of(
+        payloads=payloads,
+        sensor={"time_offset_prior": 5e-3},
+        simulate={"payload": "random", "time_offset": "random"},
+        plan={"duration": 10},
+        **changes,
+    )
+
+
+@METHODS
+def test_sigma_contains_what_is_uncertain_of_payload_and_clock(method: Method) -> None:
+    rig = uncertain_rig(gravity=GRAVITY)
+    scores, clocks = [], []
+    for seed in range(10):
+        run = simulate(rig, seed=seed)
+        estimate = estimate_windows(rig, [run.log], method)
+        assert estimate.converged
+        scores.append(nees(rig, estimate, [run]))
+        clocks.append((estimate.time_offsets[0] - run.truth.time_offset) / estimate.time_offsets_std[0])
+        assert estimate.time_offsets_std[0] < 5e-4
+    assert honest(scores, 42)
+    assert np.mean(np.square(clocks)) < 2.5
+
+
+def test_sources_of_uncertainty_add_up_and_grow_with_what_is_stated() -> None:
+    rig = uncertain_rig()
+    estimate = estimate_windows(rig, [simulate(rig, seed=3).log])
+    total = np.diag(estimate.normalised_covariance)[:36].reshape(6, 6)
+    parts = estimate.contributions
+    assert set(parts) == {"noise", "mass", "center_of_mass", "inertia", "timing"}
+    np.testing.assert_allclose(sum(part**2 for part in parts.values()), total, rtol=0.3, atol=1e-7)
+    exact = estimate_windows(
+        rig_of(plan={"duration": 10}), [simulate(rig_of(plan={"duration": 10}), seed=3).log]
+    )
+    assert set(exact.contributions) == {"noise"}
+
+
+def test_offset_that_follows_temperature_is_told_apart() -> None:
+    rig = rig_of(temperature={"reference": 20, "prior": 1e-3})
+    run = simulate(rig, seed=1)
+    slope = np.array([0.2, -0.1, 0.3, 0.02, 0.01, -0.02])
+    temperature = 20.0 + 8.0 * run.log.time / run.log.time[-1]
+    warm = replace(run.log, temperature=temperature, raw=run.log.raw + np.outer(temperature - 20.0, slope))
+    estimate = estimate_windows(rig, [warm])
+    assert estimate.offset_temperature is not None
+    np.testing.assert_allclose(estimate.offset_temperature, slope, atol=0.05 * 0.5)
+    assert nees(rig, estimate, [run]) < 2.0
+    with pytest.raises(InputError, match="temperature"):
+        estimate_windows(rig, [warm, run.log])
+
+
 def test_covariance_in_si_is_the_normalised_one_in_other_units() -> None:
     rig = rig_of()
     estimate = estimate_windows(rig, [simulate(rig, seed=1).log])
