@@ -73,7 +73,8 @@ PAYLOAD_SCALES: dict[str, tuple[tuple[float, str], ...]] = {
 
 # Prior odds against a correct set-up: about one rig in ten is wired or scaled wrongly at first. Each is
 # shared out evenly over its hypotheses, those of axes by how much they change (`signed_axes.log_prior`).
-PRIOR_ODDS: dict[str, float] = {"scale": 0.05, "axes": 0.1, "payload": 0.05, "drift": 0.01, "departure": 0.01}
+# Drifts are rated low because a healthy sensor, too, may depart by something like a common factor.
+PRIOR_ODDS: dict[str, float] = {"scale": 0.05, "axes": 0.1, "payload": 0.05, "drift": 1e-4, "departure": 0.01}
 FACTOR = 0.2  # spread of a common factor that no named unit explains
 LEVER = 0.1  # and of a centre of mass [m]
 
