@@ -75,6 +75,11 @@ def payload_jacobians(payload: Payload, nu: Annotated[NDArray[numpy.float64], di
     Jacobians of payload_wrench, two (N, 6, 6): by the acceleration and by the twist.
     """
 
+def twist_shift(r: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')]:
+    """
+    6 x 6 map from the twist of a point to that of another of the same body, r [m] from the first to it.
+    """
+
 class Conditioning:
     """How well a gain is posed, in range-normalised units."""
 
@@ -388,25 +393,123 @@ class EstimatorSettings:
     @threads.setter
     def threads(self, arg: int, /) -> None: ...
 
+class ParameterLayout:
+    """
+    Which common parameters a log has: [gains row by row | payload | slope with temperature | offset | time offset].
+    """
+
+    def __init__(self) -> None: ...
+
+    @property
+    def channels(self) -> int: ...
+
+    @channels.setter
+    def channels(self, arg: int, /) -> None: ...
+
+    @property
+    def payload(self) -> bool: ...
+
+    @payload.setter
+    def payload(self, arg: bool, /) -> None: ...
+
+    @property
+    def temperature(self) -> bool: ...
+
+    @temperature.setter
+    def temperature(self, arg: bool, /) -> None: ...
+
+    @property
+    def offset(self) -> bool: ...
+
+    @offset.setter
+    def offset(self, arg: bool, /) -> None: ...
+
+    @property
+    def pool_offsets(self) -> bool: ...
+
+    @pool_offsets.setter
+    def pool_offsets(self, arg: bool, /) -> None: ...
+
+    @property
+    def time_offset(self) -> bool: ...
+
+    @time_offset.setter
+    def time_offset(self, arg: bool, /) -> None: ...
+
+    @property
+    def payload_begin(self) -> int: ...
+
+    @property
+    def temperature_begin(self) -> int: ...
+
+    @property
+    def offset_begin(self) -> int: ...
+
+    @property
+    def time_offset_begin(self) -> int: ...
+
+    @property
+    def size(self) -> int: ...
+
+class CommonPrior:
+    """Independent priors of the common parameters, normalised."""
+
+    def __init__(self) -> None: ...
+
+    @property
+    def layout(self) -> ParameterLayout: ...
+
+    @layout.setter
+    def layout(self, arg: ParameterLayout, /) -> None: ...
+
+    @property
+    def mean(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Of one log's vector."""
+
+    @mean.setter
+    def mean(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def information(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """1 / variance; the payload's entries are not used."""
+
+    @information.setter
+    def information(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def payload_of(self) -> list[int]:
+        """Per log: which payload it carries."""
+
+    @payload_of.setter
+    def payload_of(self, arg: Sequence[int], /) -> None: ...
+
+    @property
+    def payload_information(self) -> list[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+        """
+        Per payload, 1 / variance of [mass, relative; centre of mass [m]; xx yy zz xy xz yz of the inertia, relative to sqrt(I_ii I_jj)].
+        """
+
+    @payload_information.setter
+    def payload_information(self, arg: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], /) -> None: ...
+
 class RecordedLog:
     """The streams of one log, each at its own times [s]."""
 
     def __init__(self) -> None: ...
 
     @property
-    def payload(self) -> Payload: ...
+    def payload(self) -> Payload:
+        """As stated."""
 
     @payload.setter
     def payload(self, arg: Payload, /) -> None: ...
 
     @property
-    def shift(self) -> Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')]:
-        """
-        6 x 6 map from the logged twist to that of the payload's centre of mass
-        """
+    def point(self) -> Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]:
+        """The point whose twist is logged, fixed to the sensor [m]."""
 
-    @shift.setter
-    def shift(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')], /) -> None: ...
+    @point.setter
+    def point(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], /) -> None: ...
 
     @property
     def gravity_constant(self) -> Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]: ...
@@ -419,10 +522,13 @@ class RecordedLog:
         Measurements (N, 6) of the order-th derivative of the twist, NaN where missing.
         """
 
-    def set_wrench(self, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], gravity: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None) -> None:
+    def set_wrench(self, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], temperature: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None:
         """
-        Raw sensor samples (N, n), NaN where missing, and gravity (N, 3) in sensor axes or None.
+        Raw sensor samples (N, n), NaN where missing, and the departure from the reference temperature (N,) [K].
         """
+
+    def set_gravity(self, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], value: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> None:
+        """Gravity (N, 3) in sensor axes on the clock of the motion."""
 
 class GroupStatistics:
     """Residuals of one stream against their noise."""
@@ -489,7 +595,7 @@ class HistoryEntry:
 
 class Estimate:
     """
-    Result of `online` or `map`, normalised: [gain row by row, offset] of every log.
+    Result of `online` or `map`, normalised: the common parameters of every log.
     """
 
     @property
@@ -525,14 +631,9 @@ class Estimate:
     @property
     def iterations(self) -> int: ...
 
-def twist_shift(r: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')]:
+def estimate(method: str, logs: Sequence[RecordedLog], channel_scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], sigma: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], wrench_scale: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], prior: CommonPrior, settings: EstimatorSettings) -> Estimate:
     """
-    6 x 6 map from the twist of a point to that of another of the same body, r [m] from the first to it.
-    """
-
-def estimate(method: str, logs: Sequence[RecordedLog], channel_scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], sigma: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], wrench_scale: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], prior_mean: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], prior_information: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pool_offsets: bool, settings: EstimatorSettings) -> Estimate:
-    """
-    Estimate the normalised gain and offsets from windows of motion ('online' or 'map').
+    Estimate the normalised gain and what else is common from windows of motion ('online' or 'map').
     """
 
 variant: str

@@ -126,8 +126,7 @@ struct Scene {
       const Vector6 s = at_x.transpose() * oracle::basis(breakpoints, sensor_time[k] + delay, 0);
       const Vector6 ds = at_x.transpose() * oracle::basis(breakpoints, sensor_time[k] + delay, 1);
       const Vector3 g = extras ? Vector3::Zero() : Vector3(gravity.row(row).transpose());
-      const Vector6 w =
-          oracle::wrench(mass, center, inertia, point, s, ds, g).cwiseProduct(wrench_scale);
+      const Vector6 w = oracle::wrench(mass, center, inertia, point, s, ds, g).cwiseProduct(wrench_scale);
       for (int i = 0; i < channels; ++i) {
         double expected = at_theta.segment<6>(6 * i).dot(w);
         if (offset) expected += at_theta[at.offset_begin() + i];
