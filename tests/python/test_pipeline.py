@@ -216,7 +216,6 @@ def test_calibration_file_keeps_everything(result: Calibration, tmp_path: Path) 
     ("changes", "key"),
     [
         ({"sensor": {"lowpass_hz": 100.0}}, "sensor.lowpass_hz"),
-        ({"temperature": {"prior": 1e-3}}, "temperature.prior"),
         ({"reference_noise": [1.0] * 6}, "reference_noise"),
     ],
 )
