@@ -92,7 +92,7 @@ def _from_windows(
     estimate = estimate_windows(rig, logs, estimator, settings)
     estimated = time.perf_counter()
     report("judging", None)
-    verdict = judge_windows(rig, estimate)
+    verdict = judge_windows(rig, estimate, logs)
     inverse = _inverse(rig, estimate.gain)
     calibration = _calibration(
         rig,

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.calibration import AXES, Undetermined, Verdict
 from truewrench.estimate.windows import GROUPS, WindowEstimate
+from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.setup_errors import (
+    Suspicion,
+    parameters_off_their_priors,
+    setup_errors_in_estimate,
+    setup_errors_in_logs,
+)
 
 __all__ = ["GroupFit", "group_fits", "judge_reference", "judge_windows", "undetermined_directions"]
 
@@ -27,8 +34,6 @@ DEVIATE = 4.0  # unless chance alone explains it: standard normal deviate
 DEPENDENCE = 3.1  # deviate (99.9%) of the gain against other knots and windows
 SINGULAR = 1e12  # condition number that only rounding keeps from infinity
 CONDITION = 100.0  # condition number of the normalised gain: noise of one axis that another would inherit
-
-SURPRISE = 3.0  # sigma of the prior that a common parameter may depart from it
 
 PAYLOAD_PARAMETERS = (
     "the mass",
@@ -70,10 +75,10 @@ def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> di
     return fits
 
 
-def judge_windows(rig: Rig, estimate: WindowEstimate) -> Verdict:
-    """The verdict on what `map` or `online` found."""
+def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) -> Verdict:
+    """The verdict on what `map` or `online` found; with the logs, also on how the rig was set up."""
     n = rig.sensor.n
-    reasons = [*_of_windows(estimate), *_surprises(rig, estimate)]
+    reasons = [*_of_windows(estimate), *_setup_errors(rig, logs, estimate)]
     if not estimate.solved:
         reasons.append("the sums over the windows could not be solved")
     elif not estimate.converged:
@@ -170,26 +175,25 @@ def _direction_words(direction: Array, channels: Sequence[str]) -> str:
     return f"{_wrench_words(columns[0])}: gain of {' and '.join(strong)}"
 
 
-def _surprises(rig: Rig, estimate: WindowEstimate) -> list[str]:
-    """Common parameters that the data put further from what the rig states than its uncertainty allows."""
-    found = []
+def _setup_errors(rig: Rig, logs: Sequence[Log], estimate: WindowEstimate) -> list[str]:
+    """What looks like a mistake in the set-up: units, axes, signs, and parameters far from their priors."""
+    found: list[Suspicion] = []
+    if logs and any(w.status == _core.WindowStatus.fitted for w in estimate.windows):
+        found += setup_errors_in_estimate(rig, logs, estimate.gain, estimate.covariance)
+    elif logs:
+        found += setup_errors_in_logs(rig, logs)
     for name, departure in estimate.payloads.items():
         u = rig.payloads[name].uncertainty
         stated = np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
-        for value, sigma, parameter in zip(departure.mean, stated, PAYLOAD_PARAMETERS, strict=True):
-            if abs(value) > SURPRISE * sigma > 0.0:
-                found.append(
-                    f"suspected set-up error: {parameter} of payload `{name}` comes out "
-                    f"{abs(value) / sigma:.1f} sigma from what the rig states"
-                )
-    prior = rig.sensor.time_offset_prior
-    for k, value in enumerate(estimate.time_offsets):
-        if abs(value) > SURPRISE * prior > 0.0:
-            found.append(
-                f"suspected set-up error: the time offset of log {k + 1} comes out as {1e3 * value:.3g} ms: "
-                f"{abs(value) / prior:.1f} sigma of what the rig states"
-            )
-    return found
+        names = [f"{parameter} of payload `{name}`" for parameter in PAYLOAD_PARAMETERS]
+        found += parameters_off_their_priors(names, departure.mean, stated)
+    clocks = [
+        f"the time offset of log {k + 1}, {1e3 * offset:.3g} ms,"
+        for k, offset in enumerate(estimate.time_offsets)
+    ]
+    stated = np.full(len(clocks), rig.sensor.time_offset_prior)
+    found += parameters_off_their_priors(clocks, estimate.time_offsets, stated)
+    return [suspicion.words for suspicion in found]
 
 
 def _of_windows(estimate: WindowEstimate) -> list[str]:

@@ -311,11 +311,11 @@ def test_a_payload_or_clock_far_from_what_the_rig_states_is_suspected(good: Wind
         payloads={"table_1": {**settings_of()["payloads"]["table_1"], "uncertainty": {"mass": 1e-3}}},
     )
     heavy = PayloadDeparture(np.array([5e-3, *np.zeros(9)]), np.full(10, 1e-4))
-    assert "the mass of payload `table_1` comes out 5.0 sigma" in reason(
+    assert "the mass of payload `table_1` is 5.0 sigma from what the rig states" in reason(
         uncertain, replace(good, payloads={"table_1": heavy})
     )
     late = replace(good, time_offsets=np.array([0.02]))
-    assert "the time offset of log 1 comes out as 20 ms: 4.0 sigma" in reason(uncertain, late)
+    assert "the time offset of log 1, 20 ms, is 4.0 sigma" in reason(uncertain, late)
     near = PayloadDeparture(np.array([2e-3, *np.zeros(9)]), np.full(10, 1e-4))
     assert judge_windows(
         uncertain, replace(good, payloads={"table_1": near}, time_offsets=np.array([0.01]))
