@@ -17,7 +17,7 @@ class Held {
         theta(simulation.theta()),
         data_(recording.data()),
         sensor_(simulation.sensor<6>()),
-        model_(data_, sensor_, {6, true}),
+        model_(data_, sensor_, ParameterLayout{}),
         solver_(model_, KnotSettings{}) {}
   Held(const Held&) = delete;
   Held& operator=(const Held&) = delete;
@@ -219,7 +219,7 @@ TEST(Knots, NoiseTwiceAsLargeAsStatedIsRejected) {
     s.sensor_sigma = 1e-3;
     const LogData data = recording.data();
     const SensorScale<6> scale = s.sensor<6>();
-    const WindowModel<6> model(data, scale, {6, true});
+    const WindowModel<6> model(data, scale, ParameterLayout{});
     WindowSolver<6> solver(model, KnotSettings{});
     const WindowRange w = whole(recording);
     const WindowFit fit =
