@@ -48,6 +48,8 @@ def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
     if calibration.improvement:
         yield _improvement(calibration)
     yield _accuracy(calibration)
+    if len(calibration.figures.get("limited_by", {})) > 1:
+        yield _limits(calibration)
     yield _logs(calibration)
     if calibration.timings:
         spent = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in calibration.timings.items())
@@ -114,6 +116,16 @@ def _accuracy(calibration: Calibration) -> RenderableType:
         ratio = stated / calibration.bound.oracle_rms
         text += f", {ratio:.2f} times what a perfectly known motion would give"
     return Text(text + ".")
+
+
+def _limits(calibration: Calibration) -> RenderableType:
+    """What each source of uncertainty contributes to the gains on a wrench axis."""
+    sources = calibration.figures["limited_by"]
+    names = [name.replace("_", " ") for name in sources]
+    table = _table("What limits the accuracy (1 sigma, % of range)", ["axis", *names])
+    for axis in AXES:
+        table.add_row(axis, *(f"{100 * by_axis[axis]:.2g}" for by_axis in sources.values()))
+    return table
 
 
 def _logs(calibration: Calibration) -> RenderableType:
