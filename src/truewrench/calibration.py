@@ -33,9 +33,6 @@ AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 FORMAT = "truewrench/1"
 """What the first line of a calibration file says."""
 
-FORMAT = "truewrench/1"
-"""What the first line of a calibration file says."""
-
 FloatArray = npt.NDArray[np.float64]
 
 
