@@ -74,7 +74,8 @@ def shown(value: object) -> str:
     if isinstance(value, str):
         text = f"the text {value!r}"
     elif isinstance(value, Mapping):
-        text = f"a mapping with {', '.join(map(str, value)) or 'no key'}"
+        keys = [str(key) if str(key).isprintable() else repr(key) for key in value]
+        text = f"a mapping with {', '.join(keys) or 'no key'}"
     elif isinstance(value, float) and not math.isfinite(value):
         text = {"nan": "NaN"}.get(str(value), str(value))
     else:

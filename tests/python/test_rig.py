@@ -327,6 +327,11 @@ def test_any_rig_survives_its_own_mapping(
     assert rig.sensor.noise == tuple(noise)
 
 
+def test_a_key_with_a_line_break_does_not_break_the_message(valid_settings: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"sensor\.noise: found a mapping with '\\n', expected a list"):
+        Rig.from_mapping(put(deepcopy(valid_settings), "sensor.noise", {"\n": None}))
+
+
 @given(
     st.sampled_from(["sensor.noise", "sensor.range", "motion.noise", "gravity"]),
     st.recursive(
