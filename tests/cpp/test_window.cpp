@@ -15,8 +15,8 @@ constexpr int one_sample_a_block = 1 << 20;
 // sensor, missing components, gravity per sample, a twist of another point than the centre of mass.
 struct Scene {
   int channels = 6;
-  bool extras = false;
   bool offset = true;
+  bool extras = false;  // payload, temperature and clock as well
   Payload payload{3.0, Vector3(0.1, -0.2, 0.15), Vector3(0.3, 0.2, 0.4).asDiagonal()};
   Vector3 point = Vector3(-0.3, 0.2, 0.1);
   std::vector<double> breakpoints{0.0, 0.3, 0.45, 1.0};
