@@ -10,7 +10,6 @@
 
 #include <array>
 #include <cmath>
-#include <optional>
 
 namespace truewrench {
 

@@ -31,7 +31,7 @@ REJECTED = 0.05  # share of the samples in rejected windows that is still accept
 CHI_SQUARE = 1.05  # residual chi-square per degree of freedom that is still accepted,
 CHI_SQUARE_LOW = 0.5  # below it the stated noise is too large to say anything
 DEVIATE = 4.0  # unless chance alone explains it: standard normal deviate
-DEPENDENCE = 3.1  # deviate (99.9%) of the gain against other knots and windows
+DEPENDENCE = _core.EstimatorSettings().dependence_sigma  # of the gain against other knots and windows
 SINGULAR = 1e12  # condition number that only rounding keeps from infinity
 CONDITION = 100.0  # condition number of the normalised gain: noise of one axis that another would inherit
 
