@@ -64,7 +64,8 @@ inline Eigen::Matrix<double, 6, kPayloadParameters> wrench_by_payload(const Payl
   const Matrix3 lever = p.mass * (cross_matrix(alpha) + omega_x * omega_x);
   const Vector3 root = stated.inertia.diagonal().cwiseSqrt();
   Eigen::Matrix<double, 6, kPayloadParameters> j;
-  j.col(0) << -stated.mass * specific, -stated.mass * p.center_of_mass.cross(specific);
+  j.block<3, 1>(0, 0) = -stated.mass * specific;
+  j.block<3, 1>(3, 0) = -stated.mass * p.center_of_mass.cross(specific);
   j.block<3, 3>(0, 1) = -lever;
   j.block<3, 3>(3, 1) = cross_matrix(p.mass * specific) - cross_matrix(p.center_of_mass) * lever;
   j.block<3, 6>(0, 4).setZero();
