@@ -141,7 +141,10 @@ void bind_estimator(nb::module_& m) {
       .def_rw("reject_sigma", &KnotSettings::reject_sigma)
       .def_rw("max_iterations", &KnotSettings::max_iterations)
       .def_rw("tolerance", &KnotSettings::tolerance)
-      .def_rw("max_levels", &KnotSettings::max_levels);
+      .def_rw("max_levels", &KnotSettings::max_levels)
+      .def_rw("false_disturbances", &KnotSettings::false_disturbances)
+      .def_rw("disturbance_price", &KnotSettings::disturbance_price)
+      .def_rw("most_disturbed", &KnotSettings::most_disturbed);
 
   nb::class_<EstimatorSettings>(m, "EstimatorSettings",
                                 "Settings of the window estimators, with their defaults.")
@@ -152,6 +155,7 @@ void bind_estimator(nb::module_& m) {
       .def_rw("map_window_intervals", &EstimatorSettings::map_window_intervals)
       .def_rw("gap_periods", &EstimatorSettings::gap_periods)
       .def_rw("dependence_sigma", &EstimatorSettings::dependence_sigma)
+      .def_rw("enough_fitted", &EstimatorSettings::enough_fitted)
       .def_rw("few_samples", &EstimatorSettings::few_samples)
       .def_rw("max_rounds", &EstimatorSettings::max_rounds)
       .def_rw("max_iterations", &EstimatorSettings::max_iterations)
@@ -239,6 +243,30 @@ void bind_estimator(nb::module_& m) {
       .def_prop_ro(
           "wrench", [](const Estimate& e) { return e.wrench; },
           "Per log: the payload's wrench (rows of set_wrench, 6), SI, NaN where no window fits.")
+      .def_prop_ro(
+          "left_out",
+          [](const Estimate& e) {
+            std::vector<Eigen::Matrix<bool, Eigen::Dynamic, 1>> out;
+            for (const Gate& g : e.gates) {
+              out.push_back(Eigen::Map<const Eigen::Matrix<char, Eigen::Dynamic, 1>>(
+                                g.wrench.data(), static_cast<Eigen::Index>(g.wrench.size()))
+                                .cast<bool>());
+            }
+            return out;
+          },
+          "Per log: whether a row of set_wrench was left out as a disturbance.")
+      .def_prop_ro(
+          "motion_left_out",
+          [](const Estimate& e) {
+            std::vector<std::vector<std::size_t>> out;
+            for (const Gate& g : e.gates) {
+              out.emplace_back();
+              for (const std::vector<char>& series : g.motion)
+                out.back().push_back(static_cast<std::size_t>(std::count(series.begin(), series.end(), 1)));
+            }
+            return out;
+          },
+          "Per log and series of the motion: how many rows were left out as disturbances.")
       .def_ro("knot_dependence", &Estimate::knot_dependence)
       .def_ro("window_dependence", &Estimate::window_dependence)
       .def_ro("iterations", &Estimate::iterations);

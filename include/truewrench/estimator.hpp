@@ -23,6 +23,7 @@ struct EstimatorSettings {
   int map_window_intervals = 64;  // knot intervals of a window of `map`, about
   double gap_periods = 5.0;       // no window spans a longer gap
   double dependence_sigma = 3.1;  // the gain must not depend on knots or windows by more than this (99.9%)
+  double enough_fitted = 0.9;     // share of the samples in windows that fit, below which a pass is repeated
   double few_samples = 10.0;      // below so many samples per coefficient, doubled windows are tried as well
   int max_rounds = 6;
   int max_iterations = 25;
@@ -57,8 +58,9 @@ struct Estimate {
   std::vector<WindowReport> windows;
   std::vector<HistoryEntry> history;  // `online`: after every window
   std::vector<RowMatrix>
-      wrench;                    // per log: the payload's wrench at the sensor's samples, NaN where no window
-  double knot_dependence = 0.0;  // deviate of the gain against that of halved knots
+      wrench;  // per log: the payload's wrench at the sensor's samples, NaN where no window or left out
+  std::vector<Gate> gates;         // per log: the samples left out
+  double knot_dependence = 0.0;    // deviate of the gain against that of halved knots
   double window_dependence = 0.0;  // and against that of doubled windows, where there are few samples
   int iterations = 0;
 };
@@ -68,8 +70,10 @@ class Estimator {
  public:
   Estimator(std::vector<LogData> logs, SensorScale<N> sensor, CommonPrior prior, EstimatorSettings settings)
       : logs_(std::move(logs)), sensor_(std::move(sensor)), prior_(std::move(prior)), settings_(settings) {
-    for (const LogData& log : logs_) {
-      models_.emplace_back(log, sensor_, prior_.layout);
+    for (const LogData& log : logs_) gates_.emplace_back(log);
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      const LogData& log = logs_[l];
+      models_.emplace_back(log, sensor_, prior_.layout, &gates_[l]);
       finest_.push_back(settings_.knots.samples_per_coefficient * slowest_period(log));
     }
   }
@@ -80,12 +84,15 @@ class Estimator {
     Estimate out;
     std::vector<Item> items;
     std::vector<InformationSum> coarse, fine;
-    out.converged = sequence(out, items, coarse, fine);
+    out.converged = first_pass(out, items, coarse, fine);
     conclude(out, coarse, fine);
     // Windows linearised at different gains disagree about which change of the gain a change of the payload
     // undoes, and together would claim to know the payload: all of them are taken to the final gain.
-    if (prior_.layout.payload && out.status == Status::ok) settle(out, items, coarse, fine);
+    if (out.status == Status::ok && (reconsider(items, out.posterior) || prior_.layout.payload)) {
+      settle(out, items, coarse, fine);
+    }
     if (out.status == Status::ok) out.window_dependence = doubled(items, out.posterior);
+    out.gates = gates_;
     return out;
   }
 
@@ -93,7 +100,7 @@ class Estimator {
     Estimate out;
     std::vector<Item> items;
     std::vector<InformationSum> coarse, fine;
-    sequence(out, items, coarse, fine);
+    first_pass(out, items, coarse, fine);
     out.posterior = combine(prior_, coarse);
     out.status = out.posterior.status;
     out.history.clear();
@@ -107,6 +114,7 @@ class Estimator {
         break;
     }
     predict(items, out);
+    out.gates = gates_;
     return out;
   }
 
@@ -148,6 +156,26 @@ class Estimator {
     for (const Item& i : items) out.windows.push_back(report(i.log, i.range, i.fit));
   }
 
+  // Searches again, at the common gain, the windows that looked suspect on the way to it. True where one changed.
+  bool reconsider(std::vector<Item>& items, const Posterior& posterior) const {
+    std::vector<char> changed(items.size(), 0);
+    parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
+      Item& item = items[k];
+      if (!enough_samples(item.range)) return;
+      WindowSolver<N> solver(models_[item.log], settings_.knots);
+      item.fit.theta = posterior.mean[item.log];
+      if (!solver.suspect(item.fit, item.range)) return;
+      WindowFit fit =
+          solver.search(item.range, BSpline(BSpline::uniform(item.range.begin, item.range.end, 1)),
+                        posterior.mean[item.log], nullptr, finest_[item.log]);
+      changed[k] = fit.status == WindowStatus::fitted &&
+                   (item.fit.status != WindowStatus::fitted ||
+                    fit.spline.breakpoints() != item.fit.spline.breakpoints() || fit.disturbances > 0);
+      if (changed[k]) item.fit = std::move(fit);
+    });
+    return std::any_of(changed.begin(), changed.end(), [](char c) { return c != 0; });
+  }
+
   // `map` on windows of about so many knot intervals: knots at the gain of the pass before, then the gain on all of
   // them; once more where the gain has moved; and finer knots while the data ask for them.
   void share(Estimate& out, std::vector<Item>& items, const std::vector<double>& spacing, int intervals) {
@@ -165,9 +193,65 @@ class Estimator {
     }
   }
 
+  // A pass over all logs. The first window can take a contact for a gain, and then no other window fits: where few
+  // fit, passes that begin elsewhere are tried, and the one that explains most samples stands.
+  bool first_pass(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
+                  std::vector<InformationSum>& fine) {
+    bool converged = false;
+    double best = -1.0;
+    for (const double start : {0.0, 0.5, 0.25, 0.75}) {
+      Estimate pass;
+      std::vector<Item> pass_items;
+      std::vector<InformationSum> pass_coarse, pass_fine;
+      const bool ok = sequence(start, pass, pass_items, pass_coarse, pass_fine);
+      double used = 0.0, all = 0.0;
+      for (const WindowReport& w : pass.windows) {
+        all += static_cast<double>(w.samples);
+        if (w.status == WindowStatus::fitted) used += static_cast<double>(w.samples);
+      }
+      if (used > best) {
+        best = used;
+        converged = ok;
+        out = std::move(pass);
+        items = std::move(pass_items);
+        coarse = std::move(pass_coarse);
+        fine = std::move(pass_fine);
+      }
+      if (used >= settings_.enough_fitted * all) break;
+    }
+    const auto earlier = [](const auto& a, const auto& b) {
+      return std::tie(a.log, a.begin) < std::tie(b.log, b.begin);
+    };
+    std::sort(out.windows.begin(), out.windows.end(), earlier);
+    std::sort(items.begin(), items.end(), [](const Item& a, const Item& b) {
+      return std::tie(a.log, a.range.begin) < std::tie(b.log, b.range.begin);
+    });
+    return converged;
+  }
+
+  // Stretches of a log in the order of a pass that begins at this share of it.
+  std::vector<std::pair<double, double>> stretches(std::size_t log, double start) const {
+    std::vector<std::pair<double, double>> all = unbroken_stretches(logs_[log], settings_.gap_periods);
+    if (all.empty() || start == 0.0) return all;
+    const double first = all.front().first + start * (all.back().second - all.front().first);
+    std::vector<std::pair<double, double>> before, out;
+    for (const auto& [begin, end] : all) {
+      if (end <= first) {
+        before.emplace_back(begin, end);
+      } else if (begin >= first) {
+        out.emplace_back(begin, end);
+      } else {
+        before.emplace_back(begin, first);
+        out.emplace_back(first, end);
+      }
+    }
+    out.insert(out.end(), before.begin(), before.end());
+    return out;
+  }
+
   // One pass over all logs, windows in sequence. False where some window did not converge.
-  bool sequence(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
-                std::vector<InformationSum>& fine) {
+  bool sequence(double start_share, Estimate& out, std::vector<Item>& items,
+                std::vector<InformationSum>& coarse, std::vector<InformationSum>& fine) {
     bool converged = true;
     prepare_wrench(out);
     for (std::size_t l = 0; l < logs_.size(); ++l) {
@@ -178,7 +262,7 @@ class Estimator {
       double length = settings_.window;
       double spacing = 0.0;
       WindowSolver<N> solver(models_[l], settings_.knots);
-      for (const auto& [begin, end] : unbroken_stretches(logs_[l], settings_.gap_periods)) {
+      for (const auto& [begin, end] : stretches(l, start_share)) {
         bool may_extend = true;
         for (double t = begin; t < end;) {
           const double stop = end - (t + length) < 0.5 * length ? end : t + length;
@@ -372,6 +456,7 @@ class Estimator {
       if (item.fit.status != WindowStatus::fitted) return;
       WindowSolver<N> solver(models_[item.log], settings_.knots);
       item.fit.theta = theta[item.log];
+      solver.exclude(item.fit, item.range);
       solver.finish(item.fit, item.range, nullptr);
     });
   }
@@ -507,6 +592,7 @@ class Estimator {
   SensorScale<N> sensor_;
   CommonPrior prior_;
   EstimatorSettings settings_;
+  std::vector<Gate> gates_;
   std::vector<WindowModel<N>> models_;
   std::vector<double> finest_;
 };

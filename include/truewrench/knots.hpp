@@ -6,8 +6,10 @@
 // test of the nested, finer spline: one linearisation, no second fit)? An interval that fails is halved.
 #pragma once
 
+#include "truewrench/contact.hpp"
 #include "truewrench/window.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -23,6 +25,9 @@ struct KnotSettings {
   int max_iterations = 12;
   double tolerance = 1e-3;  // remaining decrease of the cost (chi-square units) that counts as converged
   int max_levels = 30;
+  double false_disturbances = 0.01;  // disturbances found by chance in a window without any
+  double disturbance_price = 40;     // decrease of the cost (chi-square units) that one must be worth
+  double most_disturbed = 0.4;       // share of a window's samples that may be left out
 };
 
 enum class WindowStatus : std::uint8_t {
@@ -34,39 +39,6 @@ enum class WindowStatus : std::uint8_t {
   unresolved,  // finer knots would still fit better, but the samples do not resolve them
 };
 
-// Groups of residuals that are judged apart: the sensor's forces and moments (or all channels, when there are not
-// six), and the motion's linear and angular parts.
-enum Group : std::uint8_t { kForce, kMoment, kLinear, kAngular, kGroups };
-
-struct GroupStatistics {
-  double sum_of_squares = 0.0;  // of residuals over their sigma
-  double count = 0.0;
-  double leverage = 0.0;  // degrees of freedom that the motion took from this group
-
-  double degrees_of_freedom() const { return count - leverage; }
-
-  // Standard normal deviate of the sum of squares (Wilson and Hilferty's cube root).
-  double deviate() const {
-    const double k = degrees_of_freedom();
-    if (k < 1.0) return 0.0;
-    const double v = 2.0 / (9.0 * k);
-    return (std::cbrt(sum_of_squares / k) - (1.0 - v)) / std::sqrt(v);
-  }
-
-  GroupStatistics& operator+=(const GroupStatistics& o) {
-    sum_of_squares += o.sum_of_squares;
-    count += o.count;
-    leverage += o.leverage;
-    return *this;
-  }
-};
-using Groups = std::array<GroupStatistics, kGroups>;
-
-inline Group wrench_group(int channel, int channels) {
-  return channels == 6 && channel >= 3 ? kMoment : kForce;
-}
-inline Group motion_group(int coordinate) { return coordinate < 3 ? kLinear : kAngular; }
-
 struct WindowFit {
   WindowStatus status = WindowStatus::too_short;
   BSpline spline;
@@ -77,30 +49,9 @@ struct WindowFit {
   double nested = 0.0;           // decrease of the cost by halving every interval,
   double nested_expected = 0.0;  // and what chance alone gives
   Groups groups{};
+  int disturbances = 0;
   int iterations = 0;
 };
-
-// Two estimates of the same gain, `coarse` the efficient one and `fine` with fewer assumptions on the motion: the
-// standard normal deviate of d^T (P_fine - P_coarse)^+ d over the directions in which the finer one gives up more
-// than 1% of the variance (Hausman's test, docs/method.md).
-inline double disagreement(const Posterior& coarse, const Posterior& fine, int gains) {
-  const Eigen::MatrixXd pc = coarse.covariance.back().topLeftCorner(gains, gains);
-  const Eigen::MatrixXd pf = fine.covariance.back().topLeftCorner(gains, gains);
-  const Eigen::VectorXd d = fine.mean.back().head(gains) - coarse.mean.back().head(gains);
-  const Eigen::LLT<Eigen::MatrixXd> l(pc);
-  const Eigen::MatrixXd half = l.matrixL().solve(pf - pc);
-  const Eigen::MatrixXd m = l.matrixL().solve(half.transpose());
-  const Eigen::VectorXd z = l.matrixL().solve(d);
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(0.5 * (m + m.transpose()));
-  GroupStatistics test;
-  for (int i = 0; i < gains; ++i) {
-    if (eigen.eigenvalues()[i] < 0.01) continue;
-    const double e = eigen.eigenvectors().col(i).dot(z);
-    test.sum_of_squares += e * e / eigen.eigenvalues()[i];
-    test.count += 1.0;
-  }
-  return test.deviate();
-}
 
 template <int N>
 class WindowSolver {
@@ -108,18 +59,36 @@ class WindowSolver {
   WindowSolver(const WindowModel<N>& model, const KnotSettings& settings)
       : model_(model), settings_(settings) {}
 
-  // Searches knots from `start` on. With `prior` theta is solved for, else it is held.
+  // Searches knots from `start` on. With `prior` theta is solved for, else it is held. Where the window does not fit,
+  // or only with knots crowded in one place, or leaves a disturbance in its residuals, it is searched again with
+  // what does not belong left out; of two explanations that fit, the cheaper one stands.
   WindowFit search(const WindowRange& window, const BSpline& start, const Eigen::VectorXd& theta,
                    const Prior* prior, double finest) {
-    WindowFit fit;
-    fit.spline = start;
-    fit.theta = theta;
-    fit.x = Coefficients::Zero(start.coefficients(), kCoordinates);
-    // The motion alone first: linear, independent of theta, and a safe start for the joint solution.
-    if (!refine(fit, window, Terms::motion, nullptr, finest)) return fit;
-    if (!refine(fit, window, Terms::all, prior, finest)) return fit;
-    finish(fit, window, prior);
+    open(window);
+    WindowFit fit = search(window, start, theta, prior, finest, false);
+    if (model_.gate() == nullptr || !suspect(fit, window)) return fit;
+    const bool fitted = fit.status == WindowStatus::fitted;
+    open(window);
+    WindowFit other = search(window, start, theta, prior, finest, true);
+    other.iterations += fit.iterations;
+    if (other.status == WindowStatus::fitted && (!fitted || price(other) < price(fit))) return other;
+    open(window);
     return fit;
+  }
+
+  // Whether another search may do better: the window does not fit, or only with knots crowded in one place, or what is
+  // not noise stands out of its residuals.
+  bool suspect(const WindowFit& fit, const WindowRange& window) {
+    return fit.status != WindowStatus::fitted || crowded(fit.spline) || disturbed(fit, window, Terms::all);
+  }
+
+  // Leaves out what stands out of the residuals at a given theta, until nothing does.
+  void exclude(WindowFit& fit, const WindowRange& window) {
+    if (model_.gate() == nullptr) return;
+    for (int i = 0; i < settings_.max_iterations && disturbed(fit, window, Terms::all); ++i) {
+      leave_out(window);
+      if (solve(fit, window, Terms::all, nullptr) != WindowStatus::fitted) return;
+    }
   }
 
   // One Gauss-Newton step of the motion at a given theta and the information there, on fixed knots.
@@ -152,7 +121,7 @@ class WindowSolver {
     const Vector6 unit = model_.wrench_scale().cwiseAbs().cwiseInverse();
     const WindowModelAt<N> model(model_, fit.theta);
     for_each_sensor_sample(fit, window, model, [&](std::size_t k, int, const Vector6& w) {
-      out.row(static_cast<Eigen::Index>(k)) = w.cwiseProduct(unit);
+      if (model_.sensed(k)) out.row(static_cast<Eigen::Index>(k)) = w.cwiseProduct(unit);
     });
   }
 
@@ -167,7 +136,9 @@ class WindowSolver {
       for (std::size_t k = 0; k < kGroups; ++k) fit.groups[k] += g[k];
     }
     add_leverage(fit);
-    fit.status = WindowStatus::fitted;
+    fit.disturbances = disturbances(window);
+    fit.status =
+        left_out_share(window) > settings_.most_disturbed ? WindowStatus::misfit : WindowStatus::fitted;
     for (const GroupStatistics& g : fit.groups) {
       if (g.deviate() > settings_.reject_sigma) fit.status = WindowStatus::misfit;
     }
@@ -178,6 +149,7 @@ class WindowSolver {
   }
 
  private:
+  using Samples = std::pair<std::size_t, std::size_t>;
   using Polynomial = Eigen::Matrix<double, kCoordinates, kActive>;
 
   struct Refinement {
@@ -187,9 +159,35 @@ class WindowSolver {
     double expected = 0.0;
   };
 
-  bool refine(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior, double finest) {
+  WindowFit search(const WindowRange& window, const BSpline& start, const Eigen::VectorXd& theta,
+                   const Prior* prior, double finest, bool gated) {
+    WindowFit fit;
+    fit.spline = start;
+    fit.theta = theta;
+    fit.x = Coefficients::Zero(start.coefficients(), kCoordinates);
+    // The motion alone first: linear, independent of theta, and a safe start for the joint solution.
+    if (!refine(fit, window, Terms::motion, nullptr, finest, gated)) return fit;
+    if (!refine(fit, window, Terms::all, prior, finest, gated)) return fit;
+    finish(fit, window, prior);
+    return fit;
+  }
+
+  bool refine(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior, double finest,
+              bool gated) {
     for (int level = 0; level < settings_.max_levels; ++level) {
-      if (const WindowStatus st = solve(fit, window, terms, prior); st != WindowStatus::fitted) {
+      WindowStatus st = solve(fit, window, terms, prior);
+      if (gated) {
+        // Knots too coarse look like disturbances as well: each spacing decides anew.
+        open(window, terms);
+        for (int i = 0; i < settings_.max_iterations && disturbed(fit, window, terms); ++i) {
+          leave_out(window);
+          const bool too_coarse = left_out_share(window) > settings_.most_disturbed;
+          if (too_coarse) open(window, terms);
+          st = solve(fit, window, terms, prior);
+          if (too_coarse) break;
+        }
+      }
+      if (st != WindowStatus::fitted) {
         // At a spacing that is still too coarse the joint problem may be misled; a finer one is tried.
         if (st != WindowStatus::not_converged) {
           fit.status = st;
@@ -204,6 +202,121 @@ class WindowSolver {
       fit.spline = std::move(finer);
     }
     return true;
+  }
+
+  // Takes all samples of a window again: of the motion, of the sensor, or of both.
+  void open(const WindowRange& window, Terms terms) const {
+    Gate& gate = *model_.gate();
+    const auto clear = [](std::vector<char>& g, const Samples& r) {
+      std::fill(g.begin() + static_cast<std::ptrdiff_t>(r.first),
+                g.begin() + static_cast<std::ptrdiff_t>(r.second), 0);
+    };
+    if (terms == Terms::all) return clear(gate.wrench, window.wrench);
+    for (std::size_t m = 0; m < window.motion.size(); ++m) clear(gate.motion[m], window.motion[m]);
+  }
+  void open(const WindowRange& window) const {
+    if (model_.gate() == nullptr) return;
+    open(window, Terms::motion);
+    open(window, Terms::all);
+  }
+
+  // Looks for disturbances in the streams that `terms` adds. They are kept for leave_out().
+  bool disturbed(const WindowFit& fit, const WindowRange& window, Terms terms) {
+    residual_rows(fit, window, terms);
+    found_.clear();
+    for (std::size_t s = 0; s < residual_rows_.size(); ++s) {
+      if (residual_rows_[s].rows() == 0) continue;
+      const DisturbanceScan scan(residual_rows_[s]);
+      for (const Disturbance& d : scan.find(scan.samples() / 3, settings_.false_disturbances)) {
+        found_.emplace_back(terms == Terms::all ? -1 : static_cast<int>(s), d);
+      }
+    }
+    return !found_.empty();
+  }
+
+  void leave_out(const WindowRange& window) const {
+    Gate& gate = *model_.gate();
+    for (const auto& [series, d] : found_) {
+      std::vector<char>& g = series < 0 ? gate.wrench : gate.motion[static_cast<std::size_t>(series)];
+      const std::size_t first =
+          series < 0 ? window.wrench.first : window.motion[static_cast<std::size_t>(series)].first;
+      std::fill(g.begin() + static_cast<std::ptrdiff_t>(first + d.first),
+                g.begin() + static_cast<std::ptrdiff_t>(first + d.last), 1);
+    }
+  }
+
+  static double share(const std::vector<char>& gate, const Samples& r) {
+    if (r.first == r.second) return 0.0;
+    const auto begin = gate.begin() + static_cast<std::ptrdiff_t>(r.first);
+    const auto end = gate.begin() + static_cast<std::ptrdiff_t>(r.second);
+    return static_cast<double>(std::count(begin, end, 1)) / static_cast<double>(r.second - r.first);
+  }
+
+  // Stretches left out.
+  int disturbances(const WindowRange& window) const {
+    if (model_.gate() == nullptr) return 0;
+    int sum = 0;
+    const auto count = [&](const std::vector<char>& g, const Samples& r) {
+      for (std::size_t k = r.first; k < r.second; ++k) sum += g[k] != 0 && (k == r.first || g[k - 1] == 0);
+    };
+    count(model_.gate()->wrench, window.wrench);
+    for (std::size_t m = 0; m < window.motion.size(); ++m) count(model_.gate()->motion[m], window.motion[m]);
+    return sum;
+  }
+
+  // Share of the samples left out, of the series that lost most.
+  double left_out_share(const WindowRange& window) const {
+    if (model_.gate() == nullptr) return 0.0;
+    double most = share(model_.gate()->wrench, window.wrench);
+    for (std::size_t m = 0; m < window.motion.size(); ++m) {
+      most = std::max(most, share(model_.gate()->motion[m], window.motion[m]));
+    }
+    return most;
+  }
+
+  // Knots much closer in one place than in another.
+  static bool crowded(const BSpline& spline) {
+    double narrow = spline.width(0), wide = narrow;
+    for (int i = 1; i < spline.intervals(); ++i) {
+      narrow = std::min(narrow, spline.width(i));
+      wide = std::max(wide, spline.width(i));
+    }
+    return narrow < 0.3 * wide;
+  }
+
+  // What an explanation costs: residuals, twice the coefficients (Akaike), and what finding a disturbance among all
+  // stretches is worth, each beyond what the samples it leaves out would have cost.
+  double price(const WindowFit& fit) const {
+    double sum =
+        2.0 * kCoordinates * fit.spline.coefficients() + settings_.disturbance_price * fit.disturbances;
+    double used = 0.0;
+    for (const GroupStatistics& g : fit.groups) {
+      sum += g.sum_of_squares;
+      used += g.count;
+    }
+    return sum - 2.0 * used;
+  }
+
+  // Residuals of the streams that `terms` adds over their sigma, a row per sample of the window, NaN where left out.
+  void residual_rows(const WindowFit& fit, const WindowRange& window, Terms terms) {
+    residual_rows_.clear();
+    constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+    if (terms == Terms::motion) {
+      for (std::size_t m = 0; m < window.motion.size(); ++m) {
+        const auto [first, last] = window.motion[m];
+        residual_rows_.push_back(RowMatrix::Constant(static_cast<Eigen::Index>(last - first), 6, nan));
+        for_each_motion_residual(fit, window, m, [&](std::size_t k, int, const Vector6& r) {
+          residual_rows_.back().row(static_cast<Eigen::Index>(k - first)) = r;
+        });
+      }
+      return;
+    }
+    const auto [first, last] = window.wrench;
+    residual_rows_.push_back(
+        RowMatrix::Constant(static_cast<Eigen::Index>(last - first), model_.layout().channels, nan));
+    for_each_sensor_residual(fit, window, [&](std::size_t k, int, const ChannelVector<N>& r) {
+      residual_rows_.back().row(static_cast<Eigen::Index>(k - first)) = r;
+    });
   }
 
   void build(Blocks<N>& blocks, const WindowRange& window, const BSpline& spline,
@@ -357,26 +470,40 @@ class WindowSolver {
       g.count += 1.0;
     };
     for (std::size_t m = 0; m < window.motion.size(); ++m) {
-      const MotionSeries& series = model_.log().motion[m];
-      const Vector6 precision = series.sigma.cwiseInverse();
-      for_each_sample(fit, series.time, 0.0, window.motion[m],
-                      [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
-                        const Vector6 s = series.order == 0 ? x * u : x * fit.spline.rate(i, u);
-                        const Vector6 r =
-                            (Eigen::Map<const Vector6>(series.value + 6 * k) - s).cwiseProduct(precision);
-                        for (int c = 0; c < 6; ++c)
-                          add(out[static_cast<std::size_t>(i)][motion_group(c)], r[c]);
-                      });
+      for_each_motion_residual(fit, window, m, [&](std::size_t, int i, const Vector6& r) {
+        for (int c = 0; c < 6; ++c) add(out[static_cast<std::size_t>(i)][motion_group(c)], r[c]);
+      });
     }
     if (terms == Terms::motion) return out;
     const int n = model_.layout().channels;
-    const WindowModelAt<N> model(model_, fit.theta);
-    for_each_sensor_sample(fit, window, model, [&](std::size_t k, int i, const Vector6& w) {
-      const ChannelVector<N> r =
-          (model_.raw(k) - model.raw_of(w, model_.temperature(k))).cwiseProduct(model_.precision());
+    for_each_sensor_residual(fit, window, [&](std::size_t, int i, const ChannelVector<N>& r) {
       for (int c = 0; c < n; ++c) add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
     });
     return out;
+  }
+
+  // Calls visit(sample, interval, residual over sigma) for the samples of a window that are not left out.
+  template <typename Visit>
+  void for_each_motion_residual(const WindowFit& fit, const WindowRange& window, std::size_t m,
+                                const Visit& visit) const {
+    const MotionSeries& series = model_.log().motion[m];
+    const Vector6 precision = series.sigma.cwiseInverse();
+    for_each_sample(fit, series.time, 0.0, window.motion[m],
+                    [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
+                      if (!model_.moved(m, k)) return;
+                      const Vector6 s = series.order == 0 ? x * u : x * fit.spline.rate(i, u);
+                      visit(k, i,
+                            (Eigen::Map<const Vector6>(series.value + 6 * k) - s).cwiseProduct(precision));
+                    });
+  }
+
+  template <typename Visit>
+  void for_each_sensor_residual(const WindowFit& fit, const WindowRange& window, const Visit& visit) const {
+    const WindowModelAt<N> model(model_, fit.theta);
+    for_each_sensor_sample(fit, window, model, [&](std::size_t k, int i, const Vector6& w) {
+      if (!model_.sensed(k)) return;
+      visit(k, i, (model_.raw(k) - model.raw_of(w, model_.temperature(k))).cwiseProduct(model_.precision()));
+    });
   }
 
   // Calls visit(sample, interval, normalised wrench) for the sensor's samples of a window.
@@ -450,6 +577,8 @@ class WindowSolver {
   Blocks<N> fine_blocks_;
   WindowNormal<N> normal_;
   WindowNormal<N> fine_normal_;
+  std::vector<RowMatrix> residual_rows_;
+  std::vector<std::pair<int, Disturbance>> found_;  // the series of the motion, or -1 for the sensor
 };
 
 }  // namespace truewrench

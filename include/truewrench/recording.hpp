@@ -65,6 +65,16 @@ struct LogData {
   GravitySeries gravity;
 };
 
+// Samples of one log that are left out: a contact, a spike. Windows that share no sample may write at once.
+struct Gate {
+  std::vector<char> wrench;
+  std::vector<std::vector<char>> motion;
+
+  explicit Gate(const LogData& log) : wrench(log.wrench.time.size(), 0) {
+    for (const MotionSeries& s : log.motion) motion.emplace_back(s.time.size(), 0);
+  }
+};
+
 // A stretch of one log: sample ranges [first, last) per series.
 struct WindowRange {
   double begin = 0.0;

@@ -46,8 +46,11 @@ struct SensorScale {
 template <int N>
 class WindowModel {
  public:
-  WindowModel(const LogData& log, const SensorScale<N>& sensor, const ParameterLayout& layout)
+  // `gate`: which samples are left out, judged anew by every window; none: all are taken.
+  WindowModel(const LogData& log, const SensorScale<N>& sensor, const ParameterLayout& layout,
+              Gate* gate = nullptr)
       : log_(log),
+        gate_(gate),
         layout_(layout),
         wrench_scale_(sensor.wrench_scale),
         per_channel_(sensor.channel.cwiseInverse()),
@@ -55,6 +58,9 @@ class WindowModel {
 
   const ParameterLayout& layout() const { return layout_; }
   const LogData& log() const { return log_; }
+  Gate* gate() const { return gate_; }
+  bool sensed(std::size_t k) const { return gate_ == nullptr || gate_->wrench[k] == 0; }
+  bool moved(std::size_t m, std::size_t k) const { return gate_ == nullptr || gate_->motion[m][k] == 0; }
   const Vector6& wrench_scale() const { return wrench_scale_; }
   const ChannelVector<N>& precision() const { return precision_; }  // 1 / sigma per sample, normalised
 
@@ -70,6 +76,7 @@ class WindowModel {
 
  private:
   const LogData& log_;
+  Gate* gate_;
   ParameterLayout layout_;
   Vector6 wrench_scale_;
   ChannelVector<N> per_channel_;
@@ -195,7 +202,7 @@ struct Blocks {
       const MotionSeries& series = model.log().motion[m];
       for_each_block(
           spline, series.time, 0.0, window.motion[m], per_interval,
-          [&](std::size_t k) { return valid_components(series.value + 6 * k, 6); },
+          [&](std::size_t k) { return model.moved(m, k) ? valid_components(series.value + 6 * k, 6) : 0U; },
           [&](int interval, std::size_t first, std::size_t last, std::uint32_t mask) {
             Powers u = Powers::Zero();
             Vector6 sum = Vector6::Zero();
@@ -224,7 +231,9 @@ struct Blocks {
     const ChannelVector<N> precision = model.precision().cwiseAbs2();
     for_each_block(
         spline, series.time, delay, window.wrench, per_interval,
-        [&](std::size_t k) { return valid_components(series.raw + static_cast<std::size_t>(n) * k, n); },
+        [&](std::size_t k) {
+          return model.sensed(k) ? valid_components(series.raw + static_cast<std::size_t>(n) * k, n) : 0U;
+        },
         [&](int interval, std::size_t first, std::size_t last, std::uint32_t mask) {
           Powers u = Powers::Zero();
           WrenchBlock<N> b;

@@ -1,0 +1,134 @@
+// Samples that do not belong to the model: contacts, knocks, spikes (docs/method.md, "Contacts and outliers").
+//
+// The residuals of one stream over their sigma are scanned at many lengths for stretches whose mean, or whose
+// size, is not that of noise. The limit follows the number of stretches looked at, so that clean records lose
+// next to nothing.
+#pragma once
+
+#include "truewrench/statistics.hpp"
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+namespace truewrench {
+
+// Samples [first, last) of a series, and how far they are from noise (standard normal deviate).
+struct Disturbance {
+  std::size_t first = 0;
+  std::size_t last = 0;
+  double deviate = 0.0;
+};
+
+// Running sums over the residuals of one series: row k holds those of the samples before k.
+class DisturbanceScan {
+ public:
+  // `residuals`: one row per sample over its sigma, NaN where there is none.
+  explicit DisturbanceScan(
+      const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>& residuals)
+      : sums_(residuals.rows() + 1, 3 * residuals.cols()) {
+    const Eigen::Index n = residuals.cols();
+    sums_.row(0).setZero();
+    for (Eigen::Index k = 0; k < residuals.rows(); ++k) {
+      sums_.row(k + 1) = sums_.row(k);
+      for (Eigen::Index c = 0; c < n; ++c) {
+        const double r = residuals(k, c);
+        if (!std::isfinite(r)) continue;
+        sums_(k + 1, c) += r;
+        sums_(k + 1, n + c) += r * r;
+        sums_(k + 1, 2 * n + c) += 1.0;
+      }
+    }
+  }
+
+  std::size_t samples() const { return static_cast<std::size_t>(sums_.rows()) - 1; }
+
+  // Deviate of samples [first, last): of the means, the larger of that of all components together and that of each
+  // alone; or of the sum of squares.
+  double deviate(std::size_t first, std::size_t last, bool of_means) const {
+    const Eigen::Index n = sums_.cols() / 3;
+    const auto a = sums_.row(static_cast<Eigen::Index>(first));
+    const auto b = sums_.row(static_cast<Eigen::Index>(last));
+    double means = 0.0, squares = 0.0, count = 0.0, components = 0.0, largest = 0.0;
+    for (Eigen::Index c = 0; c < n; ++c) {
+      const double k = b[2 * n + c] - a[2 * n + c];
+      if (k < 0.5) continue;
+      const double shift = (b[c] - a[c]) * (b[c] - a[c]) / k;
+      means += shift;
+      components += 1.0;
+      squares += b[n + c] - a[n + c];
+      count += k;
+      largest = std::max(largest, shift);
+    }
+    if (components < 0.5) return 0.0;
+    if (!of_means) return chi_square_deviate(squares, count);
+    return std::max(chi_square_deviate(means, components), std::sqrt(largest));
+  }
+
+  // Stretches beyond what chance gives, the strongest first. The motion bends towards a disturbance and throws the
+  // shadow of it around, with the other sign: means tell them apart, sums of squares do not and are asked only
+  // where the means say nothing; and what is much weaker than the strongest is left to the next look.
+  std::vector<Disturbance> find(std::size_t longest, double false_alarms) const {
+    std::vector<Disturbance> found = find(longest, false_alarms, true);
+    return found.empty() ? find(longest, false_alarms, false) : found;
+  }
+
+ private:
+  std::vector<Disturbance> find(std::size_t longest, double false_alarms, bool of_means) const {
+    const std::size_t n = samples();
+    if (n == 0) return {};
+    // Stretches of one length overlap and lengths grow in powers of two: so many are independent.
+    const double looks = 2.0 * static_cast<double>(n) * static_cast<double>(2 * (sums_.cols() / 3) + 2);
+    const double limit = normal_quantile(false_alarms / looks);
+    std::vector<Disturbance> found;
+    for (std::size_t length = 1; length <= std::max<std::size_t>(longest, 1); length *= 2) {
+      const std::size_t step = std::max<std::size_t>(1, length / 8);
+      for (std::size_t k = 0; k + length <= n; k += step) {
+        const double z = deviate(k, k + length, of_means);
+        if (z > limit) found.push_back({k, k + length, z});
+      }
+    }
+    std::sort(found.begin(), found.end(), [](const Disturbance& a, const Disturbance& b) {
+      return a.deviate > b.deviate || (a.deviate == b.deviate && a.first < b.first);
+    });
+    std::vector<Disturbance> kept;
+    for (const Disturbance& d : found) {
+      if (!kept.empty() && d.deviate < 0.5 * kept.front().deviate) break;
+      const bool overlaps = std::any_of(kept.begin(), kept.end(), [&](const Disturbance& k) {
+        return d.first < k.last + 1 && k.first < d.last + 1;
+      });
+      if (!overlaps) kept.push_back(trimmed(d, of_means));
+    }
+    return kept;
+  }
+
+  // Both ends moved to where the deviate is largest.
+  Disturbance trimmed(Disturbance d, bool of_means) const {
+    for (std::size_t step = std::max<std::size_t>(1, (d.last - d.first) / 2); step > 0; step /= 2) {
+      for (bool better = true; better;) {
+        better = false;
+        const auto attempt = [&](std::size_t first, std::size_t last) {
+          if (first >= last || last > samples()) return;
+          const double z = deviate(first, last, of_means);
+          if (z <= d.deviate) return;
+          d = {first, last, z};
+          better = true;
+        };
+        const Disturbance from = d;
+        if (from.first >= step) attempt(from.first - step, from.last);
+        attempt(from.first + step, from.last);
+        attempt(from.first, from.last + step);
+        if (from.last >= step) attempt(from.first, from.last - step);
+      }
+    }
+    return d;
+  }
+
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> sums_;
+};
+
+}  // namespace truewrench
