@@ -112,6 +112,10 @@ def calibrate(
     window: Annotated[float | None, typer.Option(min=0.0, help="Length of a window of motion [s].")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
     process_density: Annotated[float | None, typer.Option(min=0.0, help="ekf: of the acceleration.")] = None,
+    held_out: Annotated[
+        bool,
+        typer.Option("--held-out/--no-held-out", help="Compare with the nominal gain on unseen data."),
+    ] = True,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -131,6 +135,7 @@ def calibrate(
             estimator,
             window=window,
             threads=threads,
+            held_out=held_out,
             published=published,
             smooth=smooth,
             process_density=process_density,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, Literal
@@ -13,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.calibration import AXES, AxisImprovement, Bound, Calibration, LogReport, Verdict
+from truewrench.bound import oracle_rms
+from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
+from truewrench.comparison import Comparison, compare_held_out, compare_in_sample
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.least_squares import least_squares
@@ -28,8 +31,6 @@ Array = NDArray[np.float64]
 EstimatorName = Literal["map", "online", "ekf", "ls"]
 Progress = Callable[[str, float | None], None]
 
-_UNSURE = 0.02  # relative change of an axis' residual that counts as none
-
 
 def calibrate(
     rig: Rig,
@@ -38,6 +39,7 @@ def calibrate(
     *,
     window: float | None = None,
     threads: int | None = None,
+    held_out: bool = True,
     published: bool = False,
     smooth: Literal["spline"] | None = None,
     process_density: float | None = None,
@@ -51,6 +53,8 @@ def calibrate(
         estimator: `map`, `online`, or one of the references `ekf` and `ls`, whose verdict is never usable.
         window: shortest window of motion [s]; the default is the core's.
         threads: of the window estimators, all by default; no effect on the result.
+        held_out: compare nominal and new gain on a part of the record that a second run of the estimator
+            does not see; without it they are compared on what was fitted, in half the time.
         published: `ekf` starts from C = I and P = I in SI units.
         smooth: `ls` differentiates a spline and not the samples.
         process_density: of `ekf`.
@@ -73,7 +77,7 @@ def calibrate(
     started = time.perf_counter()
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
-        return _from_windows(rig, records, estimator, window, threads, report, started)
+        return _from_windows(rig, records, estimator, window, threads, held_out, report)
     return _from_reference(rig, records, estimator, published, smooth, process_density, started)
 
 
@@ -83,37 +87,61 @@ def _from_windows(
     estimator: Literal["map", "online"],
     window: float | None,
     threads: int | None,
+    held_out: bool,
     report: Progress,
-    started: float,
 ) -> Calibration:
     settings = _core.EstimatorSettings()
     settings.window = settings.window if window is None else window
     settings.threads = threads or 0
+    clock = [time.perf_counter()]
     estimate = estimate_windows(rig, logs, estimator, settings)
-    estimated = time.perf_counter()
+    clock.append(time.perf_counter())
     report("judging", None)
     verdict = judge_windows(rig, estimate, logs)
-    inverse = _inverse(rig, estimate.gain)
-    calibration = _calibration(
+    calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
+    clock.append(time.perf_counter())
+
+    def without_the_part(kept: Sequence[Log]) -> Calibration | None:
+        found = estimate_windows(rig, kept, estimator, settings)
+        return _of_estimate(rig, kept, estimator, found, verdict) if found.solved else None
+
+    compared: Comparison | str = "not asked for"
+    if held_out:
+        report("comparing", None)
+        compared = compare_held_out(rig, logs, without_the_part)
+    if isinstance(compared, str):
+        compared = compare_in_sample(rig, logs, estimate, calibration.inverse, compared)
+    clock.append(time.perf_counter())
+    reasons = (*verdict.reasons, *compared.reasons)
+    return replace(
+        calibration,
+        verdict=replace(verdict, usable=not reasons, reasons=reasons),
+        improvement=compared.improvement,
+        figures={**_figures(rig, estimate), "held_out": compared.figures},
+        timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
+    )
+
+
+def _of_estimate(
+    rig: Rig, logs: Sequence[Log], estimator: str, estimate: WindowEstimate, verdict: Verdict
+) -> Calibration:
+    stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
+    return _calibration(
         rig,
         estimator,
         estimate.gain,
         estimate.covariance,
         verdict,
         [_log_report(log, k, estimate) for k, log in enumerate(logs)],
-        inverse=inverse,
-        improvement=_improvement(rig, logs, estimate, inverse),
+        inverse=_inverse(rig, estimate.gain),
         offset_temperature=estimate.offset_temperature,
         time_offset=float(estimate.time_offsets[-1]),
         time_offset_std=float(estimate.time_offsets_std[-1]),
         payload_posterior={
             name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
         },
-        bound=_bound(rig, estimate),
-        figures=_figures(rig, estimate),
-        timings={"estimate": estimated - started, "judge": time.perf_counter() - estimated},
+        bound=Bound(oracle_rms(rig, estimate.wrench), float(np.sqrt(stated.mean()))),
     )
-    return calibration
 
 
 def _from_reference(
@@ -269,61 +297,6 @@ def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, An
         },
         "inertia_std": {name: std[4 + k] * unit[name] for k, name in enumerate(places)},
     }
-
-
-def _improvement(
-    rig: Rig, logs: Sequence[Log], estimate: WindowEstimate, inverse: Array
-) -> Mapping[str, AxisImprovement]:
-    """RMS difference of corrected and inertial wrench per axis: nominal gain (tared) and new gain."""
-    nominal_inverse = _inverse(rig, rig.sensor.nominal_gain_array)
-    old, new = [], []
-    for log, offset, wrench, rows in zip(
-        logs, estimate.offsets, estimate.wrench, estimate.wrench_rows, strict=True
-    ):
-        known = np.isfinite(wrench).all(axis=1) & np.isfinite(log.raw[rows]).all(axis=1)
-        if not known.any():
-            continue
-        raw = log.raw[rows][known]
-        nominal = raw @ nominal_inverse.T - wrench[known]
-        if rig.sensor.offset_prior_array.any():
-            nominal -= nominal.mean(axis=0)
-        old.append(nominal)
-        new.append((raw - offset) @ inverse.T - wrench[known])
-    if not old:
-        return {}
-    before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))
-    improvement = {}
-    for axis, b, a in zip(AXES, before, after, strict=True):
-        better: Literal[True, False, "unsure"] = "unsure"
-        if abs(a - b) > _UNSURE * b:
-            better = bool(a < b)
-        improvement[axis] = AxisImprovement(float(b), float(a), held_out=False, better=better)
-    return improvement
-
-
-def _bound(rig: Rig, estimate: WindowEstimate) -> Bound:
-    """The oracle bound sigma_i^2 (W^T W)^-1, motion known and priors included, beside the stated sigma."""
-    sensor = rig.sensor
-    noise = sensor.noise_array / sensor.channel_scale
-    offset_prior = sensor.offset_prior_array / sensor.channel_scale
-    pooled = 1 if sensor.pool_offsets else len(estimate.wrench)
-    variance = np.empty((sensor.n, 6))
-    for i in range(sensor.n):
-        information = np.diag(np.append(np.full(6, sensor.gain_prior**-2.0), np.full(pooled, 0.0)))
-        for k, wrench in enumerate(estimate.wrench):
-            known = wrench[np.isfinite(wrench).all(axis=1)] / sensor.range_array
-            column = 6 + min(k, pooled - 1)
-            information[:6, :6] += known.T @ known / noise[i] ** 2
-            information[:6, column] += known.sum(axis=0) / noise[i] ** 2
-            information[column, :6] = information[:6, column]
-            information[column, column] += len(known) / noise[i] ** 2
-        if offset_prior[i] > 0.0:
-            information[6:, 6:] += np.diag(np.full(pooled, offset_prior[i] ** -2.0))
-        else:
-            information = information[:6, :6]
-        variance[i] = np.diag(np.linalg.inv(information))[:6]
-    stated = np.diag(estimate.normalised_covariance)[: 6 * sensor.n]
-    return Bound(oracle_rms=float(np.sqrt(variance.mean())), rms=float(np.sqrt(stated.mean())))
 
 
 def _figures(rig: Rig, estimate: WindowEstimate) -> dict[str, Any]:

@@ -100,6 +100,9 @@ def _offset(calibration: Calibration) -> RenderableType:
 def _improvement(calibration: Calibration) -> RenderableType:
     held_out = all(axis.held_out for axis in calibration.improvement.values())
     data = "held-out data" if held_out else "the data it was fitted to"
+    why = calibration.figures.get("held_out", {}).get("none_because")
+    if why:
+        data += f": {why}"
     table = _table(f"RMS error on {data}", ["axis", "nominal gain", "new gain", "better"])
     words = {True: "yes", False: "no", "unsure": "unsure"}
     for name, axis in calibration.improvement.items():

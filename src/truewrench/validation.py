@@ -25,14 +25,15 @@ from truewrench.residuals import LONGEST_LAG, Residuals, joined_columns, residua
 from truewrench.residuals import tared as is_tared
 from truewrench.rig import Rig
 
-__all__ = ["AxisValidation", "Validation", "held_out", "validate"]
+__all__ = ["AxisValidation", "Validation", "held_out", "validate", "worse"]
 
 Array = NDArray[np.float64]
 
 FORMAT = "truewrench-validation/1"
 CONFIDENCE = 0.99  # of the interval of the ratio of residuals
 DRAWS = 1000  # of the bootstrap
-CHANGE = 0.02  # a smaller relative change of the residual counts as none
+CHANGE = 0.02  # a smaller relative gain counts as none,
+LOSS = 0.1  # and a smaller loss: the price of any gain's own sigma where the nominal one happens to be right
 LAGS = 10  # autocorrelations that are tested
 WHITE = 1e-6  # probability of autocorrelations as large as found
 CORRELATION = 0.1  # and the departure of one of them from what the motion explains
@@ -206,8 +207,9 @@ def held_out(
             continue
         phase = log.time / duration * count % 1.0  # of each of `count` equal parts, the middle is held out
         chosen = np.abs(phase - 0.5) < 0.5 * fraction
-        kept.append(_rows(log, ~chosen))
-        out.append(replace(_rows(log, chosen), nan_counts={}, dropped_rows=0))
+        # a part has no hash: it is not the file
+        kept.append(replace(_rows(log, ~chosen), sha256=""))
+        out.append(replace(_rows(log, chosen), sha256="", nan_counts={}, dropped_rows=0))
     return kept, out
 
 
@@ -223,6 +225,7 @@ def _rows(log: Log, rows: NDArray[np.bool_]) -> Log:
         gravity=pick(log.gravity),
         acceleration=pick(log.acceleration),
         temperature=pick(log.temperature),
+        reference=pick(log.reference),
     )
 
 
@@ -272,7 +275,7 @@ def _axis(
     better: Literal[True, False, "unsure"] = "unsure"
     if high < 1.0 and ratio < 1.0 / (1.0 + CHANGE):
         better = True
-    elif low > 1.0 and ratio > 1.0 + CHANGE:
+    elif low > 1.0 and ratio > 1.0 + LOSS:
         better = False
     noise = np.concatenate([part.noise[:, i] for part in parts])
     variance = noise + np.sum(systematic**2, axis=1)
@@ -358,13 +361,18 @@ def _whiteness(found: Array, expected: Array, size: int) -> tuple[float, float]:
     return float(excess[np.argmax(np.abs(excess))] / c[0]), float(chi2.sf(statistic, LAGS))
 
 
+def worse(name: str, axis: AxisValidation) -> str:
+    """The reason against a gain that is worse than the nominal one on an axis."""
+    return (
+        f"{name} is worse than with the nominal gain: residual {axis.ratio:.3g} times as large "
+        f"({axis.ratio_low:.3g} to {axis.ratio_high:.3g})"
+    )
+
+
 def _reasons(name: str, axis: AxisValidation) -> list[str]:
     reasons = []
     if axis.better is False:
-        reasons.append(
-            f"{name} is worse than with the nominal gain: residual {axis.ratio:.3g} times as large "
-            f"({axis.ratio_low:.3g} to {axis.ratio_high:.3g})"
-        )
+        reasons.append(worse(name, axis))
     if axis.nis_probability < CONTRADICTED and not TOO_SMALL < axis.nis < TOO_LARGE:
         how = "larger" if axis.nis > 1.0 else "smaller"
         reasons.append(

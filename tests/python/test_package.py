@@ -32,7 +32,7 @@ FLOORS = [
     {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "inertial"},
     {"setup_errors", "residuals"},
     {"verdict", "validation"},
-    {"summary"},
+    {"summary", "comparison"},
     {"pipeline", "campaign_statistics"},
     {"figures_campaign", "trial"},
     {"demo", "campaign"},
