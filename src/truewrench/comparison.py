@@ -20,7 +20,8 @@ from truewrench.errors import InputError
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.validation import CHANGE, LOSS, held_out, validate, worse
+from truewrench.split import held_out
+from truewrench.validation import CHANGE, LOSS, validate, worse
 
 __all__ = ["Comparison", "compare_held_out", "compare_in_sample"]
 
@@ -54,7 +55,7 @@ def compare_held_out(
         logs: the whole record.
         calibrated: a calibration with some logs, None where they do not suffice for one.
     """
-    kept, out = held_out(rig, logs, SHARE)
+    kept, out = held_out(logs, SHARE)
     if not out:
         return "the record is too short to hold a part of it out (10 s and 1000 rows are needed)"
     calibration = calibrated(kept)

@@ -20,7 +20,15 @@ from truewrench.comparison import Comparison, compare_held_out, compare_in_sampl
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.least_squares import least_squares
+from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
+from truewrench.known_wrench import (
+    compare_known_wrench,
+    judge_known_wrench,
+    known_wrench_figures,
+    known_wrench_reports,
+    wrench_is_known,
+)
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
 from truewrench.verdict import group_fits, judge_reference, judge_windows
@@ -46,6 +54,8 @@ def calibrate(
     progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate gain and offset of a rig's sensor from one log or several.
+
+    Logs with reference wrenches need no motion: they are calibrated from by weighted total least squares.
 
     Args:
         rig: sensor, payloads and motion.
@@ -75,6 +85,10 @@ def calibrate(
     )
     report = progress or (lambda phase, share: None)
     started = time.perf_counter()
+    if wrench_is_known(rig, records, estimator):
+        if window is not None:
+            raise UnsupportedError.at(None, "window", f"{window:g} s", "nothing for logs with ref_* columns")
+        return _from_known_wrench(rig, records, held_out, report)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
         return _from_windows(rig, records, estimator, window, threads, held_out, report)
@@ -103,10 +117,12 @@ def _from_windows(
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
         found = estimate_windows(rig, kept, estimator, settings)
-        return _of_estimate(rig, kept, estimator, found, verdict) if found.solved else None
+        return _of_estimate(rig, kept, estimator, found, Verdict(True)) if found.solved else None
 
     compared: Comparison | str = "not asked for"
-    if held_out:
+    if not estimate.solved or np.isnan(np.concatenate(estimate.wrench)).all():
+        compared = "no window of motion fits"
+    elif held_out:
         report("comparing", None)
         compared = compare_held_out(rig, logs, without_the_part)
     if isinstance(compared, str):
@@ -141,6 +157,39 @@ def _of_estimate(
             name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
         },
         bound=Bound(oracle_rms(rig, estimate.wrench), float(np.sqrt(stated.mean()))),
+    )
+
+
+def _from_known_wrench(rig: Rig, logs: Sequence[Log], held_out: bool, report: Progress) -> Calibration:
+    report("estimating (reference wrenches)", None)
+    clock = [time.perf_counter()]
+    estimate = estimate_from_reference(rig, logs)
+    clock.append(time.perf_counter())
+    report("judging", None)
+    verdict = judge_known_wrench(rig, estimate)
+    clock.append(time.perf_counter())
+    compared = compare_known_wrench(rig, logs, estimate, held_out)
+    clock.append(time.perf_counter())
+    reasons = (*verdict.reasons, *compared.reasons)
+    stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
+    wrenches = [
+        np.zeros((0, 6)) if log.reference is None else log.reference[rows]
+        for log, rows in zip(logs, estimate.rows, strict=True)
+    ]
+    return _calibration(
+        rig,
+        "reference",
+        estimate.gain,
+        estimate.covariance,
+        replace(verdict, usable=not reasons, reasons=reasons),
+        known_wrench_reports(rig, logs, estimate),
+        inverse=_inverse(rig, estimate.gain),
+        offset_temperature=estimate.offset_temperature,
+        time_offset_std=rig.sensor.time_offset_prior,  # rows are synchronous: nothing was learnt of it
+        improvement=compared.improvement,
+        bound=Bound(oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
+        figures={**known_wrench_figures(rig, logs, estimate), "held_out": compared.figures},
+        timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
     )
 
 
@@ -229,8 +278,6 @@ def _check_supported(rig: Rig) -> None:
         raise refuse(
             "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz:g}", "null: a filtered sensor is not supported"
         )
-    if rig.reference_noise is not None:
-        raise refuse("reference_noise", "six numbers", "nothing: reference wrenches are not supported")
 
 
 def _check_options(estimator: EstimatorName, **options: Any) -> None:

@@ -161,6 +161,7 @@ def validation_summary(validation: Validation) -> Iterator[RenderableType]:
         "better",
         "square / claimed",
         "within 95 %",
+        "keep",
     ]
     table = _table(f"RMS residual on {data}", columns)
     words = {True: "yes", False: "no", "unsure": "unsure"}
@@ -174,6 +175,7 @@ def validation_summary(validation: Validation) -> Iterator[RenderableType]:
             words[axis.better],
             with_uncertainty(axis.nis, axis.nis_std),
             f"{100 * axis.coverage:.1f} %",
+            "yes" if axis.keep else "no",
         )
     yield table
     basis = f"{validation.samples} samples in blocks of {validation.block:.3g} s"

@@ -94,6 +94,7 @@ def test_options_reach_the_pipeline(
     assert status == 0
     assert options == {
         "published": True, "window": 2.5, "threads": 2, "process_density": 0.1, "smooth": "spline",
+        "held_out": True,
     }  # fmt: skip
 
 

@@ -27,6 +27,7 @@ FLOORS = [
         "calibration",
         "signed_axes",
         "setup_hypotheses",
+        "split",
     },
     {"io"},
     {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "inertial"},
