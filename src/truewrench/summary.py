@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -16,6 +17,8 @@ from truewrench.inspect_log import LogContent
 from truewrench.validation import Validation
 
 __all__ = ["calibration_summary", "log_summary", "show", "validation_summary", "with_uncertainty"]
+
+SHOWN = 10  # rows that are named one by one
 
 _UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
 
@@ -51,6 +54,8 @@ def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
     if len(calibration.figures.get("limited_by", {})) > 1:
         yield _limits(calibration)
     yield _logs(calibration)
+    if calibration.figures.get("outliers"):
+        yield _outliers(calibration)
     if calibration.timings:
         spent = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in calibration.timings.items())
         yield Text(f"Time: {spent}")
@@ -68,8 +73,8 @@ def _verdict(calibration: Calibration) -> RenderableType:
         text.append(f"\n  - {reason}")
     if verdict.undetermined:
         text.append("\nThe data do not determine:")
-        for direction in verdict.undetermined:
-            text.append(f"\n  - {direction.words}")
+        for words, count in Counter(direction.words for direction in verdict.undetermined).items():
+            text.append(f"\n  - {words}" + (f" ({count} directions)" if count > 1 else ""))
     return text
 
 
@@ -117,7 +122,8 @@ def _accuracy(calibration: Calibration) -> RenderableType:
     text = f"Accuracy: {100 * stated:.2g} % of full scale (1 sigma, RMS over the gains)"
     if calibration.bound is not None:
         ratio = stated / calibration.bound.oracle_rms
-        text += f", {ratio:.2f} times what a perfectly known motion would give"
+        known = "wrench" if calibration.estimator == "reference" else "motion"
+        text += f", {ratio:.2f} times what a perfectly known {known} would give"
     return Text(text + ".")
 
 
@@ -138,6 +144,15 @@ def _logs(calibration: Calibration) -> RenderableType:
         left_out = ", ".join(f"{count} ({reason})" for reason, count in reasons.items() if count) or "none"
         table.add_row(Text(str(log.path or "-")), Text(log.payload), str(log.used), Text(left_out))
     return table
+
+
+def _outliers(calibration: Calibration) -> RenderableType:
+    found = [
+        f"{calibration.logs[outlier['log']].path or '-'} at {outlier['time']:.6g} s"
+        for outlier in calibration.figures["outliers"]
+    ]
+    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    return Text(f"Rows left out because they contradict the others: {', '.join(found[:SHOWN])}{more}.")
 
 
 def validation_summary(validation: Validation) -> Iterator[RenderableType]:

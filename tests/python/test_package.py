@@ -34,6 +34,7 @@ FLOORS = [
     {"setup_errors", "residuals"},
     {"verdict", "validation"},
     {"summary", "comparison"},
+    {"known_wrench"},
     {"pipeline", "campaign_statistics"},
     {"figures_campaign", "trial"},
     {"demo", "campaign"},
