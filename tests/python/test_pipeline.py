@@ -216,7 +216,6 @@ def test_calibration_file_keeps_everything(result: Calibration, tmp_path: Path) 
     ("changes", "key"),
     [
         ({"sensor": {"lowpass_hz": 100.0}}, "sensor.lowpass_hz"),
-        ({"reference_noise": [1.0] * 6}, "reference_noise"),
     ],
 )
 def test_what_is_not_supported_is_refused(changes: dict[str, Any], key: str, run: SimulatedRun) -> None:
