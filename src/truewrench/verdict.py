@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from truewrench import _core
+from truewrench.advice import advice
 from truewrench.calibration import AXES, Undetermined, Verdict
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.log import Log
@@ -112,7 +113,7 @@ def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) 
         rig,
         estimate.gain,
         estimate.normalised_covariance,
-        "a longer, faster or heavier motion of that axis helps",
+        advice(rig, estimate, logs[-1].payload if logs else None),
     )
     reasons += found
     return Verdict(not reasons, tuple(reasons), undetermined)

@@ -31,7 +31,7 @@ FLOORS = [
     },
     {"io"},
     {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "inertial"},
-    {"setup_errors", "residuals"},
+    {"setup_errors", "residuals", "advice"},
     {"verdict", "validation"},
     {"summary", "comparison"},
     {"known_wrench"},
