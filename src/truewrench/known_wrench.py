@@ -153,7 +153,7 @@ def known_wrench_figures(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstim
         "departure_norm": posed.departure_norm,
         "iterations": estimate.iterations,
         "outliers": [
-            {"log": k, "row": int(row), "time": float(log.time[row])}
+            {"log": k, "row": int(row) + 1, "time": float(log.time[row])}
             for k, (log, rows) in enumerate(zip(logs, estimate.outliers, strict=True))
             for row in rows
         ],

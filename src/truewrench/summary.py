@@ -148,7 +148,7 @@ def _logs(calibration: Calibration) -> RenderableType:
 
 def _outliers(calibration: Calibration) -> RenderableType:
     found = [
-        f"{calibration.logs[outlier['log']].path or '-'} at {outlier['time']:.6g} s"
+        f"row {outlier['row']} ({outlier['time']:.6g} s) of {calibration.logs[outlier['log']].path or '-'}"
         for outlier in calibration.figures["outliers"]
     ]
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""

@@ -102,7 +102,7 @@ def everything_fitted(rig: Rig, log: Log, exact_offset: bool) -> tuple[Array, Ar
         [(sensor.nominal_gain_array * SPAN / sensor.channel_scale[:, None]).ravel(), np.zeros(n)]
     )
     start = np.append(start, (reference / SPAN).ravel())
-    found = least_squares(residuals, start, method="trf", xtol=1e-14, ftol=1e-14, gtol=1e-12)
+    found = least_squares(residuals, start, method="lm", jac="3-point", xtol=1e-10)
     C, b, _ = split(found.x)
     return C, b, np.linalg.inv(found.jac.T @ found.jac)[: 7 * n, : 7 * n]
 
@@ -114,7 +114,7 @@ def everything_fitted(rig: Rig, log: Log, exact_offset: bool) -> tuple[Array, Ar
 def test_a_general_solver_over_all_wrenches_finds_the_same(n: int, offset_prior: Any, ratio: float) -> None:
     rig = rig_of(1e-3, n, 1e-3 * ratio, offset_prior=offset_prior, gain_prior=0.2)
     gain, offset = truth_of(rig, 1)
-    log = log_of(rig, wrenches(14), gain, offset, 1)
+    log = log_of(rig, wrenches(12), gain, offset, 1)
     found = estimate_from_reference(rig, [log])
     C, b, covariance = everything_fitted(rig, log, offset_prior == 0)
     std = np.sqrt(np.diag(found.covariance))
@@ -143,7 +143,7 @@ def deviation(rig: Rig, found: ReferenceEstimate, gain: Array, offset: Array) ->
     ("snr", "rows", "rank"), [(1000, 24, 6), (10, 24, 6), (10, 100, 3), (5, 400, 6), (3, 400, 6), (3, 400, 3)]
 )
 def test_errors_are_as_large_as_stated(snr: float, rows: int, rank: int) -> None:
-    rig, trials = rig_of(0.3 / snr), 60
+    rig, trials = rig_of(0.3 / snr), 40
     nees, inside = [], []
     for seed in range(trials):
         gain, offset = truth_of(rig, seed)
