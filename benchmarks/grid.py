@@ -6,10 +6,11 @@ Every run draws a rig from wide ranges and a truth from its priors (one in five 
 3 times the stated gain prior instead), simulates a log and calibrates. A run counts where the model holds,
 and the Cramer-Rao bound on the RMS of the 36 normalised gains (motion inferred; payload, offset and clock
 as uncertain as stated) is below 0.02 and leaves no direction undetermined (above half its prior), which the
-verdict must refuse. The model holds where the truth is drawn from the priors and the true gain has a
-condition number below 100. No accuracy is required of the rigs, so that usable says that the estimate is
-sound. RMS / bound is sqrt(mean (e/b)^2) over the runs that count and are usable; over all that count in
-brackets. Longer logs than --samples are cut, unless --full.
+verdict must refuse. The model holds where the truth is drawn from the priors, the true gain has a condition
+number below 100, and a spline of three samples a coefficient can follow the motion to a fraction of the
+noise (0.05 in mean square in every second: steps of the jerk may be more). No accuracy is required of the
+rigs, so that usable says that the estimate is sound. RMS / bound is sqrt(mean (e/b)^2) over the runs that
+count and are usable; over all that count in brackets. Longer logs than --samples are cut, unless --full.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ Array = NDArray[np.float64]
 BOUND = 0.02
 DETERMINED = 0.5  # of the prior: the verdict's limit
 CONDITION = 100.0  # the verdict's limit
+RESOLVED = 0.05  # mean square, over the noise, of what no spline can follow of the motion
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,12 @@ def run(seed: int, samples: int, estimator: str, index: int) -> runs.Row:
     normalised = simulated.truth.gain * span / span[:, None]
     return {
         **drawn.about,
+        "unresolved": motions.unresolved(
+            next(iter(simulated.truth.payloads.values())),
+            drawn.motion,
+            drawn.rig.simulate.sensor_rate,
+            drawn.rig.sensor.noise_array,
+        ),
         "bound": bound_common.rms(covariance),
         "bound_max": float(sigma.max()),
         "undetermined": float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) / drawn.rig.sensor.gain_prior,
@@ -183,6 +191,7 @@ def counts(row: runs.Row) -> bool:
         and row["bound"] < BOUND
         and row["undetermined"] < DETERMINED
         and row["condition"] < CONDITION
+        and row["unresolved"] < RESOLVED
     )
 
 
@@ -243,10 +252,12 @@ def report(rows: list[runs.Row]) -> None:
     runs.table(header, [line(name, [r for r in rows if "kind" in r and test(r)]) for name, test in groups])
     counted = [r for r in rows if counts(r)]
     below = [r for r in rows if r["outcome"] != "fault" and not r["far"] and r["bound"] < BOUND]
+    fast = sum(r["unresolved"] >= RESOLVED for r in below)
     vague = sum(r["undetermined"] >= DETERMINED for r in below)
     crooked = sum(r["condition"] >= CONDITION for r in below)
     print(
         f"\n{len(below)} runs have a bound below {BOUND}: {vague} leave a direction undetermined, "
+        f"{fast} have motion that no spline follows, "
         f"{crooked} have an ill-conditioned gain. Of all these {sum(map(good, below)) / len(below):.1%} "
         "are usable, with all windows."
     )

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.linalg import solveh_banded
 
+from truewrench.simulate import wrench_on_sensor
 from truewrench.trajectory import (
     Body,
     HarmonicTwist,
@@ -18,27 +21,35 @@ from truewrench.trajectory import (
 Array = NDArray[np.float64]
 
 KINDS = ("sinusoids", "fourier", "slow", "tumbling", "wrench", "stop and go")
+DEGREE = 4  # of the acceleration of a quintic twist
+MOST_SAMPLES = 30_000
 LONGEST_WRENCH = 20.0  # [s]: driven open loop, a body spins up
 
 
 @dataclass(frozen=True)
 class Moves:
-    """From rest to rest and on: each move a minimum-jerk profile on all six axes, each followed by a rest."""
+    """From rest to rest and on: moves of all six axes, each followed by a rest.
+
+    The twist of a move is a bell ``(4 s (1-s))^power``: minimum jerk with a power of 2, whose jerk is a step
+    at both ends; 3 makes the jerk continuous.
+    """
 
     starts: Array  # (M,)
     lengths: Array  # (M,)
     amplitude: Array  # (M, 6) largest twist of each move
     duration: float
+    power: int
 
     def twist(self, time: Array) -> Array:
         """Twist (N, 6) at the times (N,) [s]."""
         s, amplitude, _ = self._at(time)
-        return np.asarray(amplitude * (16.0 * s**2 * (1.0 - s) ** 2)[:, None])
+        return np.asarray(amplitude * ((4.0 * s * (1.0 - s)) ** self.power)[:, None])
 
     def acceleration(self, time: Array) -> Array:
         """Its derivative (N, 6)."""
         s, amplitude, length = self._at(time)
-        return np.asarray(amplitude * (32.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / length)[:, None])
+        slope = 4.0 * (1.0 - 2.0 * s) * self.power * (4.0 * s * (1.0 - s)) ** (self.power - 1)
+        return np.asarray(amplitude * (slope / length)[:, None])
 
     def _at(self, time: Array) -> tuple[Array, Array, Array]:
         k = np.clip(np.searchsorted(self.starts, time, side="right") - 1, 0, len(self.starts) - 1)
@@ -55,7 +66,7 @@ def draw_motion(
         lengths, rests = rng.uniform(0.5, 2.0, count), rng.uniform(0.2, 1.0, count)
         starts = np.cumsum(lengths + rests) - lengths
         amplitude = 1.5 * speed * rng.uniform(-1.0, 1.0, (count, 6))
-        return Moves(starts, lengths, amplitude, duration), 0.08
+        return Moves(starts, lengths, amplitude, duration, int(rng.integers(2, 4))), 0.08
     if kind == "wrench":
         # amplitudes that reach the speed: v = f / (2 pi k / tau m)
         k, tau = rng.choice(np.arange(3, 12), 3, replace=False), min(duration, 10.0)
@@ -83,6 +94,27 @@ def draw_motion(
         frequency = np.concatenate([frequency, np.zeros((1, 6))])
         phase = np.concatenate([phase, np.full((1, 6), np.pi / 2.0)])
     return HarmonicTwist(amplitude, frequency, phase, duration), 0.2 / frequency.max()
+
+
+def unresolved(body: Body, motion: Trajectory, rate: float, noise: Array) -> float:
+    """Mean square over the noise (6,) of what no spline of three samples a coefficient can follow.
+
+    Of the wrench at the sensor's samples, in the worst second of the first minute or 30,000 samples.
+    """
+    time = np.arange(int(min(motion.duration * rate, 60.0 * rate, MOST_SAMPLES))) / rate
+    intervals = max(1, len(time) // 3)
+    knots = (time[-1] + 1e-9) / intervals * np.arange(-DEGREE, intervals + DEGREE + 1)
+    true = motion.acceleration(time)
+    D = BSpline.design_matrix(time, knots, DEGREE).tocsr()
+    normal = (D.T @ D).todia()
+    band = np.array([np.append(normal.diagonal(-k), np.zeros(k)) for k in range(DEGREE + 1)])
+    band[0] += 1e-12 * band[0].max()
+    error = D @ solveh_banded(band, D.T @ true, lower=True) - true
+    still = np.zeros((len(time), 6))
+    wrench = wrench_on_sensor(body, body.center_of_mass, still, error, still[:, :3]) / noise
+    squared = np.mean(wrench**2, axis=1)
+    second = np.arange(0, len(time), min(len(time), int(rate)))
+    return float(np.max(np.add.reduceat(squared, second) / np.diff(np.append(second, len(time)))))
 
 
 def draw_body(rng: np.random.Generator, mass: float) -> Body:
