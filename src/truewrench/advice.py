@@ -3,34 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 
+from truewrench.calibration import UNDETERMINED
 from truewrench.estimate.sources import NOISE, Remedy
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.rig import Rig
 
 __all__ = ["advice"]
 
-_UNDETERMINED = 0.5  # of the prior: more data of the same kind would not do
 _GENERAL = "a longer, faster or heavier motion of that axis helps"
 
 
-def advice(rig: Rig, estimate: WindowEstimate, payload: str | None) -> str:
+def advice(rig: Rig, estimate: WindowEstimate, payload: str | None, silent: Collection[int] = ()) -> str:
     """What takes the least certain gain of an estimate to the `required` of the rig, if it is not there yet.
 
     Args:
         rig: `required`, and what it states of payload and clock.
         estimate: gain and what its uncertainty is made of.
         payload: of the last log.
+        silent: channels that do not count.
     """
     n = rig.sensor.n
     std = np.sqrt(np.diag(estimate.normalised_covariance)[: 6 * n])
+    std.reshape(n, 6)[list(silent)] = 0.0
     gain = int(np.argmax(std))
     if std[gain] <= rig.required:
         return ""
-    if estimate.sources is None or std[gain] > _UNDETERMINED * rig.sensor.gain_prior:
+    if estimate.sources is None or std[gain] > UNDETERMINED * rig.sensor.gain_prior:
         return _GENERAL
     remedy = estimate.sources.remedy(gain, rig.required)
     return _GENERAL if remedy is None else _words(rig, remedy, payload)

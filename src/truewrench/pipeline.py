@@ -31,6 +31,7 @@ from truewrench.known_wrench import (
 )
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
+from truewrench.silence import still_twists
 from truewrench.verdict import group_fits, judge_reference, judge_windows
 
 __all__ = ["calibrate"]
@@ -133,7 +134,7 @@ def _from_windows(
         calibration,
         verdict=replace(verdict, usable=not reasons, reasons=reasons),
         improvement=compared.improvement,
-        figures={**_figures(rig, estimate), "held_out": compared.figures},
+        figures={**_figures(rig, estimate), "held_out": compared.figures, "notes": still_twists(logs)},
         timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
     )
 

@@ -47,6 +47,8 @@ def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
     yield _verdict(calibration)
     for axes in (AXES[:3], AXES[3:]):
         yield _gain(calibration, axes)
+    if not calibration.gain_determined.all():
+        yield Text("In brackets: not determined by the data, believed as before.")
     yield _offset(calibration)
     if calibration.improvement:
         yield _improvement(calibration)
@@ -75,6 +77,8 @@ def _verdict(calibration: Calibration) -> RenderableType:
         text.append("\nThe data do not determine:")
         for words, count in Counter(direction.words for direction in verdict.undetermined).items():
             text.append(f"\n  - {words}" + (f" ({count} directions)" if count > 1 else ""))
+    for note in calibration.figures.get("notes", ()):
+        text.append(f"\nNote: {note}")
     return text
 
 
@@ -91,7 +95,11 @@ def _gain(calibration: Calibration, axes: Sequence[str]) -> RenderableType:
     columns = [AXES.index(axis) for axis in axes]
     for i, channel in enumerate(calibration.rig.sensor.channels):
         cells = [with_uncertainty(calibration.gain[i, j], calibration.gain_std[i, j]) for j in columns]
-        table.add_row(Text(channel), *cells)
+        known = calibration.gain_determined[i, columns]
+        table.add_row(
+            Text(channel),
+            *(Text(cell if sure else f"({cell})") for cell, sure in zip(cells, known, strict=True)),
+        )
     return table
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from scipy.linalg import qr
 
 from truewrench import _core
 from truewrench.advice import advice
-from truewrench.calibration import AXES, Undetermined, Verdict
+from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -23,6 +23,7 @@ from truewrench.setup_errors import (
     setup_errors_in_estimate,
     setup_errors_in_logs,
 )
+from truewrench.silence import channel_faults
 
 __all__ = [
     "GroupFit",
@@ -35,7 +36,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-UNDETERMINED = 0.5  # of the prior's sigma: a direction less certain than that was not determined by the data
 REJECTED = 0.05  # share of the samples in rejected windows that is still accepted
 CHI_SQUARE = 1.05  # residual chi-square per degree of freedom that is still accepted,
 CHI_SQUARE_LOW = 0.5  # below it the stated noise is too large to say anything
@@ -87,7 +87,12 @@ def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> di
 
 def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) -> Verdict:
     """The verdict on what `map` or `online` found; with the logs, also on how the rig was set up."""
-    reasons = [*_of_windows(estimate), *_setup_errors(rig, logs, estimate)]
+    faults = channel_faults(rig, logs)
+    silent = {fault.channel for fault in faults if fault.silent}
+    reasons = [fault.words for fault in faults]
+    reasons += _of_windows(estimate)
+    if not silent:  # whose gains look like any mistake
+        reasons += _setup_errors(rig, logs, estimate)
     if not estimate.solved:
         reasons.append("the sums over the windows could not be solved")
     elif not estimate.converged:
@@ -113,14 +118,19 @@ def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) 
         rig,
         estimate.gain,
         estimate.normalised_covariance,
-        advice(rig, estimate, logs[-1].payload if logs else None),
+        advice(rig, estimate, logs[-1].payload if logs else None, silent),
+        silent,
     )
     reasons += found
     return Verdict(not reasons, tuple(reasons), undetermined)
 
 
 def gain_reasons(
-    rig: Rig, gain: Array, normalised_covariance: Array, remedy: str
+    rig: Rig,
+    gain: Array,
+    normalised_covariance: Array,
+    remedy: str,
+    silent: Collection[int] = (),
 ) -> tuple[list[str], tuple[Undetermined, ...]]:
     """Why a gain cannot be used: singular, not determined, not accurate enough; and what is not determined.
 
@@ -129,16 +139,28 @@ def gain_reasons(
         gain: (n, 6), SI.
         normalised_covariance: (6n, 6n) of it, or more rows (offsets behind it).
         remedy: what would make it more accurate.
+        silent: channels without a signal, whose gains need no further reason.
     """
     n = rig.sensor.n
-    reasons = _of_gain(rig, gain)
+    heard = [i for i in range(n) if i not in silent]
+    reasons = [] if silent else _of_gain(rig, gain)
     covariance = normalised_covariance[: 6 * n, : 6 * n]
     undetermined = undetermined_directions(covariance, rig.sensor.gain_prior, rig.sensor.channels)
-    if undetermined:
-        words = Counter(u.words for u in undetermined)
+    unexplained, explained = [], []
+    for u in undetermined:
+        size = np.abs(u.direction.reshape(n, 6)).max(axis=1)
+        if size[heard].max(initial=0.0) > 0.1:
+            unexplained.append(u)
+        else:
+            name = rig.sensor.channels[int(np.argmax(size))]
+            explained.append(replace(u, words=f"gains of {name}, which has no signal"))
+    undetermined = (*unexplained, *explained)
+    if unexplained:
+        words = Counter(u.words for u in unexplained)
         named = "; ".join(word if count == 1 else f"{word} ({count})" for word, count in words.items())
-        reasons.append(f"{len(undetermined)} of {6 * n} directions of the gain are not determined: {named}")
+        reasons.append(f"{len(unexplained)} of {6 * n} directions of the gain are not determined: {named}")
     std = np.sqrt(np.diag(covariance)).reshape(n, 6)
+    std[list(silent)] = 0.0
     if std.max() > rig.required and len(undetermined) < 6 * n:
         i, j = np.unravel_index(np.argmax(std), std.shape)
         reasons.append(

@@ -28,6 +28,7 @@ FLOORS = [
         "signed_axes",
         "setup_hypotheses",
         "split",
+        "silence",
     },
     {"io"},
     {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "inertial"},
