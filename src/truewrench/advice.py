@@ -15,6 +15,7 @@ from truewrench.rig import Rig
 __all__ = ["advice"]
 
 _GENERAL = "a longer, faster or heavier motion of that axis helps"
+_UNSEEN = "a motion, or a second payload, that loads that axis by itself helps"
 
 
 def advice(rig: Rig, estimate: WindowEstimate, payload: str | None, silent: Collection[int] = ()) -> str:
@@ -32,7 +33,9 @@ def advice(rig: Rig, estimate: WindowEstimate, payload: str | None, silent: Coll
     gain = int(np.argmax(std))
     if std[gain] <= rig.required:
         return ""
-    if estimate.sources is None or std[gain] > UNDETERMINED * rig.sensor.gain_prior:
+    if std[gain] > UNDETERMINED * rig.sensor.gain_prior:
+        return _UNSEEN
+    if estimate.sources is None:
         return _GENERAL
     remedy = estimate.sources.remedy(gain, rig.required)
     return _GENERAL if remedy is None else _words(rig, remedy, payload)

@@ -152,4 +152,4 @@ def test_two_sources_that_both_matter_are_both_named() -> None:
 def test_direction_without_data_gets_no_number() -> None:
     rig = rig_of(0.02, {})
     log = log_of(rig, 0.5)
-    assert said(rig, log) == "a longer, faster or heavier motion of that axis helps"
+    assert said(rig, log) == "a motion, or a second payload, that loads that axis by itself helps"
