@@ -140,6 +140,22 @@ def test_demo_names_its_files(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert json.loads(out)["figures"] == {"seed": 5}
 
 
+@pytest.mark.parametrize("as_json", [False, True])
+def test_interrupted_calibration_says_that_nothing_was_written(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
+    def interrupted(*_: Any, **__: Any) -> Calibration:
+        raise KeyboardInterrupt
+
+    pipeline.calibrate = interrupted  # type: ignore[attr-defined]
+    words = ["calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out", *["--json"] * as_json]
+    status, out, err = run(*words)
+    assert (status, err) == (130, "truewrench: interrupted: nothing was written\n")
+    assert (json.loads(out)["status"] == 130) if as_json else not out
+    assert not (tmp_path / "out").exists()
+
+
 def test_validation_judges_held_out_logs_with_status_0_or_3(
     run: Run, settings: dict[str, Any], tmp_path: Path
 ) -> None:
