@@ -1,6 +1,7 @@
 """Five tools swung by an independent simulator, pooled: `truewrench calibrate` on motions that are not ours.
 
     python benchmarks/tools.py --draws 100
+    python benchmarks/tools.py --write tools       # one draw as files: tools/rig.yaml, tools/hammer.csv, ...
 
 Gain, offsets and noise are put on the exact logs of the external data set (TRUEWRENCH_EXTERNAL_DATA, or the
 folder shared/data beside the repository); acceleration columns are dropped and serve as truth of the bound.
@@ -19,6 +20,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import cases
 import numpy as np
@@ -27,7 +29,7 @@ from bound_oracle import MotionInformation, Rnea, covariance
 from numpy.typing import NDArray
 
 import truewrench as tw
-from truewrench.io.tables import read_log
+from truewrench.io.tables import GRAVITY, TWIST, read_log, write_table
 from truewrench.log import Log
 from truewrench.rig import Rig
 
@@ -154,6 +156,17 @@ def run(seed: int, estimator: str) -> Result:
     )
 
 
+def write(folder: Path) -> None:
+    """Rig and logs of the first draw as files, for `truewrench calibrate`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig().to_mapping(), sort_keys=False), encoding="utf-8")
+    for log in draw(0)[0]:
+        columns: dict[str, NDArray[Any]] = {"time_ns": log.time_ns}
+        columns |= {f"raw_{i}": channel for i, channel in enumerate(log.raw.T)}
+        columns |= dict(zip(TWIST, log.twist.T, strict=True)) | dict(zip(GRAVITY, log.gravity.T, strict=True))
+        write_table(folder / f"{log.payload}.csv", columns)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -161,7 +174,11 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=100)
     parser.add_argument("--estimators", default="map,online")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--write", type=Path, metavar="DIR", help="write one draw and its rig; run nothing")
     options = parser.parse_args()
+    if options.write:
+        write(options.write)
+        return
     print(f"Case `tools`, {options.draws} draws.\n")
     header = "estimator|within 3 sigma|NEES/42|worst|RMS|bound|RMS / bound|usable|s"
     print("| " + header.replace("|", " | ") + " |\n" + "|---" * 9 + "|")

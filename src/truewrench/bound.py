@@ -17,7 +17,7 @@ from truewrench.payload import payload_wrench
 from truewrench.rig import Rig
 from truewrench.smooth import segments, smooth_twist
 
-__all__ = ["bound"]
+__all__ = ["bound", "oracle_rms"]
 
 Array = NDArray[np.float64]
 
@@ -38,30 +38,55 @@ def bound(rig: Rig, logs: Sequence[Log], gain: Array) -> Bound:
         gain: estimated gain (n, 6).
     """
     sensor = rig.sensor
-    n, scale = sensor.n, sensor.channel_scale
-    offset_prior = sensor.offset_prior_array / scale
-    pooled = 1 if sensor.pool_offsets else len(logs)
-    size = 6 * n + n * pooled
-    motion_inferred, motion_known = np.zeros((size, size)), np.zeros((size, size))
-    for k, log in enumerate(logs):
+    normalised = gain * sensor.range_array / sensor.channel_scale[:, None]
+    inferred: list[Array] = []
+    wrenches: list[Array] = []
+    for log in logs:
+        pieces = _information(rig, log, normalised)
+        inferred.append(sum((found for found, _ in pieces), np.zeros((7 * sensor.n, 7 * sensor.n))))
+        wrenches.append(np.concatenate([wrench for _, wrench in pieces] or [np.zeros((0, 6))]))
+    return Bound(oracle_rms=oracle_rms(rig, wrenches), rms=_rms(rig, inferred))
+
+
+def oracle_rms(rig: Rig, wrenches: Sequence[Array]) -> float:
+    """RMS of sigma_i^2 (W^T W)^-1 over the normalised gains: motion known, priors included.
+
+    Args:
+        rig: sensor noise and priors.
+        wrenches: (M, 6) of every log, at its samples of the sensor; rows with NaN do not count.
+    """
+    sensor = rig.sensor
+    known = []
+    for wrench in wrenches:
+        rows = wrench[np.isfinite(wrench).all(axis=1)] / sensor.range_array
+        known.append(_known(rig, np.column_stack([rows, np.ones(len(rows))])))
+    return _rms(rig, known)
+
+
+def _known(rig: Rig, columns: Array) -> Array:
+    noise = rig.sensor.noise_array / rig.sensor.channel_scale
+    return np.asarray(np.kron(np.diag(noise**-2.0), columns.T @ columns))
+
+
+def _rms(rig: Rig, information: Sequence[Array]) -> float:
+    """RMS sigma of the normalised gains by the information (7n, 7n) of every log and the rig's priors."""
+    sensor, n = rig.sensor, rig.sensor.n
+    offset_prior = sensor.offset_prior_array / sensor.channel_scale
+    pooled = 1 if sensor.pool_offsets else len(information)
+    total = np.zeros((6 * n + n * pooled,) * 2)
+    for k, of_log in enumerate(information):
         # rows of [gain, offset] of one channel together, sorted into all gains, then the offsets of every log
         first = 6 * n + n * (0 if sensor.pool_offsets else k)
         order = np.column_stack([np.arange(6 * n).reshape(n, 6), first + np.arange(n)]).ravel()
-        for inferred, known in _information(rig, log, gain * sensor.range_array / scale[:, None]):
-            motion_inferred[np.ix_(order, order)] += inferred
-            motion_known[np.ix_(order, order)] += known
+        total[np.ix_(order, order)] += of_log
     present = np.concatenate([np.ones(6 * n, dtype=bool), np.tile(offset_prior > 0.0, pooled)])
     prior = np.concatenate([np.full(6 * n, sensor.gain_prior), np.tile(offset_prior, pooled)])[present]
-
-    def rms(information: Array) -> float:
-        covariance = np.linalg.inv(information[np.ix_(present, present)] + np.diag(prior**-2.0))
-        return float(np.sqrt(np.mean(np.diag(covariance)[: 6 * n])))
-
-    return Bound(oracle_rms=rms(motion_known), rms=rms(motion_inferred))
+    covariance = np.linalg.inv(total[np.ix_(present, present)] + np.diag(prior**-2.0))
+    return float(np.sqrt(np.mean(np.diag(covariance)[: 6 * n])))
 
 
 def _information(rig: Rig, log: Log, gain: Array) -> list[tuple[Array, Array]]:
-    """Information on the rows of [gain, offset] of every unbroken piece: motion inferred, motion known."""
+    """Of every unbroken piece: information on the rows of [gain, offset], and the wrench (N, 6)."""
     if log.twist is None:
         raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
     moving, sensing = np.isfinite(log.twist).all(axis=1), np.isfinite(log.raw).all(axis=1)
@@ -108,10 +133,10 @@ def _piece_information(
         band[rows - cols, 6 * i + cols] += block[rows, cols]
         part = j.reshape(b1 - b0, n * _BLOCK).T @ columns[b0:b1]
         cross[6 * i : 6 * i + _BLOCK] += part.reshape(n, _BLOCK, 7).transpose(1, 0, 2)
-    known = np.kron(np.diag(noise**-2.0), columns.T @ columns)
     cross_flat = (cross / noise[None, :, None]).reshape(len(cross), 7 * n)
     factor = cholesky_banded(band, lower=True)
-    return known - cross_flat.T @ cho_solve_banded((factor, True), cross_flat), known
+    inferred = _known(rig, columns) - cross_flat.T @ cho_solve_banded((factor, True), cross_flat)
+    return np.asarray(inferred), wrench * sensor.range_array
 
 
 def _pieces_of(knots: Array, at: Array) -> tuple[Array, Array]:

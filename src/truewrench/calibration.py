@@ -18,6 +18,7 @@ from truewrench.rig import Rig
 __all__ = [
     "AXES",
     "FORMAT",
+    "UNDETERMINED",
     "AxisImprovement",
     "Bound",
     "Calibration",
@@ -32,6 +33,9 @@ AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 
 FORMAT = "truewrench/1"
 """What the first line of a calibration file says."""
+
+UNDETERMINED = 0.5
+"""Of the prior's sigma: what is less certain than that was not determined by the data."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -171,6 +175,14 @@ class Calibration:
         sensor = self.rig.sensor
         return self.gain_std * sensor.range_array / sensor.channel_scale[:, None]
 
+    @property
+    def gain_determined(self) -> npt.NDArray[np.bool_]:
+        """(n, 6) whether the data and not the prior say what the gain is: its sigma is at most half of it."""
+        determined: npt.NDArray[np.bool_] = (
+            self.gain_std_normalised <= UNDETERMINED * self.rig.sensor.gain_prior
+        )
+        return determined
+
     def wrench(self, raw: npt.ArrayLike) -> FloatArray:
         """The true wrench, (N, 6) [N, N m], of raw samples (N, n); NaN where a channel has none."""
         wrench: FloatArray = (np.asarray(raw, dtype=np.float64) - self.offset) @ self.inverse.T
@@ -216,6 +228,7 @@ def _to_mapping(c: Calibration) -> dict[str, Any]:
         "verdict": verdict,
         "gain": c.gain,
         "gain_std": c.gain_std,
+        "gain_determined": c.gain_determined.tolist(),
         "offset": c.offset,
         "offset_std": c.offset_std,
         "offset_temperature": c.offset_temperature,
@@ -281,6 +294,9 @@ def _from_fields(top: Fields) -> Calibration:
         version=top.text("version"),
         created=top.text("created"),
     )
+    if "gain_determined" in top.data and top.data["gain_determined"] != calibration.gain_determined.tolist():
+        expected = "n rows of six: true where `gain_std` is at most half of the prior"
+        raise top.error("gain_determined", expected, "something else")
     if calibration.verdict.usable:
         scale = rig.sensor.range_array
         product = calibration.inverse @ calibration.gain * scale / scale[:, None]

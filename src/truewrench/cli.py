@@ -40,6 +40,9 @@ app = typer.Typer(
 )
 
 
+_INTERRUPTED = 130  # what a shell says of a program that Ctrl-C ended
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a command did: files, figures and verdict for programs, words for people."""
@@ -112,6 +115,10 @@ def calibrate(
     window: Annotated[float | None, typer.Option(min=0.0, help="Length of a window of motion [s].")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
     process_density: Annotated[float | None, typer.Option(min=0.0, help="ekf: of the acceleration.")] = None,
+    held_out: Annotated[
+        bool,
+        typer.Option("--held-out/--no-held-out", help="Compare with the nominal gain on unseen data."),
+    ] = True,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -131,6 +138,7 @@ def calibrate(
             estimator,
             window=window,
             threads=threads,
+            held_out=held_out,
             published=published,
             smooth=smooth,
             process_density=process_density,
@@ -316,6 +324,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     as_json, debug = "--json" in words, "--debug" in words
     try:
         outcome = typer.main.get_command(app).main(words, prog_name="truewrench", standalone_mode=False)
+        if outcome == _INTERRUPTED:
+            one_file = words[0] in ("calibrate", "validate", "apply")
+            sys.exit(_fail([f"interrupted{': nothing was written' * one_file}"], _INTERRUPTED, as_json, None))
         if not isinstance(outcome, Outcome):  # --help, --version
             sys.exit(outcome)
         _print(outcome, as_json)
@@ -324,7 +335,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         reasons = error.problems if isinstance(error, InputError) else [error.format_message()]
         status = _fail(reasons, 2, as_json, error if debug else None)
     except KeyboardInterrupt:
-        status = _fail(["interrupted"], 130, as_json, None)
+        status = _fail(["interrupted"], _INTERRUPTED, as_json, None)
     except BrokenPipeError:  # the reader of our output has gone; its end is not our fault
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 0

@@ -24,10 +24,11 @@ class Log:
         sha256: of the file, empty when it was not read.
         time_ns: (N,) int64, strictly increasing [ns].
         raw: (N, n) sensor channels in the order of the rig [raw units].
-        twist: (N, 6) of the point `motion.of`, sensor axes [m/s, rad/s].
+        twist: (N, 6) of the point `motion.of`, sensor axes [m/s, rad/s]; None with a reference instead.
         gravity: (N, 3) acceleration of free fall in sensor axes [m/s^2], None when there is no such column.
         acceleration: (N, 6) component-wise derivative of the twist, None likewise.
         temperature: (N,) [degC], None likewise.
+        reference: (N, 6) wrench known from elsewhere, in the rig's sign [N, N m], None likewise.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
         dropped_rows: rows without any measurement, which are not among the N.
     """
@@ -41,6 +42,7 @@ class Log:
     gravity: FloatArray | None = None
     acceleration: FloatArray | None = None
     temperature: FloatArray | None = None
+    reference: FloatArray | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, Literal
@@ -13,13 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.calibration import AXES, AxisImprovement, Bound, Calibration, LogReport, Verdict
+from truewrench.bound import oracle_rms
+from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
+from truewrench.comparison import Comparison, compare_held_out, compare_in_sample
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.least_squares import least_squares
+from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
+from truewrench.known_wrench import (
+    compare_known_wrench,
+    judge_known_wrench,
+    known_wrench_figures,
+    known_wrench_reports,
+    wrench_is_known,
+)
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
+from truewrench.silence import still_twists
 from truewrench.verdict import group_fits, judge_reference, judge_windows
 
 __all__ = ["calibrate"]
@@ -27,8 +39,6 @@ __all__ = ["calibrate"]
 Array = NDArray[np.float64]
 EstimatorName = Literal["map", "online", "ekf", "ls"]
 Progress = Callable[[str, float | None], None]
-
-_UNSURE = 0.02  # relative change of an axis' residual that counts as none
 
 
 def calibrate(
@@ -38,6 +48,7 @@ def calibrate(
     *,
     window: float | None = None,
     threads: int | None = None,
+    held_out: bool = True,
     published: bool = False,
     smooth: Literal["spline"] | None = None,
     process_density: float | None = None,
@@ -45,12 +56,16 @@ def calibrate(
 ) -> Calibration:
     """Calibrate gain and offset of a rig's sensor from one log or several.
 
+    Logs with reference wrenches need no motion: they are calibrated from by weighted total least squares.
+
     Args:
         rig: sensor, payloads and motion.
         logs: pooled into one gain, with an offset for each (or one for all: `sensor.pool_offsets`).
         estimator: `map`, `online`, or one of the references `ekf` and `ls`, whose verdict is never usable.
         window: shortest window of motion [s]; the default is the core's.
         threads: of the window estimators, all by default; no effect on the result.
+        held_out: compare nominal and new gain on a part of the record that a second run of the estimator
+            does not see; without it they are compared on what was fitted, in half the time.
         published: `ekf` starts from C = I and P = I in SI units.
         smooth: `ls` differentiates a spline and not the samples.
         process_density: of `ekf`.
@@ -71,9 +86,13 @@ def calibrate(
     )
     report = progress or (lambda phase, share: None)
     started = time.perf_counter()
+    if wrench_is_known(rig, records, estimator):
+        if window is not None:
+            raise UnsupportedError.at(None, "window", f"{window:g} s", "nothing for logs with ref_* columns")
+        return _from_known_wrench(rig, records, held_out, report)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
-        return _from_windows(rig, records, estimator, window, threads, report, started)
+        return _from_windows(rig, records, estimator, window, threads, held_out, report)
     return _from_reference(rig, records, estimator, published, smooth, process_density, started)
 
 
@@ -83,37 +102,96 @@ def _from_windows(
     estimator: Literal["map", "online"],
     window: float | None,
     threads: int | None,
+    held_out: bool,
     report: Progress,
-    started: float,
 ) -> Calibration:
     settings = _core.EstimatorSettings()
     settings.window = settings.window if window is None else window
     settings.threads = threads or 0
+    clock = [time.perf_counter()]
     estimate = estimate_windows(rig, logs, estimator, settings)
-    estimated = time.perf_counter()
+    clock.append(time.perf_counter())
     report("judging", None)
     verdict = judge_windows(rig, estimate, logs)
-    inverse = _inverse(rig, estimate.gain)
-    calibration = _calibration(
+    calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
+    clock.append(time.perf_counter())
+
+    def without_the_part(kept: Sequence[Log]) -> Calibration | None:
+        found = estimate_windows(rig, kept, estimator, settings)
+        return _of_estimate(rig, kept, estimator, found, Verdict(True)) if found.solved else None
+
+    compared: Comparison | str = "not asked for"
+    if not estimate.solved or np.isnan(np.concatenate(estimate.wrench)).all():
+        compared = "no window of motion fits"
+    elif held_out:
+        report("comparing", None)
+        compared = compare_held_out(rig, logs, without_the_part)
+    if isinstance(compared, str):
+        compared = compare_in_sample(rig, logs, estimate, calibration.inverse, compared)
+    clock.append(time.perf_counter())
+    reasons = (*verdict.reasons, *compared.reasons)
+    return replace(
+        calibration,
+        verdict=replace(verdict, usable=not reasons, reasons=reasons),
+        improvement=compared.improvement,
+        figures={**_figures(rig, estimate), "held_out": compared.figures, "notes": still_twists(logs)},
+        timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
+    )
+
+
+def _of_estimate(
+    rig: Rig, logs: Sequence[Log], estimator: str, estimate: WindowEstimate, verdict: Verdict
+) -> Calibration:
+    stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
+    return _calibration(
         rig,
         estimator,
         estimate.gain,
         estimate.covariance,
         verdict,
         [_log_report(log, k, estimate) for k, log in enumerate(logs)],
-        inverse=inverse,
-        improvement=_improvement(rig, logs, estimate, inverse),
+        inverse=_inverse(rig, estimate.gain),
         offset_temperature=estimate.offset_temperature,
         time_offset=float(estimate.time_offsets[-1]),
         time_offset_std=float(estimate.time_offsets_std[-1]),
         payload_posterior={
             name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
         },
-        bound=_bound(rig, estimate),
-        figures=_figures(rig, estimate),
-        timings={"estimate": estimated - started, "judge": time.perf_counter() - estimated},
+        bound=Bound(oracle_rms(rig, estimate.wrench), float(np.sqrt(stated.mean()))),
     )
-    return calibration
+
+
+def _from_known_wrench(rig: Rig, logs: Sequence[Log], held_out: bool, report: Progress) -> Calibration:
+    report("estimating (reference wrenches)", None)
+    clock = [time.perf_counter()]
+    estimate = estimate_from_reference(rig, logs)
+    clock.append(time.perf_counter())
+    report("judging", None)
+    verdict = judge_known_wrench(rig, estimate)
+    clock.append(time.perf_counter())
+    compared = compare_known_wrench(rig, logs, estimate, held_out)
+    clock.append(time.perf_counter())
+    reasons = (*verdict.reasons, *compared.reasons)
+    stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
+    wrenches = [
+        np.zeros((0, 6)) if log.reference is None else log.reference[rows]
+        for log, rows in zip(logs, estimate.rows, strict=True)
+    ]
+    return _calibration(
+        rig,
+        "reference",
+        estimate.gain,
+        estimate.covariance,
+        replace(verdict, usable=not reasons, reasons=reasons),
+        known_wrench_reports(rig, logs, estimate),
+        inverse=_inverse(rig, estimate.gain),
+        offset_temperature=estimate.offset_temperature,
+        time_offset_std=rig.sensor.time_offset_prior,  # rows are synchronous: nothing was learnt of it
+        improvement=compared.improvement,
+        bound=Bound(oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
+        figures={**known_wrench_figures(rig, logs, estimate), "held_out": compared.figures},
+        timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
+    )
 
 
 def _from_reference(
@@ -201,8 +279,6 @@ def _check_supported(rig: Rig) -> None:
         raise refuse(
             "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz:g}", "null: a filtered sensor is not supported"
         )
-    if rig.reference_noise is not None:
-        raise refuse("reference_noise", "six numbers", "nothing: reference wrenches are not supported")
 
 
 def _check_options(estimator: EstimatorName, **options: Any) -> None:
@@ -269,61 +345,6 @@ def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, An
         },
         "inertia_std": {name: std[4 + k] * unit[name] for k, name in enumerate(places)},
     }
-
-
-def _improvement(
-    rig: Rig, logs: Sequence[Log], estimate: WindowEstimate, inverse: Array
-) -> Mapping[str, AxisImprovement]:
-    """RMS difference of corrected and inertial wrench per axis: nominal gain (tared) and new gain."""
-    nominal_inverse = _inverse(rig, rig.sensor.nominal_gain_array)
-    old, new = [], []
-    for log, offset, wrench, rows in zip(
-        logs, estimate.offsets, estimate.wrench, estimate.wrench_rows, strict=True
-    ):
-        known = np.isfinite(wrench).all(axis=1) & np.isfinite(log.raw[rows]).all(axis=1)
-        if not known.any():
-            continue
-        raw = log.raw[rows][known]
-        nominal = raw @ nominal_inverse.T - wrench[known]
-        if rig.sensor.offset_prior_array.any():
-            nominal -= nominal.mean(axis=0)
-        old.append(nominal)
-        new.append((raw - offset) @ inverse.T - wrench[known])
-    if not old:
-        return {}
-    before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))
-    improvement = {}
-    for axis, b, a in zip(AXES, before, after, strict=True):
-        better: Literal[True, False, "unsure"] = "unsure"
-        if abs(a - b) > _UNSURE * b:
-            better = bool(a < b)
-        improvement[axis] = AxisImprovement(float(b), float(a), held_out=False, better=better)
-    return improvement
-
-
-def _bound(rig: Rig, estimate: WindowEstimate) -> Bound:
-    """The oracle bound sigma_i^2 (W^T W)^-1, motion known and priors included, beside the stated sigma."""
-    sensor = rig.sensor
-    noise = sensor.noise_array / sensor.channel_scale
-    offset_prior = sensor.offset_prior_array / sensor.channel_scale
-    pooled = 1 if sensor.pool_offsets else len(estimate.wrench)
-    variance = np.empty((sensor.n, 6))
-    for i in range(sensor.n):
-        information = np.diag(np.append(np.full(6, sensor.gain_prior**-2.0), np.full(pooled, 0.0)))
-        for k, wrench in enumerate(estimate.wrench):
-            known = wrench[np.isfinite(wrench).all(axis=1)] / sensor.range_array
-            column = 6 + min(k, pooled - 1)
-            information[:6, :6] += known.T @ known / noise[i] ** 2
-            information[:6, column] += known.sum(axis=0) / noise[i] ** 2
-            information[column, :6] = information[:6, column]
-            information[column, column] += len(known) / noise[i] ** 2
-        if offset_prior[i] > 0.0:
-            information[6:, 6:] += np.diag(np.full(pooled, offset_prior[i] ** -2.0))
-        else:
-            information = information[:6, :6]
-        variance[i] = np.diag(np.linalg.inv(information))[:6]
-    stated = np.diag(estimate.normalised_covariance)[: 6 * sensor.n]
-    return Bound(oracle_rms=float(np.sqrt(variance.mean())), rms=float(np.sqrt(stated.mean())))
 
 
 def _figures(rig: Rig, estimate: WindowEstimate) -> dict[str, Any]:

@@ -206,6 +206,7 @@ def _thinned(log: Log) -> Log:
         gravity=None if log.gravity is None else mean(log.gravity),
         acceleration=None,
         temperature=None,
+        reference=None,
     )
 
 

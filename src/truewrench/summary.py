@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -16,6 +17,8 @@ from truewrench.inspect_log import LogContent
 from truewrench.validation import Validation
 
 __all__ = ["calibration_summary", "log_summary", "show", "validation_summary", "with_uncertainty"]
+
+SHOWN = 10  # rows that are named one by one
 
 _UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
 
@@ -44,6 +47,8 @@ def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
     yield _verdict(calibration)
     for axes in (AXES[:3], AXES[3:]):
         yield _gain(calibration, axes)
+    if not calibration.gain_determined.all():
+        yield Text("In brackets: not determined by the data, believed as before.")
     yield _offset(calibration)
     if calibration.improvement:
         yield _improvement(calibration)
@@ -51,6 +56,8 @@ def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
     if len(calibration.figures.get("limited_by", {})) > 1:
         yield _limits(calibration)
     yield _logs(calibration)
+    if calibration.figures.get("outliers"):
+        yield _outliers(calibration)
     if calibration.timings:
         spent = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in calibration.timings.items())
         yield Text(f"Time: {spent}")
@@ -68,8 +75,10 @@ def _verdict(calibration: Calibration) -> RenderableType:
         text.append(f"\n  - {reason}")
     if verdict.undetermined:
         text.append("\nThe data do not determine:")
-        for direction in verdict.undetermined:
-            text.append(f"\n  - {direction.words}")
+        for words, count in Counter(direction.words for direction in verdict.undetermined).items():
+            text.append(f"\n  - {words}" + (f" ({count} directions)" if count > 1 else ""))
+    for note in calibration.figures.get("notes", ()):
+        text.append(f"\nNote: {note}")
     return text
 
 
@@ -86,7 +95,11 @@ def _gain(calibration: Calibration, axes: Sequence[str]) -> RenderableType:
     columns = [AXES.index(axis) for axis in axes]
     for i, channel in enumerate(calibration.rig.sensor.channels):
         cells = [with_uncertainty(calibration.gain[i, j], calibration.gain_std[i, j]) for j in columns]
-        table.add_row(Text(channel), *cells)
+        known = calibration.gain_determined[i, columns]
+        table.add_row(
+            Text(channel),
+            *(Text(cell if sure else f"({cell})") for cell, sure in zip(cells, known, strict=True)),
+        )
     return table
 
 
@@ -100,6 +113,9 @@ def _offset(calibration: Calibration) -> RenderableType:
 def _improvement(calibration: Calibration) -> RenderableType:
     held_out = all(axis.held_out for axis in calibration.improvement.values())
     data = "held-out data" if held_out else "the data it was fitted to"
+    why = calibration.figures.get("held_out", {}).get("none_because")
+    if why:
+        data += f": {why}"
     table = _table(f"RMS error on {data}", ["axis", "nominal gain", "new gain", "better"])
     words = {True: "yes", False: "no", "unsure": "unsure"}
     for name, axis in calibration.improvement.items():
@@ -114,7 +130,8 @@ def _accuracy(calibration: Calibration) -> RenderableType:
     text = f"Accuracy: {100 * stated:.2g} % of full scale (1 sigma, RMS over the gains)"
     if calibration.bound is not None:
         ratio = stated / calibration.bound.oracle_rms
-        text += f", {ratio:.2f} times what a perfectly known motion would give"
+        known = "wrench" if calibration.estimator == "reference" else "motion"
+        text += f", {ratio:.2f} times what a perfectly known {known} would give"
     return Text(text + ".")
 
 
@@ -135,6 +152,15 @@ def _logs(calibration: Calibration) -> RenderableType:
         left_out = ", ".join(f"{count} ({reason})" for reason, count in reasons.items() if count) or "none"
         table.add_row(Text(str(log.path or "-")), Text(log.payload), str(log.used), Text(left_out))
     return table
+
+
+def _outliers(calibration: Calibration) -> RenderableType:
+    found = [
+        f"row {outlier['row']} ({outlier['time']:.6g} s) of {calibration.logs[outlier['log']].path or '-'}"
+        for outlier in calibration.figures["outliers"]
+    ]
+    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    return Text(f"Rows left out because they contradict the others: {', '.join(found[:SHOWN])}{more}.")
 
 
 def validation_summary(validation: Validation) -> Iterator[RenderableType]:
@@ -158,6 +184,7 @@ def validation_summary(validation: Validation) -> Iterator[RenderableType]:
         "better",
         "square / claimed",
         "within 95 %",
+        "keep",
     ]
     table = _table(f"RMS residual on {data}", columns)
     words = {True: "yes", False: "no", "unsure": "unsure"}
@@ -171,6 +198,7 @@ def validation_summary(validation: Validation) -> Iterator[RenderableType]:
             words[axis.better],
             with_uncertainty(axis.nis, axis.nis_std),
             f"{100 * axis.coverage:.1f} %",
+            "yes" if axis.keep else "no",
         )
     yield table
     basis = f"{validation.samples} samples in blocks of {validation.block:.3g} s"

@@ -66,7 +66,7 @@ def run_trial(
     try:
         run = simulate(rig, trajectory, seed=drawn)
         started = time.perf_counter()
-        found = calibrate(rig, run.log, estimator, threads=1)
+        found = calibrate(rig, run.log, estimator, threads=1, held_out=False)
         seconds = time.perf_counter() - started
         return make_row(
             trial, drawn, "calibrated", found.verdict.reasons, **_judge(found, run.truth), seconds=seconds

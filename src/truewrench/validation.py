@@ -25,20 +25,24 @@ from truewrench.residuals import LONGEST_LAG, Residuals, joined_columns, residua
 from truewrench.residuals import tared as is_tared
 from truewrench.rig import Rig
 
-__all__ = ["AxisValidation", "Validation", "held_out", "validate"]
+__all__ = ["AxisValidation", "Validation", "validate", "worse"]
 
 Array = NDArray[np.float64]
 
 FORMAT = "truewrench-validation/1"
 CONFIDENCE = 0.99  # of the interval of the ratio of residuals
 DRAWS = 1000  # of the bootstrap
-CHANGE = 0.02  # a smaller relative change of the residual counts as none
+CHANGE = 0.02  # a smaller relative gain counts as none,
+LOSS = 0.1  # and a smaller loss: the price of any gain's own sigma where the nominal one happens to be right
 LAGS = 10  # autocorrelations that are tested
 WHITE = 1e-6  # probability of autocorrelations as large as found
 CORRELATION = 0.1  # and the departure of one of them from what the motion explains
 CONTRADICTED = 1e-6  # probability of a normalised residual as far from 1 as found,
 TOO_LARGE, TOO_SMALL = 1.2, 0.8  # and its size, mean square over claimed variance
 SIGMA_95 = 1.959964
+COVERED = 0.90  # share of the samples within 95% limits that is still accepted, if it is
+COVERED_DEVIATE = 5.0  # as far below 95% in sigma, and the limits are mostly noise:
+NOISE_SHARE = 0.9  # an error of the gain, common to all samples, may take any share of them out at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +60,11 @@ class AxisValidation:
         nis_std: 1 sigma of that, by what is claimed.
         nis_probability: of one so large or small, by what is claimed.
         coverage: share of the samples within 1.96 claimed sigma.
+        coverage_deviate: how far below 95% that is, in units of what chance brings; 0 where the claimed
+            sigma is mostly the gain's own.
         autocorrelation: the largest of the residual's at the first lags, beyond what the motion explains.
         white_probability: of autocorrelations at the first lags as large as found.
+        keep: whether the new gain may be used on this axis: nothing found speaks against it.
     """
 
     nominal: float
@@ -70,8 +77,10 @@ class AxisValidation:
     nis_std: float
     nis_probability: float
     coverage: float
+    coverage_deviate: float
     autocorrelation: float
     white_probability: float
+    keep: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +172,9 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     reasons = [reason for name, axis in axes.items() for reason in _reasons(name, axis)]
     if not np.isfinite(calibration.inverse).all():
         reasons = ["the gain of the calibration has no inverse"]
+    if not calibration.verdict.usable:
+        own = "; ".join(calibration.verdict.reasons) or "no reason given"
+        reasons.insert(0, f"the calibration itself is not to be used as it stands: {own}")
     return Validation(
         Verdict(not reasons, tuple(reasons)),
         axes,
@@ -173,56 +185,6 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
         logs=tuple("" if log.path is None else str(log.path) for log in records),
         held_out=not any(log.sha256 in used for log in records),
         payload_seen=all(log.payload in payloads for log in records),
-    )
-
-
-def held_out(
-    rig: Rig, logs: Sequence[Log], fraction: float = 0.2, blocks: int = 4
-) -> tuple[list[Log], list[Log]]:
-    """Split logs into a part to calibrate with and a part to validate by.
-
-    Blocks of time are held out, not single rows: neighbours know too much of each other. They are spread over
-    every log, so that what moves late is in both parts. A log too short to be split is calibrated with whole.
-
-    Args:
-        rig: sensor and motion.
-        logs: at least one.
-        fraction: of every log that is held out, between 0 and 1.
-        blocks: how many stretches, fewer in logs where they would become shorter than 2 s or 200 rows.
-
-    Returns:
-        Calibration logs, as many as there are logs, and held-out logs, one per log that was split.
-    """
-    if not 0.0 < fraction < 1.0:
-        raise InputError.at(None, "fraction", f"{fraction:g}", "a number between 0 and 1")
-    kept, out = [], []
-    for log in logs:
-        rows = np.arange(len(log.time_ns))
-        duration = log.time[-1] if len(rows) else 0.0
-        possible = int(min(fraction * duration / 2.0, fraction * len(rows) / 200.0))
-        count = min(blocks, possible)
-        if count == 0:
-            kept.append(log)
-            continue
-        phase = log.time / duration * count % 1.0  # of each of `count` equal parts, the middle is held out
-        chosen = np.abs(phase - 0.5) < 0.5 * fraction
-        kept.append(_rows(log, ~chosen))
-        out.append(replace(_rows(log, chosen), nan_counts={}, dropped_rows=0))
-    return kept, out
-
-
-def _rows(log: Log, rows: NDArray[np.bool_]) -> Log:
-    def pick(values: Array | None) -> Array | None:
-        return None if values is None else values[rows]
-
-    return replace(
-        log,
-        time_ns=log.time_ns[rows],
-        raw=log.raw[rows],
-        twist=pick(log.twist),
-        gravity=pick(log.gravity),
-        acceleration=pick(log.acceleration),
-        temperature=pick(log.temperature),
     )
 
 
@@ -272,7 +234,7 @@ def _axis(
     better: Literal[True, False, "unsure"] = "unsure"
     if high < 1.0 and ratio < 1.0 / (1.0 + CHANGE):
         better = True
-    elif low > 1.0 and ratio > 1.0 + CHANGE:
+    elif low > 1.0 and ratio > 1.0 + LOSS:
         better = False
     noise = np.concatenate([part.noise[:, i] for part in parts])
     variance = noise + np.sum(systematic**2, axis=1)
@@ -285,7 +247,9 @@ def _axis(
     skew = 8.0 * share**3 / freedom**2 + 8.0 * float(np.sum(common**3))
     nis = float(np.mean(new**2 / variance))
     lag, probability = _whiteness(found, expected, len(new))
-    return AxisValidation(
+    coverage = float(np.mean(np.abs(new) <= SIGMA_95 * np.sqrt(variance)))
+    below = (0.95 - coverage) * float(np.sqrt(freedom / (0.95 * 0.05)))
+    axis = AxisValidation(
         nominal,
         rms,
         ratio,
@@ -295,10 +259,12 @@ def _axis(
         nis,
         float(np.sqrt(spread)),
         _probability(nis, spread, skew, share, freedom),
-        float(np.mean(np.abs(new) <= SIGMA_95 * np.sqrt(variance))),
+        coverage,
+        below if share > NOISE_SHARE else 0.0,
         lag,
         probability,
     )
+    return replace(axis, keep=not _reasons("", axis))
 
 
 def _probability(nis: float, spread: float, skew: float, share: float, freedom: float) -> float:
@@ -358,19 +324,29 @@ def _whiteness(found: Array, expected: Array, size: int) -> tuple[float, float]:
     return float(excess[np.argmax(np.abs(excess))] / c[0]), float(chi2.sf(statistic, LAGS))
 
 
+def worse(name: str, axis: AxisValidation) -> str:
+    """The reason against a gain that is worse than the nominal one on an axis."""
+    return (
+        f"{name} is worse than with the nominal gain: residual {axis.ratio:.3g} times as large "
+        f"({axis.ratio_low:.3g} to {axis.ratio_high:.3g})"
+    )
+
+
 def _reasons(name: str, axis: AxisValidation) -> list[str]:
     reasons = []
     if axis.better is False:
-        reasons.append(
-            f"{name} is worse than with the nominal gain: residual {axis.ratio:.3g} times as large "
-            f"({axis.ratio_low:.3g} to {axis.ratio_high:.3g})"
-        )
+        reasons.append(worse(name, axis))
     if axis.nis_probability < CONTRADICTED and not TOO_SMALL < axis.nis < TOO_LARGE:
         how = "larger" if axis.nis > 1.0 else "smaller"
         reasons.append(
             f"the residual of {name} is {how} than its claimed sigma: normalised squares of {axis.nis:.3g} "
             f"instead of 1, {100 * axis.coverage:.0f} % of the samples within "
             "95 % limits"
+        )
+    elif axis.coverage < COVERED and axis.coverage_deviate > COVERED_DEVIATE:
+        reasons.append(
+            f"only {100 * axis.coverage:.0f} % of the residuals of {name} lie within 95 % limits: "
+            "they are not normally distributed (contact, outliers, a jump of the offset)"
         )
     if axis.white_probability < WHITE and abs(axis.autocorrelation) > CORRELATION:
         reasons.append(

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
 from truewrench import _core
-from truewrench.calibration import AXES, Undetermined, Verdict
+from truewrench.advice import advice
+from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -21,18 +23,26 @@ from truewrench.setup_errors import (
     setup_errors_in_estimate,
     setup_errors_in_logs,
 )
+from truewrench.silence import channel_faults
 
-__all__ = ["GroupFit", "group_fits", "judge_reference", "judge_windows", "undetermined_directions"]
+__all__ = [
+    "GroupFit",
+    "gain_reasons",
+    "group_fits",
+    "judge_reference",
+    "judge_windows",
+    "undetermined_directions",
+]
 
 Array = NDArray[np.float64]
 
-UNDETERMINED = 0.5  # of the prior's sigma: a direction less certain than that was not determined by the data
 REJECTED = 0.05  # share of the samples in rejected windows that is still accepted
 CHI_SQUARE = 1.05  # residual chi-square per degree of freedom that is still accepted,
 CHI_SQUARE_LOW = 0.5  # below it the stated noise is too large to say anything
 DEVIATE = 4.0  # unless chance alone explains it: standard normal deviate
 DEPENDENCE = _core.EstimatorSettings().dependence_sigma  # of the gain against other knots and windows
 SINGULAR = 1e12  # condition number that only rounding keeps from infinity
+TIED = 0.15  # share of an axis, in units of range, that another one has to make up to be named with it
 CONDITION = 100.0  # condition number of the normalised gain: noise of one axis that another would inherit
 
 PAYLOAD_PARAMETERS = (
@@ -77,8 +87,12 @@ def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> di
 
 def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) -> Verdict:
     """The verdict on what `map` or `online` found; with the logs, also on how the rig was set up."""
-    n = rig.sensor.n
-    reasons = [*_of_windows(estimate), *_setup_errors(rig, logs, estimate)]
+    faults = channel_faults(rig, logs)
+    silent = {fault.channel for fault in faults if fault.silent}
+    reasons = [fault.words for fault in faults]
+    reasons += _of_windows(estimate)
+    if not silent:  # whose gains look like any mistake
+        reasons += _setup_errors(rig, logs, estimate)
     if not estimate.solved:
         reasons.append("the sums over the windows could not be solved")
     elif not estimate.converged:
@@ -100,22 +114,60 @@ def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) 
             f"the gain depends on the length of the windows ({estimate.window_dependence:.1f} sigma): "
             "too few samples for this motion"
         )
-    reasons += _of_gain(rig, estimate.gain)
-    covariance = estimate.normalised_covariance[: 6 * n, : 6 * n]
+    found, undetermined = gain_reasons(
+        rig,
+        estimate.gain,
+        estimate.normalised_covariance,
+        advice(rig, estimate, logs[-1].payload if logs else None, silent),
+        silent,
+    )
+    reasons += found
+    return Verdict(not reasons, tuple(reasons), undetermined)
+
+
+def gain_reasons(
+    rig: Rig,
+    gain: Array,
+    normalised_covariance: Array,
+    remedy: str,
+    silent: Collection[int] = (),
+) -> tuple[list[str], tuple[Undetermined, ...]]:
+    """Why a gain cannot be used: singular, not determined, not accurate enough; and what is not determined.
+
+    Args:
+        rig: sensor, `required`.
+        gain: (n, 6), SI.
+        normalised_covariance: (6n, 6n) of it, or more rows (offsets behind it).
+        remedy: what would make it more accurate.
+        silent: channels without a signal, whose gains need no further reason.
+    """
+    n = rig.sensor.n
+    heard = [i for i in range(n) if i not in silent]
+    reasons = [] if silent else _of_gain(rig, gain)
+    covariance = normalised_covariance[: 6 * n, : 6 * n]
     undetermined = undetermined_directions(covariance, rig.sensor.gain_prior, rig.sensor.channels)
-    if undetermined:
-        words = Counter(u.words for u in undetermined)
+    unexplained, explained = [], []
+    for u in undetermined:
+        size = np.abs(u.direction.reshape(n, 6)).max(axis=1)
+        if size[heard].max(initial=0.0) > 0.1:
+            unexplained.append(u)
+        else:
+            name = rig.sensor.channels[int(np.argmax(size))]
+            explained.append(replace(u, words=f"gains of {name}, which has no signal"))
+    undetermined = (*unexplained, *explained)
+    if unexplained:
+        words = Counter(u.words for u in unexplained)
         named = "; ".join(word if count == 1 else f"{word} ({count})" for word, count in words.items())
-        reasons.append(f"{len(undetermined)} of {6 * n} directions of the gain are not determined: {named}")
+        reasons.append(f"{len(unexplained)} of {6 * n} directions of the gain are not determined: {named}")
     std = np.sqrt(np.diag(covariance)).reshape(n, 6)
+    std[list(silent)] = 0.0
     if std.max() > rig.required and len(undetermined) < 6 * n:
         i, j = np.unravel_index(np.argmax(std), std.shape)
         reasons.append(
             f"accuracy: the gain of {rig.sensor.channels[i]} on {AXES[j]} has a sigma of "
-            f"{std[i, j]:.3g} of range, more than the required {rig.required:.3g}; a longer, faster or "
-            "heavier motion of that axis helps"
+            f"{std[i, j]:.3g} of range, more than the required {rig.required:.3g}; {remedy}"
         )
-    return Verdict(not reasons, tuple(reasons), undetermined)
+    return reasons, undetermined
 
 
 def judge_reference(rig: Rig, gain: Array, findings: Sequence[str] = ()) -> Verdict:
@@ -134,8 +186,9 @@ def undetermined_directions(
         channels: n names.
 
     Returns:
-        An orthonormal basis. Where a direction of the wrench was not excited, no channel's gain to it is
-        known: its n directions are named together.
+        An orthonormal basis, as near to single gains as it can be. Where a direction of the wrench was not
+        excited, no channel's gain to it is known: its n directions are named together. Such a direction is
+        an axis, or an axis tied to others: its component was the same combination of theirs in all data.
     """
     n = len(channels)
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
@@ -145,23 +198,35 @@ def undetermined_directions(
         # How much of u, in every channel, lies in the undetermined space.
         share = np.einsum("iak,ibk->ab", basis.reshape(n, 6, -1), basis.reshape(n, 6, -1)) / n
         weights, axes = np.linalg.eigh(share)
-        for u in axes[:, weights > 0.95].T:
-            words = f"{_wrench_words(u)}: gains of all channels"
+        unseen, pivots = _near_axes(axes[:, weights > 0.95])
+        tied = unseen @ np.linalg.inv(unseen[pivots])  # each pivot as a combination of the other axes
+        for u, relation, pivot in zip(unseen.T, tied.T, pivots, strict=True):
+            words = f"{_wrench_words(relation, pivot)}: gains of all channels"
             whole = [np.kron(e, u) for e in np.eye(n)]
             found += [Undetermined(direction, words) for direction in whole]
             basis = basis - np.column_stack(whole) @ (np.column_stack(whole).T @ basis)
     left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
-    for direction in left[:, sizes > 0.5].T:
+    for direction in _near_axes(left[:, sizes > 0.5])[0].T:
         found.append(Undetermined(direction, _direction_words(direction.reshape(n, 6), channels)))
     return tuple(found)
 
 
-def _wrench_words(u: Array) -> str:
-    order = np.argsort(-np.abs(u))
-    if abs(u[order[0]]) > 0.97:
-        return str(_WRENCH[order[0]])
-    u = u * np.sign(u[order[0]])
-    return " and ".join(f"{u[k]:+.2f} {_WRENCH[k]}" for k in order if abs(u[k]) > 0.15)
+def _near_axes(basis: Array) -> tuple[Array, NDArray[np.int64]]:
+    """An orthonormal basis (m, k) of the same space, turned towards coordinate axes, and these axes (k,)."""
+    k = basis.shape[1]
+    pivots = np.sort(qr(basis.T, mode="r", pivoting=True)[1][:k]).astype(np.int64)
+    u, _, vt = np.linalg.svd(basis[pivots])
+    return basis @ (u @ vt).T, pivots
+
+
+def _wrench_words(u: Array, pivot: int) -> str:
+    """A direction of the wrench by its axis, and those that it is tied to: u @ w is always 0."""
+    others = [k for k in range(6) if k != pivot and abs(u[k]) > TIED * abs(u[pivot])]
+    if not others:
+        return str(_WRENCH[pivot])
+    kinds = [("force along", [k for k in others if k < 3]), ("moment about", [k for k in others if k >= 3])]
+    listed = [f"{kind} {' and '.join('xyz'[k % 3] for k in axes)}" for kind, axes in kinds if axes]
+    return f"{_WRENCH[pivot]}, always tied to {' and '.join(listed)}"
 
 
 def _direction_words(direction: Array, channels: Sequence[str]) -> str:
@@ -172,7 +237,8 @@ def _direction_words(direction: Array, channels: Sequence[str]) -> str:
         pairs = ", ".join(f"{channels[k // 6]} to {_WRENCH[k % 6]}" for k in strongest)
         return f"a combination of gains, most of all {pairs}"
     strong = [channels[i] for i in np.argsort(-np.abs(rows[:, 0])) if abs(rows[i, 0]) > 0.3]
-    return f"{_wrench_words(columns[0])}: gain of {' and '.join(strong)}"
+    u = columns[0]
+    return f"{_wrench_words(u, int(np.argmax(np.abs(u))))}: gain of {' and '.join(strong)}"
 
 
 def _setup_errors(rig: Rig, logs: Sequence[Log], estimate: WindowEstimate) -> list[str]:

@@ -136,6 +136,27 @@ def test_file_that_cannot_be_right_is_refused_with_its_place(
         load_calibration(path)
 
 
+def test_gains_as_uncertain_as_before_are_marked_in_the_file(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    """Half of the prior is the limit, in units of range."""
+    sensor = calibration.rig.sensor
+    prior = sensor.gain_prior * sensor.channel_scale[:, None] / sensor.range_array
+    share = np.full((6, 6), 0.49)
+    share[1, 3], share[5, 0] = 0.51, 1.0
+    marked = replace(calibration, gain_std=share * prior)
+    path = tmp_path / "calibration.yaml"
+    marked.write_yaml(path)
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    written = data["gain_determined"]
+    assert [(i, j) for i in range(6) for j in range(6) if written[i][j] is not True] == [(1, 3), (5, 0)]
+    assert load_calibration(path).gain_determined.tolist() == written
+    data["gain_determined"][1][3] = True
+    write_yaml(path, data)
+    with pytest.raises(InputError, match="gain_determined"):
+        load_calibration(path)
+
+
 def test_gain_without_inverse_is_kept_as_evidence(calibration: Calibration, tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     nothing = np.full((6, 6), np.nan)

@@ -94,6 +94,7 @@ def test_options_reach_the_pipeline(
     assert status == 0
     assert options == {
         "published": True, "window": 2.5, "threads": 2, "process_density": 0.1, "smooth": "spline",
+        "held_out": True,
     }  # fmt: skip
 
 
@@ -137,6 +138,22 @@ def test_demo_names_its_files(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert out == f"online [1.0]\nwrote {tmp_path / 'fig.png'}\n"
     _, out, _ = run("demo", "-o", tmp_path, "--seed", 5, "--json")
     assert json.loads(out)["figures"] == {"seed": 5}
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_interrupted_calibration_says_that_nothing_was_written(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path,
+    as_json: bool,
+) -> None:  # fmt: skip
+    def interrupted(*_: Any, **__: Any) -> Calibration:
+        raise KeyboardInterrupt
+
+    pipeline.calibrate = interrupted  # type: ignore[attr-defined]
+    words = ["calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out", *["--json"] * as_json]
+    status, out, err = run(*words)
+    assert (status, err) == (130, "truewrench: interrupted: nothing was written\n")
+    assert (json.loads(out)["status"] == 130) if as_json else not out
+    assert not (tmp_path / "out").exists()
 
 
 def test_validation_judges_held_out_logs_with_status_0_or_3(

@@ -302,5 +302,10 @@ def test_what_the_published_filter_does_not_know_is_refused() -> None:
         estimate_ekf(seven, [log])
     with pytest.raises(InputError, match="no twist columns"):
         estimate_ekf(rig(5.0), [replace(log, twist=None)])
+    for slow in ("raw", "twist"):  # half the rate of the other
+        stream = getattr(log, slow).copy()
+        stream[1::2] = np.nan
+        with pytest.raises(UnsupportedError, match=r"10 of 20 rows .* one rate: `ekf` does not merge"):
+            estimate_ekf(rig(5.0), [replace(log, **{slow: stream})])
     with pytest.raises(InputError, match="no gravity columns"):
         estimate_ekf(rig(5.0), [replace(log, gravity=None)])

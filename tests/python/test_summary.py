@@ -53,6 +53,22 @@ def test_every_gain_stands_in_eighty_columns(calibration: Calibration) -> None:
             assert with_uncertainty(gain, std) in text
 
 
+def test_gain_that_the_data_do_not_determine_stands_in_brackets(calibration: Calibration) -> None:
+    assert "brackets" not in printed(calibration)
+    std = calibration.gain_std.copy()
+    std[4, 2] = 1e3
+    text = printed(replace(calibration, gain_std=std))
+    assert f"({with_uncertainty(calibration.gain[4, 2], 1e3)})" in text
+    assert f"({with_uncertainty(calibration.gain[4, 1], std[4, 1])})" not in text
+    assert "In brackets: not determined by the data" in text
+
+
+def test_notes_are_no_reasons(calibration: Calibration) -> None:
+    text = printed(replace(calibration, figures={"notes": ["column wz is constant (0)"]}))
+    assert text.startswith("USABLE")
+    assert "Note: column wz is constant (0)" in text
+
+
 def test_names_from_files_are_printed_as_they_are(calibration: Calibration) -> None:
     verdict = Verdict(usable=False, reasons=("channel [bold]fx[/bold] :smile:",))
     assert "channel [bold]fx[/bold] :smile:" in printed(replace(calibration, verdict=verdict))

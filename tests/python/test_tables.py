@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io import csv_table
-from truewrench.io.tables import read_log, split_payload, write_table
+from truewrench.io.tables import REFERENCE, read_log, split_payload, write_table
 from truewrench.rig import Rig
 
 CsvOf = Callable[..., Path]
@@ -336,6 +336,26 @@ def test_any_number_survives_writing_and_reading(
     log = read_log(path, rig)
     np.testing.assert_array_equal(log.raw[3], values)
     assert log.nan_counts == {}  # a missing sample is written as an empty cell
+
+
+@pytest.mark.parametrize("parquet", [False, True])
+def test_a_reference_makes_up_for_motion_and_gravity(
+    cells: Cells, csv_of: CsvOf, settings: dict[str, Any], tmp_path: Path, parquet: bool
+) -> None:
+    settings["gravity"] = [0, 0, -9.81]
+    rig = Rig.from_mapping(settings)
+    for moved, known in zip(("vx", "vy", "vz", "wx", "wy", "wz"), REFERENCE, strict=True):
+        cells[known] = cells.pop(moved)
+    cells["ref_my"][6] = ""
+    log = read_log(parquet_of(cells, tmp_path / "run.parquet") if parquet else csv_of(cells), rig)
+    assert log.twist is None
+    assert log.gravity is None
+    assert log.reference is not None
+    expected = [[float(cells[name][k] or "nan") for name in REFERENCE] for k in range(10)]
+    np.testing.assert_array_equal(log.reference, expected)
+    del cells["ref_mz"]
+    with pytest.raises(InputError, match="no column `ref_mz`"):
+        read_log(csv_of(cells), rig)
 
 
 @pytest.mark.external

@@ -17,8 +17,9 @@ from truewrench.inertial import inertial_wrench
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.simulate import simulate, wrench_on_sensor
+from truewrench.split import held_out
 from truewrench.trajectory import Body
-from truewrench.validation import Validation, held_out, validate
+from truewrench.validation import Validation, validate
 
 SPAN = np.array([500.0, 500, 500, 50, 50, 50])
 CLAIMED = 0.002  # normalised sigma of every gain
@@ -101,6 +102,8 @@ def test_wrong_gain_is_worse_on_the_axes_named() -> None:
     found = validate(calibrated(rig, wrong), rig, log_of(rig, truth))
     assert not found.verdict.usable
     assert found.axes["fz"].better is False
+    assert not found.axes["fz"].keep
+    assert found.axes["fx"].keep
     assert any("fz is worse than with the nominal gain" in reason for reason in found.verdict.reasons)
     assert any("fz is larger than its claimed sigma" in reason for reason in found.verdict.reasons)
     assert found.axes["fx"].better is True
@@ -128,6 +131,34 @@ def test_gain_error_beyond_a_boastful_sigma_is_seen() -> None:
     gain = gain_of(rng)
     found = validate(calibrated(rig, gain + 0.02 * SPAN[:, None] / SPAN, 1e-4), rig, log_of(rig, gain))
     assert any("larger than its claimed sigma" in reason for reason in found.verdict.reasons)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_residuals_that_are_not_normal_leave_their_limits(seed: int) -> None:
+    """Noise of the stated variance, but a seventh of the samples holds most of it."""
+    rig, rng = rig_of(motion={"noise": [1e-5] * 6}), np.random.default_rng(20 + seed)
+    log = log_of(rig, np.eye(6))
+    clean = log_of(rig_of(sensor={"noise": [1e-9] * 6}, motion={"noise": [1e-5] * 6}), np.eye(6))
+    noise = rig.sensor.noise_array * rng.standard_normal(log.raw.shape) * 0.4
+    far = rng.random(len(noise)) < 1 / 7
+    noise[far, 2] = 0.2 * rng.choice([-2.5, 2.5], np.count_nonzero(far))
+    noise[:, [0, 1, 3, 4, 5]] /= 0.4
+    found = validate(calibrated(rig, np.eye(6), 1e-5), rig, replace(log, raw=clean.raw + noise))
+    assert found.axes["fz"].nis == pytest.approx(0.16 * 6 / 7 + 2.5**2 / 7, abs=0.25)
+    (reason,) = found.verdict.reasons
+    assert "% of the residuals of fz lie within 95 % limits" in reason
+    assert [name for name, axis in found.axes.items() if not axis.keep] == ["fz"]
+
+
+def test_calibration_that_is_not_usable_stays_so_whatever_the_residuals() -> None:
+    rig, rng = rig_of(), np.random.default_rng(0)
+    gain = gain_of(rng)
+    spoilt = replace(calibrated(rig, gain), verdict=Verdict(False, ("the estimate did not converge",)))
+    found = validate(spoilt, rig, log_of(rig, gain))
+    assert all(axis.keep for axis in found.axes.values())
+    assert found.verdict.reasons == (
+        "the calibration itself is not to be used as it stands: the estimate did not converge",
+    )
 
 
 def test_filtered_sensor_is_not_white() -> None:
@@ -195,14 +226,14 @@ def test_claimed_variance_of_the_inertial_wrench_is_that_of_its_error(of: str) -
 def test_held_out_rows_are_blocks_of_time_and_every_row_is_in_one_part() -> None:
     rig = rig_of(plan={"duration": 60})
     log = simulate(rig).log
-    (kept,), (out,) = held_out(rig, [log], fraction=0.2)
+    (kept,), (out,) = held_out([log], fraction=0.2)
     assert np.array_equal(np.sort(np.concatenate([kept.time_ns, out.time_ns])), log.time_ns)
     assert len(out.time_ns) == pytest.approx(0.2 * len(log.time_ns), rel=0.01)
     assert np.count_nonzero(np.diff(out.time_ns) > 20_000_000) == 3  # four blocks
     short = simulate(rig_of(plan={"duration": 5})).log
-    assert held_out(rig, [short], fraction=0.2) == ([short], [])
+    assert held_out([short], fraction=0.2) == ([short], [])
     with pytest.raises(InputError, match="fraction"):
-        held_out(rig, [log], fraction=1.5)
+        held_out([log], fraction=1.5)
 
 
 def test_logs_that_were_calibrated_with_are_not_held_out() -> None:

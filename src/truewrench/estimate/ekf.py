@@ -22,6 +22,8 @@ __all__ = ["EkfEstimate", "estimate_ekf"]
 
 Array = NDArray[np.float64]
 
+_ONE_SIDED = 0.1  # share of the rows that may lack raw channels or twist: dropouts, not another rate
+
 
 @dataclass(frozen=True, slots=True)
 class EkfEstimate:
@@ -69,7 +71,7 @@ def estimate_ekf(
 
     Args:
         rig: sensor and payloads, taken for exact; a prior on the offset adds it to the state.
-        logs: a row may lack raw channels or twist.
+        logs: raw channels and twist in the same rows; some rows may lack one of them.
         published: start from C = I and P = I in SI units, as [A00], and not from the rig's priors.
         process_density: of the derivative of the acceleration, one or per axis; the paper's tuning parameter.
         acceleration_prior: 1 sigma of the acceleration at the start of a log [m/s^2, rad/s^2].
@@ -167,6 +169,11 @@ def _run(
         raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
     if log.gravity is None and rig.in_gravity:
         raise InputError.at(log.path, "", "no gravity columns", "gx gy gz: the rig is in gravity")
+    sensed, moved = (np.isfinite(stream).any(axis=1) for stream in (log.raw, log.twist))
+    apart, rows = np.count_nonzero(sensed ^ moved), np.count_nonzero(sensed | moved)
+    if sensed.any() and moved.any() and apart > _ONE_SIDED * rows:
+        found = f"{apart} of {rows} rows with raw channels or twist alone"
+        raise UnsupportedError.at(log.path, "", found, "streams of one rate: `ekf` does not merge streams")
     gravity = np.zeros((len(log.raw), 3)) if log.gravity is None else log.gravity
     known = np.isfinite(gravity).all(axis=1, keepdims=True)
     if np.any(np.isfinite(log.raw) & ~known):

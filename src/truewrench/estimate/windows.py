@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.errors import InputError
+from truewrench.estimate.sources import Sources
 from truewrench.log import Log
 from truewrench.payload import core_payload
 from truewrench.rig import Rig
@@ -52,8 +53,7 @@ class WindowEstimate:
         time_offsets: (L,) [s], t_motion = t_sensor + time_offset.
         time_offsets_std: (L,).
         payloads: departures from what is stated, per payload that is not exact.
-        contributions: 1 sigma of the normalised gain (n, 6) that each source alone accounts for: noise, and
-            what is uncertain of the rig (mass, center_of_mass, inertia, timing).
+        sources: what the uncertainty of the gain is made of, None when nothing could be solved.
         offset_temperature: (n,) slope of the offset per K, None without a temperature column or prior.
         solved: whether any window left information and the sums could be solved.
         converged: whether the iterations ended below their tolerance.
@@ -78,7 +78,7 @@ class WindowEstimate:
     time_offsets: Array
     time_offsets_std: Array
     payloads: dict[str, PayloadDeparture]
-    contributions: dict[str, Array]
+    sources: Sources | None
     offset_temperature: Array | None
     solved: bool
     converged: bool
@@ -92,6 +92,11 @@ class WindowEstimate:
     knot_dependence: float
     window_dependence: float
     iterations: int
+
+    @property
+    def contributions(self) -> dict[str, Array]:
+        """1 sigma of the normalised gain (n, 6) that each source alone accounts for."""
+        return {} if self.sources is None else self.sources.sigma()
 
 
 def estimate_windows(
@@ -163,7 +168,7 @@ def estimate_windows(
         time_offsets_std=clocks_std,
         payloads=payloads,
         offset_temperature=slope,
-        contributions=_contributions(layout, estimate.covariance[-1]) if estimate.solved else {},
+        sources=_sources(prior, sensor.gain_prior, estimate.covariance[-1]) if estimate.solved else None,
         solved=estimate.solved,
         converged=estimate.converged,
         windows=tuple(estimate.windows),
@@ -179,29 +184,20 @@ def estimate_windows(
     )
 
 
-def _contributions(layout: _core.ParameterLayout, covariance: Array) -> dict[str, Array]:
-    """Split the variance of the gain: P_gg = P_g|nu + K P_nu K^T, K = P_g,nu P_nu^-1, nu uncertain."""
-    first, clock, g = layout.payload_begin, layout.time_offset_begin, 6 * layout.channels
+def _sources(prior: _core.CommonPrior, gain_prior: float, covariance: Array) -> Sources:
+    """Of the last log: noise, its payload and its clock; the clocks of the others count as noise."""
+    layout = prior.layout
+    first, clock = layout.payload_begin, layout.time_offset_begin
+    sigma = np.asarray(prior.information) ** -0.5
     groups: dict[str, list[int]] = {}
     if layout.payload:
         groups["mass"] = [first]
         groups["center_of_mass"] = list(range(first + 1, first + 4))
         groups["inertia"] = list(range(first + 4, first + 10))
+        sigma[first : first + 10] = prior.payload_information[prior.payload_of[-1]] ** -0.5
     if layout.time_offset:
         groups["timing"] = [clock]
-    nuisance = [k for group in groups.values() for k in group]
-    total = covariance[:g, :g].diagonal()
-    if not nuisance:
-        return {"noise": np.sqrt(total).reshape(-1, 6)}
-    inner = covariance[np.ix_(nuisance, nuisance)]
-    sensitivity = np.linalg.solve(inner, covariance[nuisance, :g]).T
-    explained = np.einsum("ij,jk,ik->i", sensitivity, inner, sensitivity)
-    found = {"noise": np.sqrt(np.maximum(total - explained, 0.0)).reshape(-1, 6)}
-    for name, group in groups.items():
-        at = [nuisance.index(k) for k in group]
-        part = np.einsum("ij,jk,ik->i", sensitivity[:, at], inner[np.ix_(at, at)], sensitivity[:, at])
-        found[name] = np.sqrt(part).reshape(-1, 6)
-    return found
+    return Sources.of(covariance, 6 * layout.channels, groups, sigma, gain_prior)
 
 
 def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:

@@ -11,11 +11,12 @@ import pyarrow as pa
 from truewrench.errors import InputError
 from truewrench.io.cells import Column
 
-__all__ = ["ACCELERATION", "GRAVITY", "TWIST", "Chunk", "Table"]
+__all__ = ["ACCELERATION", "GRAVITY", "REFERENCE", "TWIST", "Chunk", "Table"]
 
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 ACCELERATION = ("ax", "ay", "az", "alx", "aly", "alz")
 GRAVITY = ("gx", "gy", "gz")
+REFERENCE = ("ref_fx", "ref_fy", "ref_fz", "ref_mx", "ref_my", "ref_mz")
 
 
 class Chunk(ABC):

@@ -18,13 +18,14 @@ from truewrench.io.cells import numbers, to_nanoseconds
 from truewrench.io.csv_table import CsvTable
 from truewrench.io.output import write_batches
 from truewrench.io.parquet_table import ParquetTable
-from truewrench.io.table import ACCELERATION, GRAVITY, TWIST, Chunk, Table
+from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, TWIST, Chunk, Table
 from truewrench.log import Log
 from truewrench.rig import Rig
 
 __all__ = [
     "ACCELERATION",
     "GRAVITY",
+    "REFERENCE",
     "TWIST",
     "TimeReader",
     "named_payload",
@@ -132,6 +133,8 @@ class TimeReader:
 def read_log(source: str | Path, rig: Rig) -> Log:
     """Read a log of a twist rig.
 
+    The motion is required, in gravity with its direction, unless there are reference columns.
+
     Args:
         source: path of a CSV or Parquet file, or `path@payload`.
         rig: says how many raw channels there are and whether gravity acts.
@@ -144,11 +147,18 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     path, payload = split_payload(source, rig)
     table = open_table(path)
     raw = raw_columns(table, rig.sensor.n)
-    require(table, TWIST)
-    if rig.in_gravity:
-        require(table, GRAVITY)
-    groups: dict[str, tuple[str, ...]] = {"raw": raw, "twist": TWIST}
-    optional = {"gravity": GRAVITY, "acceleration": ACCELERATION, "temperature": ("temperature",)}
+    if not any(name in table.names for name in REFERENCE):  # which makes up for motion
+        require(table, TWIST)
+        if rig.in_gravity:
+            require(table, GRAVITY)
+    groups: dict[str, tuple[str, ...]] = {"raw": raw}
+    optional = {
+        "twist": TWIST,
+        "gravity": GRAVITY,
+        "acceleration": ACCELERATION,
+        "temperature": ("temperature",),
+        "reference": REFERENCE,
+    }
     for group, names in optional.items():
         if any(name in table.names for name in names):
             require(table, names)
@@ -176,10 +186,11 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         sha256=sha256,
         time_ns=time_ns[kept],
         raw=arrays["raw"],
-        twist=arrays["twist"],
+        twist=arrays.get("twist"),
         gravity=arrays.get("gravity"),
         acceleration=arrays.get("acceleration"),
         temperature=arrays["temperature"][:, 0] if "temperature" in arrays else None,
+        reference=arrays.get("reference"),
         nan_counts={name: count for name, count in nan_counts.items() if count},
         dropped_rows=int((~kept).sum()),
     )

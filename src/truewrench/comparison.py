@@ -1,0 +1,119 @@
+"""Nominal and new gain compared as part of a calibration: on a part of the record that was held out.
+
+The same estimator calibrates on the rest of the record, and that gain, not the final one, is judged by the
+held-out part (validation.py): the final gain has seen it. A record too short to spare a part is compared on
+what the gain was fitted to, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.calibration import AXES, AxisImprovement, Calibration
+from truewrench.errors import InputError
+from truewrench.estimate.windows import WindowEstimate
+from truewrench.log import Log
+from truewrench.rig import Rig
+from truewrench.split import held_out
+from truewrench.validation import CHANGE, LOSS, validate, worse
+
+__all__ = ["Comparison", "compare_held_out", "compare_in_sample"]
+
+Array = NDArray[np.float64]
+
+SHARE = 0.2  # of every log that is held out
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Nominal against new gain.
+
+    Attributes:
+        improvement: by wrench axis.
+        reasons: why the new gain should not replace the nominal one, in words.
+        figures: what the comparison rests on, or why nothing was held out.
+    """
+
+    improvement: Mapping[str, AxisImprovement]
+    reasons: tuple[str, ...]
+    figures: Mapping[str, Any]
+
+
+def compare_held_out(
+    rig: Rig, logs: Sequence[Log], calibrated: Callable[[Sequence[Log]], Calibration | None]
+) -> Comparison | str:
+    """Compare on the held-out part of the logs, or say why that cannot be.
+
+    Args:
+        rig: sensor, payloads and motion.
+        logs: the whole record.
+        calibrated: a calibration with some logs, None where they do not suffice for one.
+    """
+    kept, out = held_out(logs, SHARE)
+    if not out:
+        return "the record is too short to hold a part of it out (10 s and 1000 rows are needed)"
+    calibration = calibrated(kept)
+    if calibration is None or not np.isfinite(calibration.inverse).all():
+        return "without the part to be held out, the record does not give a gain"
+    try:
+        found = validate(calibration, rig, out)
+    except (InputError, np.linalg.LinAlgError) as error:
+        return f"the part held out could not be compared: {' '.join(str(error).split())}"
+    reasons = [worse(name, axis) for name, axis in found.axes.items() if axis.better is False]
+    return Comparison(
+        found.improvement,
+        tuple(f"on the part of the record that was held out, {reason}" for reason in reasons),
+        {
+            "samples": found.samples,
+            "share": SHARE,
+            "nis": {name: axis.nis for name, axis in found.axes.items()},
+            "coverage": {name: axis.coverage for name, axis in found.axes.items()},
+        },
+    )
+
+
+def compare_in_sample(
+    rig: Rig, logs: Sequence[Log], estimate: WindowEstimate, inverse: Array, why: str
+) -> Comparison:
+    """Compare on the data the gain was fitted to, with the payload's wrench by the fitted motion.
+
+    Args:
+        rig: sensor.
+        logs: those of the estimate.
+        estimate: gain, offsets and motion.
+        inverse: (6, n) of the gain.
+        why: nothing was held out.
+    """
+    figures = {"none_because": why}
+    nominal_inverse = _core.generalised_inverse(rig.sensor.nominal_gain_array, rig.sensor.noise_array)
+    old, new = [], []
+    for log, offset, wrench, rows in zip(
+        logs, estimate.offsets, estimate.wrench, estimate.wrench_rows, strict=True
+    ):
+        known = np.isfinite(wrench).all(axis=1) & np.isfinite(log.raw[rows]).all(axis=1)
+        if not known.any():
+            continue
+        raw = log.raw[rows][known]
+        nominal = raw @ nominal_inverse.T - wrench[known]
+        if rig.sensor.offset_prior_array.any():
+            nominal -= nominal.mean(axis=0)
+        old.append(nominal)
+        new.append((raw - offset) @ inverse.T - wrench[known])
+    if not old or not np.isfinite(inverse).all():
+        return Comparison({}, (), figures)
+    before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))
+    improvement = {}
+    for axis, b, a in zip(AXES, before, after, strict=True):
+        better: Literal[True, False, "unsure"] = "unsure"
+        if a * (1.0 + CHANGE) < b:
+            better = True
+        elif a > b * (1.0 + LOSS):
+            better = False
+        improvement[axis] = AxisImprovement(float(b), float(a), held_out=False, better=better)
+    return Comparison(improvement, (), figures)

@@ -1,0 +1,140 @@
+"""What the uncertainty of a gain is made of, and what would make it smaller (docs/method.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["NOISE", "Remedy", "Sources"]
+
+Array = NDArray[np.float64]
+
+NOISE = "noise"
+_ENOUGH = 0.75  # of the variance that is allowed: what the other sources may make up
+_SMALLEST = 1e-6  # factor on a prior or on the noise that is looked for
+_STEPS = 60  # of the bisection
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """What takes a gain to its target.
+
+    Attributes:
+        sources: that have to become smaller, the largest first.
+        factor: on the prior sigma of each of them; noise falls by it in a record 1 / factor^2 times as long.
+    """
+
+    sources: tuple[str, ...]
+    factor: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sources:
+    """Variance of the normalised gain, split into noise and what is uncertain of payload and clock.
+
+    P_gg = P_g|nu + K P_nu K^T with K = P_g,nu P_nu^-1: neither P_g|nu nor K depends on the priors of nu, and
+    P_nu^-1 is what the data say of nu plus these priors.
+
+    Attributes:
+        noise: (6n,) variance with payload and clock known.
+        gain_prior: 1 sigma of every gain beforehand.
+        sensitivity: (6n, m) K, per prior sigma.
+        covariance: (m, m) P_nu, per prior sigma.
+        groups: which of the m belong to mass, center_of_mass, inertia, timing.
+    """
+
+    noise: Array
+    gain_prior: float
+    sensitivity: Array
+    covariance: Array
+    groups: Mapping[str, Sequence[int]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        covariance: Array,
+        gains: int,
+        groups: Mapping[str, Sequence[int]],
+        prior: Array,
+        gain_prior: float,
+    ) -> Sources:
+        """Split the covariance of all common parameters.
+
+        Args:
+            covariance: (p, p), the gains first.
+            gains: 6n.
+            groups: indices among the p parameters by source.
+            prior: (p,) 1 sigma of every parameter beforehand.
+            gain_prior: 1 sigma of every gain beforehand.
+        """
+        uncertain = [k for group in groups.values() for k in group]
+        total = covariance[:gains, :gains].diagonal()
+        if not uncertain:
+            none = np.zeros((gains, 0))
+            return cls(np.array(total), gain_prior, none, np.zeros((0, 0)))
+        inner = covariance[np.ix_(uncertain, uncertain)] / np.outer(prior[uncertain], prior[uncertain])
+        cross = covariance[uncertain, :gains] / prior[uncertain, None]
+        sensitivity = np.asarray(np.linalg.solve(inner, cross).T, dtype=np.float64)
+        explained = np.einsum("ij,jk,ik->i", sensitivity, inner, sensitivity)
+        return cls(
+            np.asarray(np.maximum(total - explained, 0.0), dtype=np.float64),
+            gain_prior,
+            sensitivity,
+            np.asarray(inner),
+            {name: [uncertain.index(k) for k in group] for name, group in groups.items()},
+        )
+
+    def sigma(self) -> dict[str, Array]:
+        """1 sigma (n, 6) of the normalised gain that each source alone accounts for."""
+        found = {NOISE: np.sqrt(self.noise).reshape(-1, 6)}
+        for name, at in self.groups.items():
+            part = self.sensitivity[:, at]
+            variance = np.einsum("ij,jk,ik->i", part, self.covariance[np.ix_(at, at)], part)
+            found[name] = np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 6)
+        return found
+
+    def remedy(self, gain: int, target: float) -> Remedy | None:
+        """What takes the sigma of a gain to its target: as few sources as will do, all by the same factor.
+
+        Args:
+            gain: its place among the 6n.
+            target: 1 sigma, below the present one.
+        """
+        share = {name: float(sigma.ravel()[gain]) for name, sigma in self.sigma().items()}
+        order = sorted(share, key=lambda name: -share[name])
+        for count in range(1, len(order) + 1):
+            chosen = tuple(order[:count])
+            least = self._variance(gain, chosen, _SMALLEST)
+            if least < (_ENOUGH if count < len(order) else 1.0) * target**2:
+                return Remedy(chosen, self._factor(gain, chosen, target))
+        return None
+
+    def _factor(self, gain: int, chosen: Sequence[str], target: float) -> float:
+        low, high = np.log(_SMALLEST), 0.0
+        for _ in range(_STEPS):
+            middle = 0.5 * (low + high)
+            if self._variance(gain, chosen, float(np.exp(middle))) > target**2:
+                high = middle
+            else:
+                low = middle
+        return float(np.exp(low))
+
+    def _variance(self, gain: int, chosen: Sequence[str], factor: float) -> float:
+        """Of one gain, with smaller priors of some sources, and a longer record if noise is one of them."""
+        longer = factor**-2.0 if NOISE in chosen else 1.0
+        prior = self.gain_prior**-2.0
+        seen = max(1.0 / max(float(self.noise[gain]), np.finfo(np.float64).tiny) - prior, 0.0)
+        variance: float = 1.0 / (longer * seen + prior)
+        if self.covariance.size:
+            size = len(self.covariance)
+            priors = np.ones(size)
+            for name in chosen:
+                priors[list(self.groups.get(name, ()))] = factor**-2.0
+            # a longer record is not counted on to tell payload and clock: mass and gain look alike
+            by_data = np.linalg.inv(self.covariance) - np.eye(size)
+            row = self.sensitivity[gain]
+            variance += float(row @ np.linalg.solve(by_data + np.diag(priors), row))
+        return variance

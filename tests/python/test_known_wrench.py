@@ -1,0 +1,200 @@
+"""From a table of dead weights to a verdict: what is accepted, what is refused, and what is said."""
+
+from __future__ import annotations
+
+import io
+import json
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+from rich.console import Console
+
+import truewrench as tw
+from truewrench.calibration import load_calibration
+from truewrench.cli import main
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.io.tables import REFERENCE, write_table
+from truewrench.log import Log
+from truewrench.rig import Rig
+from truewrench.summary import calibration_summary, show
+
+Array = NDArray[np.float64]
+
+SPAN = np.array([100.0, 100.0, 100.0, 10.0, 10.0, 10.0])
+NOISE = 5e-4 * SPAN
+SETTINGS: dict[str, Any] = {
+    "sensor": {
+        "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+        "feels": "payload_on_sensor",
+        "noise": NOISE.tolist(),
+        "range": SPAN.tolist(),
+        "gain_prior": 0.1,
+    },
+    "payloads": {
+        "default": {"mass": 1, "center_of_mass": [0, 0, 0], "inertia": {"xx": 1, "yy": 1, "zz": 1}},
+    },
+    "motion": {"noise": [1e-3] * 6},
+    "reference_noise": NOISE.tolist(),
+}
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig.from_mapping(SETTINGS)
+
+
+@pytest.fixture
+def truth() -> tuple[Array, Array]:
+    draw = np.random.default_rng(0)
+    gain = (np.eye(6) + 0.1 * draw.normal(size=(6, 6))) * SPAN[:, None] / SPAN
+    return gain, 0.05 * SPAN * draw.normal(size=6)
+
+
+def weights(truth: tuple[Array, Array], rows: int = 40, seed: int = 1, rank: int = 6) -> Log:
+    """Loads of up to half the range, one every half minute; of rank 3 it is one weight in many poses."""
+    draw = np.random.default_rng(seed)
+    wrench = 0.5 * SPAN * draw.uniform(-1.0, 1.0, (rows, 6))
+    if rank == 3:
+        wrench[:, 3:] = np.cross([0.02, -0.01, 0.08], wrench[:, :3])
+    raw = wrench @ truth[0].T + truth[1] + NOISE * draw.normal(size=(rows, 6))
+    reference = wrench + NOISE * draw.normal(size=(rows, 6))
+    return Log(None, "default", "", 30 * 10**9 * np.arange(rows), raw, reference=reference)
+
+
+def through_command(
+    capsys: pytest.CaptureFixture[str], folder: Path, log: Log, settings: dict[str, Any], *options: str
+) -> tuple[int, dict[str, Any]]:
+    (folder / "rig.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
+    columns: dict[str, NDArray[Any]] = {"time_ns": log.time_ns}
+    columns |= {f"raw_{i}": channel for i, channel in enumerate(log.raw.T)}
+    if log.reference is not None:
+        columns |= dict(zip(REFERENCE, log.reference.T, strict=True))
+    write_table(folder / "weights.csv", columns)
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as left:
+        main(["calibrate", str(folder / "rig.yaml"), str(folder / "weights.csv"), "-o", str(folder / "out"),
+              "--json", *options])  # fmt: skip
+    assert isinstance(left.value.code, int)
+    return left.value.code, json.loads(capsys.readouterr().out)
+
+
+def test_a_table_of_weights_becomes_a_usable_calibration(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array]
+) -> None:
+    status, said = through_command(capsys, tmp_path, weights(truth), SETTINGS)
+    assert (status, said["verdict"]["usable"]) == (0, True)
+    calibration = load_calibration(tmp_path / "out" / "calibration.yaml")
+    assert calibration.estimator == "reference"
+    assert np.abs((calibration.gain - truth[0]) / calibration.gain_std).max() < 4.0
+    assert np.abs((calibration.offset - truth[1]) / calibration.offset_std).max() < 4.0
+    assert calibration.logs[0].used == 40
+    assert {axis.better for axis in calibration.improvement.values()} == {True}
+    assert all(axis.held_out for axis in calibration.improvement.values())
+    # noise of sensor and reference in the corrected wrench; each row is predicted by the others
+    expected = np.sqrt(NOISE**2 + calibration.inverse**2 @ NOISE**2)
+    new = [calibration.improvement[axis].new for axis in ("fx", "fy", "fz", "mx", "my", "mz")]
+    np.testing.assert_allclose(new / expected, 1.0, atol=0.35)
+    assert calibration.bound is not None
+    assert calibration.bound.oracle_rms < calibration.bound.rms
+
+
+def test_a_mis_noted_weight_is_left_out_and_named_to_the_user(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array]
+) -> None:
+    log = weights(truth)
+    assert log.reference is not None
+    log.reference[17, 2] += 9.81
+    status, said = through_command(capsys, tmp_path, log, SETTINGS)
+    assert status == 0
+    (outlier,) = said["figures"]["fit"]["outliers"]
+    assert outlier == {"log": 0, "row": 18, "time": pytest.approx(510.0)}
+    calibration = load_calibration(tmp_path / "out" / "calibration.yaml")
+    assert calibration.logs[0].gated == {"contradict the other rows": 1}
+    console = Console(file=io.StringIO(), width=200)
+    show(console, calibration_summary(calibration))
+    assert "row 18 (510 s) of" in console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_one_weight_in_many_poses_leaves_18_directions(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array]
+) -> None:
+    status, said = through_command(capsys, tmp_path, weights(truth, 100, rank=3), SETTINGS)
+    assert status == 3
+    assert len(said["verdict"]["undetermined"]) == 18
+    words = {found["words"] for found in said["verdict"]["undetermined"]}
+    assert "moment about x, always tied to force along y: gains of all channels" in words
+
+
+def test_a_rig_that_does_not_say_how_good_the_reference_is_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array]
+) -> None:
+    settings = deepcopy(SETTINGS)
+    del settings["reference_noise"]
+    status, said = through_command(capsys, tmp_path, weights(truth), settings)
+    assert status == 2
+    assert "reference_noise" in said["verdict"]["reasons"][0]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("estimator", ["online", "ekf", "ls"])
+def test_other_estimators_do_not_know_references(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array], estimator: str
+) -> None:
+    status, said = through_command(capsys, tmp_path, weights(truth), SETTINGS, "--estimator", estimator)
+    assert status == 2
+    assert f"`{estimator}`" in said["verdict"]["reasons"][0]
+
+
+def test_logs_with_and_without_reference_are_not_mixed(rig: Rig, truth: tuple[Array, Array]) -> None:
+    log = weights(truth)
+    moving = replace(log, path=Path("moving.csv"), reference=None, twist=np.zeros((40, 6)))
+    with pytest.raises(InputError, match=r"moving\.csv: found no ref_\* columns"):
+        tw.calibrate(rig, [log, moving])
+
+
+def test_windows_of_motion_have_no_meaning_here(rig: Rig, truth: tuple[Array, Array]) -> None:
+    with pytest.raises(UnsupportedError, match="window"):
+        tw.calibrate(rig, weights(truth), window=2.0)
+
+
+def test_noise_stated_too_small_is_noticed(rig: Rig, truth: tuple[Array, Array]) -> None:
+    quiet = Rig.from_mapping(SETTINGS | {"reference_noise": (0.1 * NOISE).tolist()})
+    assert tw.calibrate(rig, weights(truth, 200)).verdict.usable
+    verdict = tw.calibrate(quiet, weights(truth, 200)).verdict
+    assert not verdict.usable
+    assert "do not match the stated noise of sensor and reference" in " ".join(verdict.reasons)
+
+
+def test_weights_in_kilograms_are_suspected(rig: Rig, truth: tuple[Array, Array]) -> None:
+    log = weights(truth)
+    assert log.reference is not None
+    verdict = tw.calibrate(rig, replace(log, reference=log.reference / 9.80665)).verdict
+    assert not verdict.usable
+    assert any("suspected set-up error" in reason and "9.807" in reason for reason in verdict.reasons)
+
+
+def test_accuracy_that_is_not_reached_says_what_helps(rig: Rig, truth: tuple[Array, Array]) -> None:
+    strict = Rig.from_mapping(SETTINGS | {"required": 1e-5})
+    verdict = tw.calibrate(strict, weights(truth)).verdict
+    assert any("larger or more reference wrenches" in reason for reason in verdict.reasons)
+
+
+def test_a_sensor_that_is_as_it_was_is_not_called_better(rig: Rig) -> None:
+    unchanged = np.eye(6), np.zeros(6)
+    calibration = tw.calibrate(rig, weights(unchanged, 400))
+    assert calibration.verdict.usable
+    assert {axis.better for axis in calibration.improvement.values()} == {"unsure"}
+
+
+def test_few_rows_are_compared_on_what_was_fitted(rig: Rig, truth: tuple[Array, Array]) -> None:
+    few = tw.calibrate(rig, weights(truth, 9))
+    assert not any(axis.held_out for axis in few.improvement.values())
+    assert "fewer than 10 rows" in few.figures["held_out"]["none_because"]
+    asked = tw.calibrate(rig, weights(truth), held_out=False)
+    assert asked.figures["held_out"]["none_because"] == "not asked for"
