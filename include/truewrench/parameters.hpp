@@ -92,31 +92,49 @@ struct Prior {
 };
 
 // Priors of the common parameters, normalised and independent.
+//
+// Logs, or parts of one, in the order of time can be linked: a parameter of a log's own is then that of the log before
+// plus a step of known variance, a random walk, and only the first of them has the prior.
 struct CommonPrior {
   ParameterLayout layout;
   Eigen::VectorXd mean;                              // of one log's vector
   Eigen::VectorXd information;                       // 1 / variance; the payload's entries are not used
   std::vector<int> payload_of;                       // per log: which payload it carries,
   std::vector<Eigen::VectorXd> payload_information;  // and per payload, what is known of it
+  bool gains_walk = false;                           // every log has gains of its own
+  // Per log: 1 / variance of the step from the log before, 0 where there is none; or empty.
+  std::vector<Eigen::VectorXd> links;
 
   int payloads() const { return layout.payload ? static_cast<int>(payload_information.size()) : 0; }
 
+  // Places in a log's vector of what it shares with other logs (`shared`), or of what is its own.
+  std::vector<int> indices(bool shared) const {
+    std::vector<int> out;
+    for (int i = 0; i < layout.size(); ++i) {
+      const bool own = i >= layout.shared() || (gains_walk && i < layout.gains());
+      if (own != shared) out.push_back(i);
+    }
+    return out;
+  }
+
   // Number of parameters shared by any logs, every payload with its own.
   int shared() const {
-    return layout.shared() - (layout.payload ? kPayloadParameters : 0) + kPayloadParameters * payloads();
+    return static_cast<int>(indices(true).size()) +
+           kPayloadParameters * (payloads() - (layout.payload ? 1 : 0));
   }
 
   // Where the shared parameters of a log stand among all of them: [gains | payloads | temperature | offset].
   std::vector<int> places(std::size_t log) const {
     std::vector<int> out;
     const int behind = kPayloadParameters * (payloads() - (layout.payload ? 1 : 0));
-    for (int i = 0; i < layout.shared(); ++i) {
+    const int before = gains_walk ? layout.gains() : 0;
+    for (const int i : indices(true)) {
       if (i < layout.gains()) {
         out.push_back(i);
       } else if (i < layout.temperature_begin()) {  // none without an uncertain payload
-        out.push_back(i + kPayloadParameters * payload_of[log]);
+        out.push_back(i - before + kPayloadParameters * payload_of[log]);
       } else {
-        out.push_back(i + behind);
+        out.push_back(i - before + behind);
       }
     }
     return out;
@@ -125,10 +143,12 @@ struct CommonPrior {
   // Prior of the shared parameters of all logs.
   Prior shared_prior() const {
     Prior out{Eigen::MatrixXd::Zero(shared(), shared()), Eigen::VectorXd::Zero(shared())};
+    const std::vector<int> local = indices(true);
     for (std::size_t log = 0; log < (layout.payload ? payload_of.size() : 1); ++log) {
       const std::vector<int> at = places(log);
-      for (int i = 0; i < layout.shared(); ++i) {
-        const auto k = at[static_cast<std::size_t>(i)];
+      for (std::size_t q = 0; q < at.size(); ++q) {
+        const int i = local[q];
+        const int k = at[q];
         const bool of_payload = i >= layout.payload_begin() && i < layout.temperature_begin();
         out.information(k, k) =
             of_payload
@@ -138,6 +158,12 @@ struct CommonPrior {
       }
     }
     return out;
+  }
+
+  // Information of the steps into a log's own parameters from those of the log before; empty: none.
+  Eigen::VectorXd link(std::size_t log) const {
+    if (log >= links.size() || links[log].size() == 0) return {};
+    return links[log](indices(false));
   }
 };
 
@@ -162,56 +188,97 @@ struct Posterior {
   std::vector<Eigen::MatrixXd> covariance;
 };
 
-// Eliminates each log's own parameters, solves for the shared ones, and substitutes back.
+// Eliminates each log's own parameters, solves for the shared ones, and substitutes back. Linked logs form a chain:
+// block-tridiagonal in their own parameters, x_l - x_{l-1} being a step of information K_l.
 inline Posterior combine(const CommonPrior& prior, const std::vector<InformationSum>& logs) {
-  const int c = prior.layout.shared();
-  const int own = prior.layout.size() - c;
+  struct Own {  // of one log, what came before eliminated: D x = eta - B shared + K_{l+1} x_{l+1}
+    Eigen::LLT<Eigen::MatrixXd> d;
+    Eigen::VectorXd eta;
+    Eigen::MatrixXd b;
+  };
+  const std::vector<int> shared = prior.indices(true);
+  const std::vector<int> own = prior.indices(false);
+  const auto m = static_cast<Eigen::Index>(own.size());
   const Prior shared_prior = prior.shared_prior();
   Eigen::MatrixXd a = shared_prior.information;
   Eigen::VectorXd eta = a * shared_prior.mean;
-  std::vector<Eigen::LLT<Eigen::MatrixXd>> factors(logs.size());
-  std::vector<Eigen::VectorXd> own_eta(logs.size());
+  const Eigen::VectorXd own_information = prior.information(own);
+  const Eigen::VectorXd own_mean = prior.mean(own);
+  std::vector<Own> chain(logs.size());
   Posterior out;
   for (std::size_t l = 0; l < logs.size(); ++l) {
     const InformationSum& log = logs[l];
-    Eigen::MatrixXd s = log.matrix.topLeftCorner(c, c);
-    Eigen::VectorXd v = log.vector.head(c);
-    if (own > 0) {
-      Eigen::MatrixXd d = log.matrix.bottomRightCorner(own, own);
-      d += Eigen::MatrixXd(prior.information.tail(own).asDiagonal());
-      own_eta[l] = log.vector.tail(own) + prior.information.tail(own).cwiseProduct(prior.mean.tail(own));
-      factors[l].compute(d);
-      if (factors[l].info() != Eigen::Success) out.status = Status::not_factorizable;
-      s -= log.matrix.topRightCorner(c, own) * factors[l].solve(log.matrix.bottomLeftCorner(own, c));
-      v -= log.matrix.topRightCorner(c, own) * factors[l].solve(own_eta[l]);
-    }
     const std::vector<int> at = prior.places(l);
-    a(at, at) += s;
-    eta(at) += v;
+    a(at, at) += log.matrix(shared, shared);
+    eta(at) += log.vector(shared);
+    if (m == 0) continue;
+    Eigen::MatrixXd d = log.matrix(own, own);
+    Own& o = chain[l];
+    o.eta = log.vector(own);
+    o.b = Eigen::MatrixXd::Zero(m, a.rows());
+    o.b(Eigen::seqN(0, m), at) = log.matrix(own, shared);
+    const Eigen::VectorXd k = prior.link(l);
+    const Eigen::VectorXd next = prior.link(l + 1);
+    for (Eigen::Index i = 0; i < m; ++i) {
+      const bool linked = k.size() > 0 && k[i] > 0.0;
+      d(i, i) += linked ? k[i] : own_information[i];
+      if (!linked) o.eta[i] += own_information[i] * own_mean[i];
+      if (l + 1 < logs.size() && next.size() > 0) d(i, i) += next[i];
+    }
+    if (k.size() > 0) {
+      const Own& p = chain[l - 1];
+      d -= k.asDiagonal() * p.d.solve(Eigen::MatrixXd(k.asDiagonal()));
+      o.eta += k.asDiagonal() * p.d.solve(p.eta);
+      o.b += k.asDiagonal() * p.d.solve(p.b);
+    }
+    o.d.compute(d);
+    if (o.d.info() != Eigen::Success) out.status = Status::not_factorizable;
+    const Eigen::MatrixXd half = o.d.solve(o.b);
+    a -= o.b.transpose() * half;
+    eta -= half.transpose() * o.eta;
   }
   const Eigen::LLT<Eigen::MatrixXd> factor(a);
   if (factor.info() != Eigen::Success) out.status = Status::not_factorizable;
   if (out.status != Status::ok) return out;
   const Eigen::VectorXd all = factor.solve(eta);
   const Eigen::MatrixXd p_all = factor.solve(Eigen::MatrixXd::Identity(a.rows(), a.cols()));
-  for (std::size_t l = 0; l < logs.size(); ++l) {
+  out.mean.resize(logs.size());
+  out.covariance.resize(logs.size());
+  Eigen::VectorXd x;              // of the log after: mean,
+  Eigen::MatrixXd x_shared, x_x;  // and covariance with the shared parameters and with itself
+  for (std::size_t l = logs.size(); l-- > 0;) {
     const std::vector<int> at = prior.places(l);
-    const Eigen::VectorXd shared = all(at);
-    const Eigen::MatrixXd p = p_all(at, at);
-    Eigen::VectorXd mean(c + own);
-    Eigen::MatrixXd covariance(c + own, c + own);
-    mean.head(c) = shared;
-    covariance.topLeftCorner(c, c) = p;
-    if (own > 0) {
-      const Eigen::MatrixXd k = factors[l].solve(logs[l].matrix.bottomLeftCorner(own, c));
-      mean.tail(own) = factors[l].solve(own_eta[l]) - k * shared;
-      covariance.topRightCorner(c, own) = -p * k.transpose();
-      covariance.bottomLeftCorner(own, c) = -k * p;
-      covariance.bottomRightCorner(own, own) =
-          factors[l].solve(Eigen::MatrixXd::Identity(own, own)) + k * p * k.transpose();
+    Eigen::VectorXd mean(static_cast<Eigen::Index>(prior.layout.size()));
+    Eigen::MatrixXd covariance(mean.size(), mean.size());
+    mean(shared) = all(at);
+    covariance(shared, shared) = p_all(at, at);
+    if (m > 0) {
+      const Own& o = chain[l];
+      const Eigen::VectorXd next = l + 1 < logs.size() ? prior.link(l + 1) : Eigen::VectorXd();
+      const Eigen::MatrixXd inverse = o.d.solve(Eigen::MatrixXd::Identity(m, m));
+      const Eigen::MatrixXd by_shared = -inverse * o.b;
+      Eigen::VectorXd own_x = inverse * o.eta + by_shared * all;
+      Eigen::MatrixXd own_shared = by_shared * p_all;
+      Eigen::MatrixXd own_own = inverse + own_shared * by_shared.transpose();
+      if (next.size() > 0) {
+        const Eigen::MatrixXd by_next = inverse * next.asDiagonal();
+        own_x += by_next * x;
+        own_own += by_next * x_x * by_next.transpose();
+        const Eigen::MatrixXd mixed = by_next * x_shared * by_shared.transpose();
+        own_own += mixed + mixed.transpose();
+        own_shared += by_next * x_shared;
+      }
+      mean(own) = own_x;
+      const Eigen::MatrixXd here = own_shared(Eigen::seqN(0, m), at);
+      covariance(own, shared) = here;
+      covariance(shared, own) = here.transpose();
+      covariance(own, own) = own_own;
+      x = std::move(own_x);
+      x_shared = std::move(own_shared);
+      x_x = std::move(own_own);
     }
-    out.mean.push_back(std::move(mean));
-    out.covariance.push_back(0.5 * (covariance + covariance.transpose()));
+    out.mean[l] = std::move(mean);
+    out.covariance[l] = 0.5 * (covariance + covariance.transpose());
   }
   return out;
 }

@@ -19,12 +19,13 @@ inline double chi_square_deviate(double sum_of_squares, double degrees_of_freedo
   return (std::cbrt(sum_of_squares / degrees_of_freedom) - (1.0 - v)) / std::sqrt(v);
 }
 
-// Deviate that noise exceeds with probability p, by Newton's method; p below 0.1.
+// Deviate that noise exceeds with probability p, by Newton's method on the logarithm; p below 0.1.
 inline double normal_quantile(double p) {
   double z = std::sqrt(-2.0 * std::log(p));
-  for (int i = 0; i < 6; ++i) {
+  for (int i = 0; i < 8; ++i) {
+    const double tail = 0.5 * std::erfc(z / std::numbers::sqrt2);
     const double density = std::exp(-0.5 * z * z) / std::sqrt(2.0 * std::numbers::pi);
-    z += (0.5 * std::erfc(z / std::numbers::sqrt2) - p) / density;
+    z += (std::log(tail) - std::log(p)) * tail / density;
   }
   return z;
 }

@@ -99,6 +99,7 @@ class LogReport:
         used: samples that the estimate rests on.
         gated: samples left out one by one, by reason.
         rejected: samples left out with their whole window, by reason.
+        disturbances: (begin, end) of what was left out as contact or spike [s from the log's first row].
         dropped_rows: rows of the log without any measurement.
         nan_counts: cells that held NaN and were left out, by column.
     """
@@ -112,6 +113,7 @@ class LogReport:
     used: int = 0
     gated: Mapping[str, int] = field(default_factory=dict)
     rejected: Mapping[str, int] = field(default_factory=dict)
+    disturbances: tuple[tuple[float, float], ...] = ()
     dropped_rows: int = 0
     nan_counts: Mapping[str, int] = field(default_factory=dict)
 
@@ -218,6 +220,7 @@ def _to_mapping(c: Calibration) -> dict[str, Any]:
             "offset_std": log.offset_std,
             "time_offset": log.time_offset,
             "samples": {"used": log.used, "gated": log.gated, "rejected": log.rejected},
+            "disturbances": [list(interval) for interval in log.disturbances],
             "dropped_rows": log.dropped_rows,
             "nan_counts": log.nan_counts,
         }
@@ -330,9 +333,17 @@ def _log_report(log: Fields, n: int) -> LogReport:
         used=samples.count("used"),
         gated=_counts(samples.section("gated")),
         rejected=_counts(samples.section("rejected")),
+        disturbances=_intervals(log),
         dropped_rows=log.count("dropped_rows"),
         nan_counts=_counts(log.section("nan_counts")),
     )
+
+
+def _intervals(log: Fields) -> tuple[tuple[float, float], ...]:
+    if log.get("disturbances") is None:
+        return ()
+    rows = log.array("disturbances", (len(log.data["disturbances"]), 2))
+    return tuple((float(begin), float(end)) for begin, end in rows)
 
 
 def _counts(reasons: Fields) -> dict[str, int]:

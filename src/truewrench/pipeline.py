@@ -311,9 +311,13 @@ def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
     for w in estimate.windows:
         if w.log == k:
             samples[w.status.name.replace("_", " ")] += w.samples
-    used = samples.pop("fitted", 0)
+    rows, left_out = estimate.wrench_rows[k], estimate.left_out[k]
+    gated = Counter(
+        {"disturbance of the sensor": int(left_out.sum()), "disturbance of the motion": estimate.motion_left_out[k]}
+    )
+    used = max(0, samples.pop("fitted", 0) - gated["disturbance of the sensor"])
     sensed = int(np.isfinite(log.raw).any(axis=1).sum())
-    samples["outside every window"] = max(0, sensed - used - samples.total())
+    samples["outside every window"] = max(0, sensed - used - int(left_out.sum()) - samples.total())
     return LogReport(
         log.path,
         log.sha256,
@@ -322,10 +326,18 @@ def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
         estimate.offsets_std[k],
         time_offset=float(estimate.time_offsets[k]),
         used=used,
+        gated=dict(+gated),
         rejected=dict(+samples),
+        disturbances=_intervals(log.time[rows], left_out),
         dropped_rows=log.dropped_rows,
         nan_counts=log.nan_counts,
     )
+
+
+def _intervals(time: Array, marked: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+    """Begin and end of every run of marked rows."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]])))
+    return tuple((float(time[a]), float(time[b - 1])) for a, b in edges.reshape(-1, 2))
 
 
 def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, Any]:

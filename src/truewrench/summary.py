@@ -12,7 +12,7 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from truewrench.calibration import AXES, Calibration
+from truewrench.calibration import AXES, Calibration, LogReport
 from truewrench.inspect_log import LogContent
 from truewrench.validation import Validation
 
@@ -56,6 +56,9 @@ def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
     if len(calibration.figures.get("limited_by", {})) > 1:
         yield _limits(calibration)
     yield _logs(calibration)
+    for log in calibration.logs:
+        if log.disturbances:
+            yield _disturbances(log)
     if calibration.figures.get("outliers"):
         yield _outliers(calibration)
     if calibration.timings:
@@ -152,6 +155,13 @@ def _logs(calibration: Calibration) -> RenderableType:
         left_out = ", ".join(f"{count} ({reason})" for reason, count in reasons.items() if count) or "none"
         table.add_row(Text(str(log.path or "-")), Text(log.payload), str(log.used), Text(left_out))
     return table
+
+
+def _disturbances(log: LogReport) -> RenderableType:
+    shown = ", ".join(f"{begin:.4g}-{end:.4g} s" for begin, end in log.disturbances[:SHOWN])
+    more = len(log.disturbances) - SHOWN
+    rest = f" and {more} more" if more > 0 else ""
+    return Text(f"Left out of {log.path or 'the log'} as contact or spikes: {shown}{rest}.")
 
 
 def _outliers(calibration: Calibration) -> RenderableType:

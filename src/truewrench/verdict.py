@@ -36,6 +36,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+DISTURBED = 0.2  # share of the samples left out as contact that is still accepted
 REJECTED = 0.05  # share of the samples in rejected windows that is still accepted
 CHI_SQUARE = 1.05  # residual chi-square per degree of freedom that is still accepted,
 CHI_SQUARE_LOW = 0.5  # below it the stated noise is too large to say anything
@@ -90,7 +91,7 @@ def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) 
     faults = channel_faults(rig, logs)
     silent = {fault.channel for fault in faults if fault.silent}
     reasons = [fault.words for fault in faults]
-    reasons += _of_windows(estimate)
+    reasons += [*_of_windows(estimate), *_of_disturbances(estimate)]
     if not silent:  # whose gains look like any mistake
         reasons += _setup_errors(rig, logs, estimate)
     if not estimate.solved:
@@ -289,6 +290,18 @@ def _of_windows(estimate: WindowEstimate) -> list[str]:
         ]
     share = 100.0 * (total - samples["fitted"]) / total
     return [*without, f"{share:.0f} % of the samples lie in rejected windows{level}: {causes}"]
+
+
+def _of_disturbances(estimate: WindowEstimate) -> list[str]:
+    found = []
+    for k, left_out in enumerate(estimate.left_out):
+        share = float(left_out.mean()) if left_out.size else 0.0
+        if share > DISTURBED:
+            found.append(
+                f"{100.0 * share:.0f} % of the samples of log {k + 1} were left out as contact or spikes: "
+                "too many to trust the rest"
+            )
+    return found
 
 
 def _listed(rejected: Mapping[str, int]) -> str:

@@ -103,6 +103,96 @@ INSTANTIATE_TEST_SUITE_P(Common, Pooling,
                          testing::Values(std::tuple(true, false, 1), std::tuple(true, false, 4),
                                          std::tuple(true, true, 4), std::tuple(false, false, 3)));
 
+class Walking : public testing::TestWithParam<std::tuple<bool, int>> {};
+
+TEST_P(Walking, LinkedLogsEqualOneDenseProblemWithStepsBetweenThem) {
+  const auto [gains_walk, unlinked] = GetParam();
+  constexpr int count = 5;
+  std::mt19937 random(5);
+  CommonPrior prior = prior_of(true, false);
+  prior.layout.payload = true;
+  prior.layout.time_offset = true;
+  const int size = prior.layout.size();
+  prior.mean = oracle::normal_matrix(random, size, 1);
+  prior.information = oracle::normal_matrix(random, size, 1).cwiseAbs2().array() + 0.1;
+  prior.payload_of = {1, 1, 0, 1, 1};
+  for (int k = 0; k < 2; ++k) {
+    prior.payload_information.push_back(
+        oracle::normal_matrix(random, kPayloadParameters, 1).cwiseAbs2().array() + 0.1);
+  }
+  prior.gains_walk = gains_walk;
+  for (int l = 0; l < count; ++l) {
+    Eigen::VectorXd link;
+    if (l > 0 && l != unlinked) {
+      link = oracle::normal_matrix(random, size, 1).cwiseAbs2().array() + 0.5;
+      if (l == 1) link.tail(1).setZero();  // a clock that starts anew
+    }
+    prior.links.push_back(link);
+  }
+  const std::vector<Measured> logs = measurements(size, count, 31);
+
+  // Everything in one vector: [gains, payload 0, payload 1 | what each log has of its own].
+  std::vector<int> own;
+  for (int i = 0; i < size; ++i) {
+    if (i >= prior.layout.offset_begin() || (gains_walk && i < gains)) own.push_back(i);
+  }
+  const int shared = (gains_walk ? 0 : gains) + 2 * kPayloadParameters;
+  const int m = static_cast<int>(own.size());
+  const int all = shared + m * count;
+  Eigen::MatrixXd information = Eigen::MatrixXd::Zero(all, all);
+  Eigen::VectorXd vector = Eigen::VectorXd::Zero(all);
+  const auto believe = [&](const Eigen::VectorXd& row, double value, double weight) {
+    information += weight * row * row.transpose();
+    vector += weight * value * row;
+  };
+  const auto unit = [&](int at) { return Eigen::VectorXd(Eigen::VectorXd::Unit(all, at)); };
+  if (!gains_walk) {
+    for (int i = 0; i < gains; ++i) believe(unit(i), prior.mean[i], prior.information[i]);
+  }
+  for (int k = 0; k < 2; ++k) {
+    for (int i = 0; i < kPayloadParameters; ++i) {
+      const int at = shared - (2 - k) * kPayloadParameters + i;
+      believe(unit(at), 0.0, prior.payload_information[static_cast<std::size_t>(k)][i]);
+    }
+  }
+  std::vector<Eigen::MatrixXd> select;
+  for (int l = 0; l < count; ++l) {
+    const auto k = static_cast<std::size_t>(l);
+    Eigen::MatrixXd s = Eigen::MatrixXd::Zero(size, all);
+    if (!gains_walk) s.topLeftCorner(gains, gains).setIdentity();
+    for (int i = 0; i < kPayloadParameters; ++i) {
+      s(gains + i, shared - (2 - prior.payload_of[k]) * kPayloadParameters + i) = 1.0;
+    }
+    for (int q = 0; q < m; ++q) {
+      const int at = shared + m * l + q;
+      s(own[static_cast<std::size_t>(q)], at) = 1.0;
+      const int i = own[static_cast<std::size_t>(q)];
+      const double link = prior.links[k].size() > 0 ? prior.links[k][i] : 0.0;
+      if (link > 0.0) {
+        believe(unit(at) - unit(at - m), 0.0, link);
+      } else {
+        believe(unit(at), prior.mean[i], prior.information[i]);
+      }
+    }
+    const Eigen::MatrixXd j = logs[k].jacobian * s;
+    information += j.transpose() * j;
+    vector += j.transpose() * logs[k].value;
+    select.push_back(s);
+  }
+  const Eigen::MatrixXd covariance = information.inverse();
+  const Eigen::VectorXd mean = covariance * vector;
+
+  const Posterior found = combine(prior, summed(logs, size));
+  ASSERT_EQ(found.status, Status::ok);
+  for (std::size_t l = 0; l < found.mean.size(); ++l) {
+    EXPECT_LT((found.mean[l] - select[l] * mean).norm(), 1e-9 * mean.norm());
+    const Eigen::MatrixXd expected = select[l] * covariance * select[l].transpose();
+    EXPECT_LT((found.covariance[l] - expected).norm(), 1e-9 * expected.norm());
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Common, Walking, testing::Combine(testing::Bool(), testing::Values(0, 3)));
+
 TEST(Common, ParametersThatNothingDeterminesAreReported) {
   CommonPrior prior = prior_of(true, false);
   prior.information.setZero();

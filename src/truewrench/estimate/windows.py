@@ -63,8 +63,10 @@ class WindowEstimate:
         history_gain: (W, n, 6) the gain after it.
         history_std: (W, n, 6).
         wrench: per log, the payload's wrench (M, 6) that the fitted motion predicts, SI, with the rig's
-            sign; NaN where no window fits.
+            sign; NaN where no window fits and where a sample was left out.
         wrench_rows: per log, the (M,) rows of the log it belongs to.
+        left_out: per log, (M,) whether the sensor's sample was left out as a disturbance.
+        motion_left_out: per log, how many samples of the motion were.
         knot_dependence: standard normal deviate of the gain against that of halved knots.
         window_dependence: and against that of doubled windows.
         iterations: Gauss-Newton steps.
@@ -89,6 +91,8 @@ class WindowEstimate:
     history_std: Array
     wrench: tuple[Array, ...]
     wrench_rows: tuple[NDArray[np.int64], ...]
+    left_out: tuple[NDArray[np.bool_], ...]
+    motion_left_out: tuple[int, ...]
     knot_dependence: float
     window_dependence: float
     iterations: int
@@ -178,6 +182,8 @@ def estimate_windows(
         history_std=np.array([h.sigma[: 6 * n].reshape(n, 6) for h in history]).reshape(-1, n, 6) * to_gain,
         wrench=tuple(estimate.wrench),
         wrench_rows=tuple(rows for _, rows in recorded),
+        left_out=tuple(np.asarray(rows, dtype=bool).ravel() for rows in estimate.left_out),
+        motion_left_out=tuple(sum(series) for series in estimate.motion_left_out),
         knot_dependence=estimate.knot_dependence,
         window_dependence=estimate.window_dependence,
         iterations=estimate.iterations,
