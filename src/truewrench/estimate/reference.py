@@ -238,7 +238,7 @@ def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
         converged = iteration > 0 and bool(np.all(np.abs(step[exists]) <= _STEP * sigma))
         iteration += 1
     C = parameters[:, :6]
-    fitted = np.einsum("ij,jk->ik", covariance, weight).diagonal().reshape(n, size).sum(axis=1)
+    fitted = (covariance @ weight).diagonal().reshape(n, size).sum(axis=1)
     every = np.column_stack([problem.reference, problem.columns])
     # rows that were left out have a leverage, too: how uncertain their prediction is
     within = np.linalg.pinv(Z.T @ Z, hermitian=True)
@@ -247,7 +247,7 @@ def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
         covariance,
         problem.raw - every @ parameters.T,
         _residual_noise(problem, C, covariance),
-        np.einsum("ki,ij,kj->k", every, within, every),
+        np.sum(every @ within * every, axis=1),
         np.maximum(1.0, len(raw) - fitted),
         converged,
         iteration,
