@@ -54,7 +54,7 @@ def settings_of(rng: np.random.Generator) -> tuple[Settings, str]:
 def contacts(log: Log, rig: Rig, rng: np.random.Generator, gain: Array) -> tuple[Log, Settings]:
     """1 to 5 pulses of 3 to 30 x noise and 50 ms to 2 s, on one channel or as a wrench on all."""
     raw, noise = log.raw.copy(), rig.sensor.noise_array
-    time, about = log.time, {"pulses": 0, "size": 0.0, "length": 0.0}
+    time = log.time
     size = _logarithmic(rng, 3.0, 30.0)
     length = _logarithmic(rng, 0.05, 2.0)
     for _ in range(rng.integers(1, 6)):
@@ -70,8 +70,7 @@ def contacts(log: Log, rig: Rig, rng: np.random.Generator, gain: Array) -> tuple
             push = gain @ (rig.sensor.range_array * rng.standard_normal(6)) / noise
             push /= np.abs(push).max()
         raw[inside] += size * shape[:, None] * push * noise
-    about |= {"size": size, "length": length}
-    return replace(log, raw=raw), about
+    return replace(log, raw=raw), {"size": size, "length": length}
 
 
 def offset_step(log: Log, rig: Rig, rng: np.random.Generator, gain: Array) -> tuple[Log, Settings]:

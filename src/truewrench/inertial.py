@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, PchipInterpolator
+from scipy.interpolate import BSpline, PchipInterpolator, make_lsq_spline
 from scipy.linalg import cholesky, solve_triangular
 
 from truewrench import _core
@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 _DEGREE = 5
 _FINER = 1.5  # knots than the coarsest that pass: their bias would count as an error of the sensor
+_CHANCE = 3.0  # sigma of the fall of chi-square by halved knots that chance explains
 _CHUNK = 1500  # rows of a spline, unless that is less than
 _CHUNK_SECONDS = 4.0
 _SHORTEST = 24  # rows
@@ -130,7 +131,10 @@ def _chunk(
     span = time[-1] - time[0]
     noise = rig.motion.noise_array
     spacing = smooth_twist(time, twist, noise).spacing
-    fits = [_Spline(time, *of) for of in zip(twist.T, noise, spacing, strict=True)]
+    fits = [
+        _Spline(time, values, sigma, _resolved(time, values, sigma, coarse))
+        for values, sigma, coarse in zip(twist.T, noise, spacing, strict=True)
+    ]
 
     def motion(t: Array) -> tuple[Array, Array, Array, Array]:
         nu = np.column_stack([fit.spline(t) for fit in fits])
@@ -161,6 +165,28 @@ def _chunk(
                 for second, y in ((n_, X), (a_, dX)):
                     covariance[s] += first[position] * second[there] * (y[there] @ x[position])[:, None]
     return InertialChunk(rows, wrench, rate, nu, a, g, variance, lagged, covariance)
+
+
+def _resolved(time: Array, values: Array, sigma: float, spacing: float) -> float:
+    """The coarsest spacing not above a given one that halving would not improve by more than chance.
+
+    Residuals of the size of their noise are not enough: among thousands of samples they hide a bias that the
+    acceleration, times a mass, shows far above the noise of a good sensor.
+    """
+
+    def chi_square(intervals: int) -> float:
+        inner = np.linspace(time[0], time[-1], intervals + 1)[1:-1]
+        knots = np.concatenate([np.full(_DEGREE + 1, time[0]), inner, np.full(_DEGREE + 1, time[-1])])
+        return float(np.sum(((values - make_lsq_spline(time, values, knots, k=_DEGREE)(time)) / sigma) ** 2))
+
+    span = time[-1] - time[0]
+    intervals, finest = max(1, round(span / spacing)), max(1, time.size // 3 - _DEGREE)
+    while 2 * intervals <= finest:
+        fall = chi_square(intervals) - chi_square(2 * intervals)
+        if fall <= intervals + _CHANCE * np.sqrt(2.0 * intervals):
+            break
+        intervals = max(intervals + 1, int(np.ceil(intervals * 4 / 3)))
+    return float(span / intervals)
 
 
 class _Spline:

@@ -18,6 +18,7 @@ from truewrench.estimate.reference import ReferenceEstimate, estimate_from_refer
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.setup_errors import setup_errors_in_estimate
+from truewrench.silence import channel_faults
 from truewrench.validation import CHANGE
 from truewrench.verdict import CHI_SQUARE, CHI_SQUARE_LOW, DEVIATE, gain_reasons
 
@@ -34,6 +35,7 @@ Array = NDArray[np.float64]
 FOLDS = 5  # each row is held out once
 BLOCKS = 4 * FOLDS  # stretches of a log, held out in turns: rows of one load are alike, so they go together
 FEWEST = 2 * FOLDS  # rows
+FREEDOM = 3.0  # degrees of freedom of a channel's residuals
 DEVIATE_OF_BLOCKS = 3.0  # of the mean difference of squares between the blocks: better or worse, not chance
 
 
@@ -60,9 +62,13 @@ def wrench_is_known(rig: Rig, logs: Sequence[Log], estimator: str) -> bool:
     return True
 
 
-def judge_known_wrench(rig: Rig, estimate: ReferenceEstimate) -> Verdict:
+def judge_known_wrench(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstimate) -> Verdict:
     """The verdict on what reference wrenches say of the gain."""
-    reasons = [s.words for s in setup_errors_in_estimate(rig, [], estimate.gain, estimate.covariance)]
+    faults = [fault for fault in channel_faults(rig, logs) if fault.silent]
+    silent = {fault.channel for fault in faults}
+    reasons = [fault.words for fault in faults]
+    if not silent:  # whose gains look like any mistake
+        reasons += [s.words for s in setup_errors_in_estimate(rig, [], estimate.gain, estimate.covariance)]
     if not estimate.converged:
         reasons.append("the estimate did not converge")
     if estimate.contradicting:
@@ -71,9 +77,15 @@ def judge_known_wrench(rig: Rig, estimate: ReferenceEstimate) -> Verdict:
             f"{estimate.contradicting} of {total} rows contradict the others by more than the stated noise: "
             "too many to be left out as outliers"
         )
-    for channel, total, freedom in zip(
-        rig.sensor.channels, estimate.sum_of_squares, estimate.freedom, strict=True
+    if min(estimate.freedom) < FREEDOM:
+        reasons.append(
+            "too few rows for their residuals to show a mistake: a few more than unknowns are needed"
+        )
+    for i, (channel, total, freedom) in enumerate(
+        zip(rig.sensor.channels, estimate.sum_of_squares, estimate.freedom, strict=True)
     ):
+        if i in silent:
+            continue
         chi_square = total / freedom
         v = 2.0 / (9.0 * freedom)  # Wilson and Hilferty
         deviate = (math.cbrt(chi_square) - (1.0 - v)) / math.sqrt(v)
@@ -88,6 +100,7 @@ def judge_known_wrench(rig: Rig, estimate: ReferenceEstimate) -> Verdict:
         estimate.gain,
         estimate.normalised_covariance,
         "larger or more reference wrenches on that axis help",
+        silent,
     )
     reasons += found
     return Verdict(not reasons, tuple(reasons), undetermined)

@@ -167,7 +167,7 @@ def _from_known_wrench(rig: Rig, logs: Sequence[Log], held_out: bool, report: Pr
     estimate = estimate_from_reference(rig, logs)
     clock.append(time.perf_counter())
     report("judging", None)
-    verdict = judge_known_wrench(rig, estimate)
+    verdict = judge_known_wrench(rig, logs, estimate)
     clock.append(time.perf_counter())
     compared = compare_known_wrench(rig, logs, estimate, held_out)
     clock.append(time.perf_counter())

@@ -35,6 +35,7 @@ class Residuals:
     new: Array  # (M, 6)
     wrench: Array  # (M, 6) without its mean
     noise: Array  # (M, 6) variance by sensor and motion
+    nominal_noise: Array  # (M, 6) the same, the sensor's through the nominal gain
     systematic: Array  # (M, 6, k) columns whose squares add up to the variance by gain and payload
     begin: tuple[int, ...]  # where chunks begin
     lagged: Array  # (LONGEST_LAG + 1, 6) mean motion covariance at 0, 1, ... rows
@@ -91,6 +92,7 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
         new,
         wrench,
         variance + inverse**2 @ sensor.noise_array**2,
+        variance + nominal_inverse**2 @ sensor.noise_array**2,
         columns,
         tuple(np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()),
         lagged,

@@ -231,12 +231,15 @@ def _axis(
     nominal, rms = (float(np.sqrt(np.mean(x**2))) for x in (old, new))
     ratio = rms / max(nominal, np.finfo(np.float64).tiny)
     low, high = (float(np.quantile(ratios, q)) for q in ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2))
+    noise = np.concatenate([part.noise[:, i] for part in parts])
+    nominal_noise = np.concatenate([part.nominal_noise[:, i] for part in parts])
+    # the right gain may turn more of the sensor's noise into this axis: that is no loss
+    turned = max(1.0, float(np.sqrt(np.mean(noise) / np.mean(nominal_noise))))
     better: Literal[True, False, "unsure"] = "unsure"
     if high < 1.0 and ratio < 1.0 / (1.0 + CHANGE):
         better = True
-    elif low > 1.0 and ratio > 1.0 + LOSS:
+    elif low > turned and ratio > turned * (1.0 + LOSS):
         better = False
-    noise = np.concatenate([part.noise[:, i] for part in parts])
     variance = noise + np.sum(systematic**2, axis=1)
     found, expected = _correlations(parts, i)
     # cumulants of the mean of u^2: noise correlated in time, and errors common to the whole record

@@ -185,6 +185,19 @@ def test_accuracy_that_is_not_reached_says_what_helps(rig: Rig, truth: tuple[Arr
     assert any("larger or more reference wrenches" in reason for reason in verdict.reasons)
 
 
+def test_as_many_rows_as_unknowns_are_too_few_to_trust(rig: Rig, truth: tuple[Array, Array]) -> None:
+    assert "too few rows" in " ".join(tw.calibrate(rig, weights(truth, 8)).verdict.reasons)
+    assert tw.calibrate(rig, weights(truth, 14)).verdict.usable
+
+
+def test_a_dead_channel_is_named(rig: Rig, truth: tuple[Array, Array]) -> None:
+    log = weights(truth)
+    log.raw[:, 3] = 0.1
+    verdict = tw.calibrate(rig, log).verdict
+    assert not verdict.usable
+    assert verdict.reasons[0].startswith("channel mx ")
+
+
 def test_a_sensor_that_is_as_it_was_is_not_called_better(rig: Rig) -> None:
     unchanged = np.eye(6), np.zeros(6)
     calibration = tw.calibrate(rig, weights(unchanged, 400))

@@ -94,6 +94,19 @@ def test_right_gain_is_better_on_every_axis_and_its_sigma_honest(good: Validatio
     assert good.tared
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_accurate_sensor_is_not_blamed_for_noisy_velocities(seed: int) -> None:
+    """A motion a little too smooth hides in 1 mm/s of noise, and its force is many times 0.02 N."""
+    changes = {"noise": [0.02] * 3 + [0.002] * 3}
+    rig, rng = rig_of(sensor=changes, motion={"noise": [1e-3] * 6}), np.random.default_rng(30 + seed)
+    gain = gain_of(rng)
+    log = log_of(rig, gain, seed, rate=900, sensor_rate=900)
+    half = {name: getattr(log, name)[:2700] for name in ("time_ns", "raw", "twist")}
+    found = validate(calibrated(rig, gain, 1e-6), rig, replace(log, **half))
+    assert found.verdict.usable, found.verdict.reasons
+    assert max(axis.nis for axis in found.axes.values()) < 2.0
+
+
 def test_wrong_gain_is_worse_on_the_axes_named() -> None:
     rig, rng = rig_of(), np.random.default_rng(1)
     truth = gain_of(rng, 0.02)
@@ -107,6 +120,15 @@ def test_wrong_gain_is_worse_on_the_axes_named() -> None:
     assert any("fz is worse than with the nominal gain" in reason for reason in found.verdict.reasons)
     assert any("fz is larger than its claimed sigma" in reason for reason in found.verdict.reasons)
     assert found.axes["fx"].better is True
+
+
+def test_noise_that_the_right_gain_turns_up_is_no_loss() -> None:
+    """A channel at 0.7 of its nominal sensitivity, loads below its noise: the true wrench is read noisier."""
+    rig, truth = rig_of(sensor={"noise": [200.0] * 3 + [20.0] * 3}), np.diag([0.7, 1, 1, 1, 1, 1.0])
+    found = validate(calibrated(rig, truth), rig, log_of(rig, truth))
+    assert found.axes["fx"].ratio_low > 1.1
+    assert found.axes["fx"].better == "unsure"
+    assert found.verdict.usable, found.verdict.reasons
 
 
 def test_equal_gains_are_unsure_and_do_no_harm() -> None:

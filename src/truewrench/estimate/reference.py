@@ -5,11 +5,11 @@ wrench w of its own. Row by row the likelihood is largest at
 
     w_k = ref_k + G v_k,    v_k = raw_k - C ref_k - b,    G = D C^T S^-1,    S = R + C D C^T
 
-with R and D the covariances of e and d. At the truth v_k ~ N(0, S) is independent of that w_k, whose error
-has the covariance Q = D - G C D. So regressing with w_k is unbiased where regressing with ref_k is not. What
-the rows say of a direction of w in which they vary little more than by Q is mostly noise, though: the
-regressor is w_k times the share of its scatter that is not noise, and the covariance of the estimate follows
-from it.
+with R and D the covariances of e and d, S in expectation over C. At the truth v_k ~ N(0, S) is independent of
+that w_k, whose error has the covariance Q = D - G C D. So regressing with w_k is unbiased where regressing
+with ref_k is not. What the rows say of a direction of w in which they vary little more than by Q is mostly
+noise, though: the regressor is w_k times the share of its scatter that is not noise, and the covariance of
+the estimate follows from it.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def _problem(rig: Rig, logs: Sequence[Log]) -> tuple[_Problem, list[NDArray[np.i
 def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
     """Iterate residual noise, regressors and parameters, each given the others."""
     raw, reference, columns = problem.raw[used], problem.reference[used], problem.columns[used]
-    R, D = problem.raw_noise, problem.reference_noise
+    D = problem.reference_noise
     n, size = problem.mean.shape
     exists = problem.std.ravel() > 0.0
     prior = np.where(exists, problem.std.ravel(), 1.0) ** -2.0
@@ -219,7 +219,7 @@ def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
     converged, iteration = False, 0
     while not converged and iteration < _ITERATIONS:
         C = parameters[:, :6]
-        S = cho_factor(R + C @ D @ C.T)
+        S = cho_factor(_residual_noise(problem, C, covariance))
         v = raw - np.column_stack([reference, columns]) @ parameters.T
         if iteration > 0:
             G = cho_solve(S, C @ D).T
@@ -238,7 +238,7 @@ def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
         converged = iteration > 0 and bool(np.all(np.abs(step[exists]) <= _STEP * sigma))
         iteration += 1
     C = parameters[:, :6]
-    fitted = np.einsum("ij,jk->ik", covariance, weight).diagonal().reshape(n, size).sum(axis=1)
+    fitted = (covariance @ weight).diagonal().reshape(n, size).sum(axis=1)
     every = np.column_stack([problem.reference, problem.columns])
     # rows that were left out have a leverage, too: how uncertain their prediction is
     within = np.linalg.pinv(Z.T @ Z, hermitian=True)
@@ -246,12 +246,21 @@ def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
         parameters,
         covariance,
         problem.raw - every @ parameters.T,
-        R + C @ D @ C.T,
-        np.einsum("ki,ij,kj->k", every, within, every),
+        _residual_noise(problem, C, covariance),
+        np.sum(every @ within * every, axis=1),
         np.maximum(1.0, len(raw) - fitted),
         converged,
         iteration,
     )
+
+
+def _residual_noise(problem: _Problem, C: Array, covariance: Array) -> Array:
+    """S (n, n), the expectation of R + C D C^T: where C is not determined, it is not what it is taken for."""
+    n, size = problem.mean.shape
+    of_gain = covariance.reshape(n, size, n, size)[:, :6, :, :6]
+    D = problem.reference_noise
+    noise: Array = problem.raw_noise + C @ D @ C.T + np.einsum("iajb,ab->ij", of_gain, D)
+    return noise
 
 
 def _without_noise(wrench: Array, columns: Array, noise: Array) -> Array:
