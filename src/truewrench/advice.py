@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
 from truewrench.calibration import UNDETERMINED
-from truewrench.estimate.sources import NOISE, Remedy
+from truewrench.estimate.sources import NOISE
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.rig import Rig
 
@@ -19,7 +19,7 @@ _UNSEEN = "a motion, or a second payload, that loads that axis by itself helps"
 
 
 def advice(rig: Rig, estimate: WindowEstimate, payload: str | None, silent: Collection[int] = ()) -> str:
-    """What takes the least certain gain of an estimate to the `required` of the rig, if it is not there yet.
+    """What takes all gains of an estimate to the `required` of the rig, if they are not there yet.
 
     Args:
         rig: `required`, and what it states of payload and clock.
@@ -30,24 +30,23 @@ def advice(rig: Rig, estimate: WindowEstimate, payload: str | None, silent: Coll
     n = rig.sensor.n
     std = np.sqrt(np.diag(estimate.normalised_covariance)[: 6 * n])
     std.reshape(n, 6)[list(silent)] = 0.0
-    gain = int(np.argmax(std))
-    if std[gain] <= rig.required:
+    if std.max() <= rig.required:
         return ""
-    if std[gain] > UNDETERMINED * rig.sensor.gain_prior:
+    if std.max() > UNDETERMINED * rig.sensor.gain_prior:
         return _UNSEEN
     if estimate.sources is None:
         return _GENERAL
-    remedy = estimate.sources.remedy(gain, rig.required)
-    return _GENERAL if remedy is None else _words(rig, remedy, payload)
+    remedy = estimate.sources.remedy(std > 0.0, rig.required)
+    return _words(rig, remedy, payload) if remedy else _GENERAL
 
 
-def _words(rig: Rig, remedy: Remedy, payload: str | None) -> str:
+def _words(rig: Rig, remedy: Mapping[str, float], payload: str | None) -> str:
     stated = rig.payloads[payload or next(iter(rig.payloads))].uncertainty
     of_payload = "the payload" if payload is None else f"payload `{payload}`"
     causes, cures = [], []
-    for source in remedy.sources:
+    for source, factor in remedy.items():
         if source == NOISE:
-            longer = remedy.factor**-2.0
+            longer = factor**-2.0
             causes.append("noise")
             cures.append(
                 f"a record {_up(longer)} times as long, or wrenches {_up(math.sqrt(longer))} times as large "
@@ -55,7 +54,7 @@ def _words(rig: Rig, remedy: Remedy, payload: str | None) -> str:
             )
         elif source == "timing":
             causes.append("the clocks")
-            known = _stated(rig.sensor.time_offset_prior, remedy, 1e3, "ms")
+            known = _stated(rig.sensor.time_offset_prior, factor, 1e3, "ms")
             cures.append(f"sensor and motion synchronised to {known}")
         else:
             value, unit, size = {
@@ -65,13 +64,13 @@ def _words(rig: Rig, remedy: Remedy, payload: str | None) -> str:
             }[source]
             name = {"center_of_mass": "centre of mass"}.get(source, source)
             causes.append(f"the {name} of {of_payload}")
-            cures.append(f"the {name} known to {_stated(value, remedy, size, unit)}")
+            cures.append(f"the {name} known to {_stated(value, factor, size, unit)}")
     limit = "limits" if len(causes) == 1 and causes != ["the clocks"] else "limit"
     return f"{_listed(causes)} {limit} it: {_listed(cures)} would do"
 
 
-def _stated(value: float, remedy: Remedy, size: float, unit: str) -> str:
-    return f"{_down(size * value * remedy.factor)} {unit} (stated: {size * value:.3g} {unit})"
+def _stated(value: float, factor: float, size: float, unit: str) -> str:
+    return f"{_down(size * value * factor)} {unit} (stated: {size * value:.3g} {unit})"
 
 
 def _up(value: float) -> str:

@@ -79,7 +79,7 @@ def test_noise_asks_for_a_longer_record_by_the_square_of_the_ratio() -> None:
     ("key", "stated", "unit", "size", "name"),
     [
         ("mass", 0.02, "%", 1e2, "mass"),
-        ("center_of_mass", 4e-3, "mm", 1e3, "centre of mass"),
+        ("center_of_mass", 5e-4, "mm", 1e3, "centre of mass"),
         ("inertia", 0.1, "%", 1e2, "inertia"),
     ],
 )
@@ -89,10 +89,10 @@ def test_payload_known_as_advised_is_known_well_enough(
     first = rig_of(1.0, {key: stated}, noise=0.05)
     log = log_of(first)
     sigma = worst(first, log)
-    words = said(rig_of(sigma / 3.0, {key: stated}, noise=0.05), log)
+    words = said(rig_of(sigma / 2.0, {key: stated}, noise=0.05), log)
     assert words.startswith(f"the {name} of payload `block` limits it: the {name} known to ")
     known = number(rf"known to ([\d.]+) {unit} \(stated: {size * stated:.3g} {unit}\)", words) / size
-    assert worst(rig_of(1.0, {key: known}, noise=0.05), log) == pytest.approx(sigma / 3.0, rel=0.08)
+    assert worst(rig_of(1.0, {key: known}, noise=0.05), log) == pytest.approx(sigma / 2.0, rel=0.08)
 
 
 @pytest.mark.parametrize(("large", "name"), [(36, "mass"), (37, "timing")])
@@ -111,14 +111,12 @@ def test_factor_is_exact_in_a_linear_model(large: int, name: str, seed: int) -> 
 
     covariance = posterior(prior)
     sources = Sources.of(covariance, 36, {"mass": [36], "timing": [37]}, prior, 10.0)
-    gain = int(np.argmax(np.diag(covariance)[:36]))
-    target = 0.4 * float(np.sqrt(covariance[gain, gain]))
-    remedy = sources.remedy(gain, target)
-    assert remedy is not None
-    assert remedy.sources == (name,)
+    target = 0.4 * float(np.sqrt(np.diag(covariance)[:36].max()))
+    remedy = sources.remedy(np.ones(36, dtype=bool), target)
+    assert list(remedy) == [name]
     changed = prior.copy()
-    changed[large] *= remedy.factor
-    assert np.sqrt(posterior(changed)[gain, gain]) == pytest.approx(target, rel=1e-6)
+    changed[large] *= remedy[name]
+    assert np.sqrt(np.diag(posterior(changed))[:36].max()) == pytest.approx(target, rel=1e-6)
 
 
 def test_clocks_are_named_with_the_time_they_have_to_agree_to() -> None:

@@ -5,11 +5,11 @@ wrench w of its own. Row by row the likelihood is largest at
 
     w_k = ref_k + G v_k,    v_k = raw_k - C ref_k - b,    G = D C^T S^-1,    S = R + C D C^T
 
-with R and D the covariances of e and d, S in expectation over C. At the truth v_k ~ N(0, S) is independent of
-that w_k, whose error has the covariance Q = D - G C D. So regressing with w_k is unbiased where regressing
-with ref_k is not. What the rows say of a direction of w in which they vary little more than by Q is mostly
-noise, though: the regressor is w_k times the share of its scatter that is not noise, and the covariance of
-the estimate follows from it.
+with R and D the covariances of e and d. At the truth v_k ~ N(0, S) is independent of that w_k, whose error
+has the covariance Q = D - G C D. So regressing with w_k is unbiased where regressing with ref_k is not. What
+the rows say of a direction of w in which they vary little more than by Q is mostly noise, though: the
+regressor is w_k times the share of its scatter that is not noise, and the covariance of the estimate follows
+from it.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def _problem(rig: Rig, logs: Sequence[Log]) -> tuple[_Problem, list[NDArray[np.i
 def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
     """Iterate residual noise, regressors and parameters, each given the others."""
     raw, reference, columns = problem.raw[used], problem.reference[used], problem.columns[used]
-    D = problem.reference_noise
+    R, D = problem.raw_noise, problem.reference_noise
     n, size = problem.mean.shape
     exists = problem.std.ravel() > 0.0
     prior = np.where(exists, problem.std.ravel(), 1.0) ** -2.0
@@ -219,15 +219,17 @@ def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
     converged, iteration = False, 0
     while not converged and iteration < _ITERATIONS:
         C = parameters[:, :6]
-        S = cho_factor(_residual_noise(problem, C, covariance))
+        S = noise = R + C @ D @ C.T
         v = raw - np.column_stack([reference, columns]) @ parameters.T
         if iteration > 0:
-            G = cho_solve(S, C @ D).T
+            G = np.linalg.solve(S, C @ D).T
             Q = D - G @ C @ D
+            # errors of the regressor, times what is not known of the gain
+            noise = S + np.einsum("iajb,ab->ij", covariance.reshape(n, size, n, size)[:, :6, :, :6], Q)
             Z = np.column_stack([_without_noise(reference + v @ G.T, columns, Q), columns])
-        weighted = cho_solve(S, v.T)
-        weight = np.kron(cho_solve(S, np.eye(n)), Z.T @ Z)
-        gradient = (weighted @ Z).ravel() + prior * (problem.mean - parameters).ravel()
+        inverse = np.linalg.inv(noise)
+        weight = np.kron(inverse, Z.T @ Z)
+        gradient = (inverse @ (v.T @ Z)).ravel() + prior * (problem.mean - parameters).ravel()
         information = (weight + np.diag(prior))[np.ix_(exists, exists)]
         inner = np.linalg.inv(information)
         covariance[np.ix_(exists, exists)] = 0.5 * (inner + inner.T)
@@ -246,21 +248,12 @@ def _solve(problem: _Problem, used: NDArray[np.bool_]) -> _Solution:
         parameters,
         covariance,
         problem.raw - every @ parameters.T,
-        _residual_noise(problem, C, covariance),
+        R + C @ D @ C.T,
         np.sum(every @ within * every, axis=1),
         np.maximum(1.0, len(raw) - fitted),
         converged,
         iteration,
     )
-
-
-def _residual_noise(problem: _Problem, C: Array, covariance: Array) -> Array:
-    """S (n, n), the expectation of R + C D C^T: where C is not determined, it is not what it is taken for."""
-    n, size = problem.mean.shape
-    of_gain = covariance.reshape(n, size, n, size)[:, :6, :, :6]
-    D = problem.reference_noise
-    noise: Array = problem.raw_noise + C @ D @ C.T + np.einsum("iajb,ab->ij", of_gain, D)
-    return noise
 
 
 def _without_noise(wrench: Array, columns: Array, noise: Array) -> Array:

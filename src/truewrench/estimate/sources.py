@@ -8,27 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NOISE", "Remedy", "Sources"]
+__all__ = ["NOISE", "Sources"]
 
 Array = NDArray[np.float64]
 
 NOISE = "noise"
-_ENOUGH = 0.75  # of the variance that is allowed: what the other sources may make up
 _SMALLEST = 1e-6  # factor on a prior or on the noise that is looked for
 _STEPS = 60  # of the bisection
-
-
-@dataclass(frozen=True, slots=True)
-class Remedy:
-    """What takes a gain to its target.
-
-    Attributes:
-        sources: that have to become smaller, the largest first.
-        factor: on the prior sigma of each of them; noise falls by it in a record 1 / factor^2 times as long.
-    """
-
-    sources: tuple[str, ...]
-    factor: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,45 +82,46 @@ class Sources:
             found[name] = np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 6)
         return found
 
-    def remedy(self, gain: int, target: float) -> Remedy | None:
-        """What takes the sigma of a gain to its target: as few sources as will do, all by the same factor.
+    def remedy(self, gains: NDArray[np.bool_], target: float) -> dict[str, float]:
+        """What takes the sigma of every gain to a target: the largest sources, down to one level.
 
         Args:
-            gain: its place among the 6n.
-            target: 1 sigma, below the present one.
-        """
-        share = {name: float(sigma.ravel()[gain]) for name, sigma in self.sigma().items()}
-        order = sorted(share, key=lambda name: -share[name])
-        for count in range(1, len(order) + 1):
-            chosen = tuple(order[:count])
-            least = self._variance(gain, chosen, _SMALLEST)
-            if least < (_ENOUGH if count < len(order) else 1.0) * target**2:
-                return Remedy(chosen, self._factor(gain, chosen, target))
-        return None
+            gains: (6n,) those that count.
+            target: 1 sigma, below that of one of them at present.
 
-    def _factor(self, gain: int, chosen: Sequence[str], target: float) -> float:
-        low, high = np.log(_SMALLEST), 0.0
+        Returns:
+            The factor on the prior sigma of each source that has to become smaller, the largest source first;
+            noise falls by it in a record 1 / factor^2 times as long.
+        """
+        share = {name: float(sigma.ravel()[gains].max()) for name, sigma in self.sigma().items()}
+        largest = max(share.values())
+
+        def factors(level: float) -> dict[str, float]:
+            return {name: level / s if s > level else 1.0 for name, s in share.items()}
+
+        low, high = np.log(_SMALLEST * largest), np.log(largest)
         for _ in range(_STEPS):
             middle = 0.5 * (low + high)
-            if self._variance(gain, chosen, float(np.exp(middle))) > target**2:
+            if self._variance(factors(float(np.exp(middle))))[gains].max() > target**2:
                 high = middle
             else:
                 low = middle
-        return float(np.exp(low))
+        found = factors(float(np.exp(low)))
+        return {name: found[name] for name in sorted(share, key=lambda s: -share[s]) if found[name] < 1.0}
 
-    def _variance(self, gain: int, chosen: Sequence[str], factor: float) -> float:
-        """Of one gain, with smaller priors of some sources, and a longer record if noise is one of them."""
-        longer = factor**-2.0 if NOISE in chosen else 1.0
+    def _variance(self, factors: Mapping[str, float]) -> Array:
+        """(6n,) with smaller priors, and a longer record for less noise."""
+        longer = factors[NOISE] ** -2.0
         prior = self.gain_prior**-2.0
-        seen = max(1.0 / max(float(self.noise[gain]), np.finfo(np.float64).tiny) - prior, 0.0)
-        variance: float = 1.0 / (longer * seen + prior)
+        seen = np.maximum(1.0 / np.maximum(self.noise, np.finfo(np.float64).tiny) - prior, 0.0)
+        variance: Array = 1.0 / (longer * seen + prior)
         if self.covariance.size:
             size = len(self.covariance)
             priors = np.ones(size)
-            for name in chosen:
-                priors[list(self.groups.get(name, ()))] = factor**-2.0
+            for name, at in self.groups.items():
+                priors[list(at)] = factors[name] ** -2.0
             # a longer record is not counted on to tell payload and clock: mass and gain look alike
             by_data = np.linalg.inv(self.covariance) - np.eye(size)
-            row = self.sensitivity[gain]
-            variance += float(row @ np.linalg.solve(by_data + np.diag(priors), row))
+            known = np.linalg.inv(by_data + np.diag(priors))
+            variance += np.einsum("ij,jk,ik->i", self.sensitivity, known, self.sensitivity)
         return variance
