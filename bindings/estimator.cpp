@@ -4,6 +4,7 @@
 #include "truewrench/estimator.hpp"
 
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -85,6 +86,11 @@ void check(const CommonPrior& prior, const std::vector<const RecordedLog*>& logs
   const int p = prior.layout.size();
   if (prior.mean.size() != p || prior.information.size() != p) {
     throw nb::value_error("prior: mean and information of every common parameter of a log are expected");
+  }
+  for (std::size_t l = 0; l < prior.links.size(); ++l) {
+    const auto size = prior.links[l].size();
+    if (size != 0 && (size != p || l == 0 || l >= logs.size()))
+      throw nb::value_error("prior: a link holds every parameter, and none leads to the first log");
   }
   if (!prior.layout.payload) return;
   if (prior.payload_of.size() != logs.size()) throw nb::value_error("prior: one payload per log is expected");
@@ -183,6 +189,11 @@ void bind_estimator(nb::module_& m) {
       .def_rw("layout", &CommonPrior::layout)
       .def_rw("mean", &CommonPrior::mean, "Of one log's vector.")
       .def_rw("information", &CommonPrior::information, "1 / variance; the payload's entries are not used.")
+      .def_rw("gains_walk", &CommonPrior::gains_walk, "Every log has gains of its own.")
+      .def_rw("links", &CommonPrior::links,
+              "Per log, 1 / variance of the step of its own parameters from those of the log before, 0 where "
+              "there "
+              "is none; or an empty vector.")
       .def_rw("payload_of", &CommonPrior::payload_of, "Per log: which payload it carries.")
       .def_rw("payload_information", &CommonPrior::payload_information,
               "Per payload, 1 / variance of [mass, relative; centre of mass [m]; xx yy zz xy xz yz of the "
@@ -210,6 +221,13 @@ void bind_estimator(nb::module_& m) {
       .def_ro("leverage", &GroupStatistics::leverage)
       .def_prop_ro("deviate", &GroupStatistics::deviate);
 
+  nb::class_<ComponentStatistics>(m, "ComponentStatistics",
+                                  "Residuals of one channel or component of the motion over their noise, and "
+                                  "of their means over runs of 2, 4, 8 ... samples.")
+      .def_ro("all", &ComponentStatistics::all)
+      .def_ro("run_squares", &ComponentStatistics::run_squares)
+      .def_ro("runs", &ComponentStatistics::runs);
+
   nb::class_<WindowReport>(m, "WindowReport", "One window: where it lies, its knots and how well it fits.")
       .def_ro("log", &WindowReport::log)
       .def_ro("begin", &WindowReport::begin)
@@ -222,6 +240,10 @@ void bind_estimator(nb::module_& m) {
                    [](const WindowReport& r) {
                      return std::vector<GroupStatistics>(r.groups.begin(), r.groups.end());
                    })
+      .def_ro(
+          "components", &WindowReport::components,
+          "ComponentStatistics of the channels, then of the six components of the motion; empty for a window "
+          "without a fit.")
       .def_ro("nested", &WindowReport::nested)
       .def_ro("nested_expected", &WindowReport::nested_expected);
 

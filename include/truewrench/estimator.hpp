@@ -40,6 +40,7 @@ struct WindowReport {
   double samples_per_coefficient = 0.0;
   std::size_t samples = 0;  // rows of the sensor
   Groups groups{};
+  std::vector<ComponentStatistics> components;
   double nested = 0.0;
   double nested_expected = 0.0;
 };
@@ -186,7 +187,11 @@ class Estimator {
       if (search_again) items = lay_out(spacing, intervals, out.posterior);
       settle(out, items, coarse, fine);
       if (out.status != Status::ok) return;
-      search_again = round == 0 && moved(before, out.posterior) > 0.1;
+      // A window searched at a poor gain bends its knots to it, or is rejected.
+      const bool rejected = std::any_of(items.begin(), items.end(), [](const Item& i) {
+        return i.fit.status != WindowStatus::fitted && i.fit.status != WindowStatus::too_short;
+      });
+      search_again = (round == 0 || rejected) && moved(before, out.posterior) > 0.1;
       if (search_again) continue;
       if (std::max(out.knot_dependence, nested_deviate(items)) < settings_.dependence_sigma) return;
       if (!halve(items)) return;
@@ -199,11 +204,22 @@ class Estimator {
                   std::vector<InformationSum>& fine) {
     bool converged = false;
     double best = -1.0;
-    for (const double start : {0.0, 0.5, 0.25, 0.75}) {
+    // A clock far from its prior's mean can also keep every window from fitting; tried first at the mean.
+    struct Start {
+      double share;
+      double clock;
+    };
+    std::vector<Start> starts;
+    for (const double clock :
+         prior_.layout.time_offset ? std::vector{0.0, 1.0, -1.0, 2.0, -2.0} : std::vector{0.0}) {
+      for (const double share : {0.0, 0.5, 0.25, 0.75}) starts.push_back({share, clock});
+    }
+    for (const auto& [start, clock] : starts) {
+      if (clock != 0.0 && best > 0.5) break;
       Estimate pass;
       std::vector<Item> pass_items;
       std::vector<InformationSum> pass_coarse, pass_fine;
-      const bool ok = sequence(start, pass, pass_items, pass_coarse, pass_fine);
+      const bool ok = sequence(start, clock, pass, pass_items, pass_coarse, pass_fine);
       double used = 0.0, all = 0.0;
       for (const WindowReport& w : pass.windows) {
         all += static_cast<double>(w.samples);
@@ -250,7 +266,7 @@ class Estimator {
   }
 
   // One pass over all logs, windows in sequence. False where some window did not converge.
-  bool sequence(double start_share, Estimate& out, std::vector<Item>& items,
+  bool sequence(double start_share, double clock_sigmas, Estimate& out, std::vector<Item>& items,
                 std::vector<InformationSum>& coarse, std::vector<InformationSum>& fine) {
     bool converged = true;
     prepare_wrench(out);
@@ -259,6 +275,8 @@ class Estimator {
       fine.emplace_back(prior_.layout.size());
       Prior prior = before(l, coarse);
       auto [delay, delay_sigma] = clock(prior.mean, inverse(prior.information));
+      // Only where the search begins: the prior stays what it is.
+      double shift = clock_sigmas * delay_sigma;
       double length = settings_.window;
       double spacing = 0.0;
       WindowSolver<N> solver(models_[l], settings_.knots);
@@ -270,8 +288,10 @@ class Estimator {
           WindowFit fit;
           if (enough_samples(window)) {
             const int start = spacing > 0.0 ? static_cast<int>((stop - t) / (2.0 * spacing)) : 1;
-            fit = solver.search(window, BSpline(BSpline::uniform(t, stop, std::max(1, start))), prior.mean,
-                                &prior, finest_[l]);
+            Eigen::VectorXd from = prior.mean;
+            if (prior_.layout.time_offset) from[prior_.layout.time_offset_begin()] += shift;
+            fit = solver.search(window, BSpline(BSpline::uniform(t, stop, std::max(1, start))), from, &prior,
+                                finest_[l]);
           }
           const bool fitted = fit.status == WindowStatus::fitted;
           // Motion that is slow for the window: a longer one determines it better.
@@ -292,6 +312,7 @@ class Estimator {
             prior.mean = fit.theta;
             const Eigen::MatrixXd covariance = inverse(prior.information);
             std::tie(delay, delay_sigma) = clock(prior.mean, covariance);
+            shift = 0.0;
             spacing = (stop - t) / fit.spline.intervals();
             out.history.push_back(
                 {static_cast<int>(l), stop, prior.mean, covariance.diagonal().cwiseMax(0.0).cwiseSqrt()});
@@ -341,6 +362,7 @@ class Estimator {
     r.intervals = fit.spline.intervals();
     r.samples_per_coefficient = samples_per_coefficient(log, fit.spline);
     r.groups = fit.groups;
+    r.components = fit.components;
     r.nested = fit.nested;
     r.nested_expected = fit.nested_expected;
     return r;

@@ -12,6 +12,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <random>
+#include <utility>
+#include <vector>
 
 namespace truewrench {
 
@@ -49,6 +53,7 @@ struct WindowFit {
   double nested = 0.0;           // decrease of the cost by halving every interval,
   double nested_expected = 0.0;  // and what chance alone gives
   Groups groups{};
+  std::vector<ComponentStatistics> components;  // channels, then those of the first series of the motion
   int disturbances = 0;
   int iterations = 0;
 };
@@ -135,6 +140,7 @@ class WindowSolver {
     for (const Groups& g : r.residuals) {
       for (std::size_t k = 0; k < kGroups; ++k) fit.groups[k] += g[k];
     }
+    take_components(fit, window);
     add_leverage(fit);
     fit.disturbances = disturbances(window);
     fit.status =
@@ -532,8 +538,52 @@ class WindowSolver {
     }
   }
 
-  // trace(W J Hxx^-1 J^T) per group. normal_ holds the factor of the present knots.
-  void add_leverage(WindowFit& fit) const {
+  // Statistics of every channel and of every component of the motion's first series.
+  void take_components(WindowFit& fit, const WindowRange& window) {
+    const int n = model_.layout().channels;
+    fit.components.assign(static_cast<std::size_t>(n + kCoordinates), ComponentStatistics{});
+    const auto take = [&](RowMatrix& rows, const std::vector<char>* gate, std::size_t first, int at) {
+      for (Eigen::Index k = 0; gate != nullptr && k < rows.rows(); ++k) {
+        if ((*gate)[first + static_cast<std::size_t>(k)] != 0)
+          rows.row(k).setConstant(std::numeric_limits<double>::quiet_NaN());
+      }
+      for (Eigen::Index c = 0; c < rows.cols(); ++c) {
+        fit.components[static_cast<std::size_t>(at + c)].add(rows.col(c).eval());
+      }
+    };
+    const Gate* gate = model_.gate();
+    residual_rows(fit, window, Terms::all);
+    take(residual_rows_.front(), gate != nullptr ? &gate->wrench : nullptr, window.wrench.first, 0);
+    residual_rows(fit, window, Terms::motion);
+    if (residual_rows_.empty()) return;
+    take(residual_rows_.front(), gate != nullptr ? &gate->motion.front() : nullptr,
+         window.motion.front().first, n);
+  }
+
+  // trace(W J Hxx^-1 J^T) per group and component: the degrees of freedom that the motion took.
+  void add_leverage(WindowFit& fit) {
+    const double all = static_cast<double>(kCoordinates * fit.spline.coefficients());
+    const auto total = [&] {
+      double sum = 0.0;
+      for (const double l : leverage_) sum += l;
+      return sum;
+    };
+    leverage_by_band(fit);
+    // The recursion inside the band cancels where the velocities hardly hold the motion; all leverages together
+    // are the number of coefficients, which tells.
+    const bool sound = std::abs(total() - all) < 1e-3 * all &&
+                       std::all_of(leverage_.begin(), leverage_.end(), [](double l) { return l >= 0.0; });
+    if (!sound) leverage_by_probes(fit);
+    const int n = model_.layout().channels;
+    for (int c = 0; c < n + kCoordinates; ++c) {
+      const double l = leverage_[static_cast<std::size_t>(c)];
+      fit.groups[c < n ? wrench_group(c, n) : motion_group(c - n)].leverage += l;
+      fit.components[static_cast<std::size_t>(c)].all.leverage += l;
+    }
+  }
+
+  // By the blocks of Hxx^-1 inside the band. normal_ holds the factor of the present knots.
+  void leverage_by_band(const WindowFit& fit) {
     const MotionNormal z = normal_.covariance_band();
     const auto covariance = [&](int interval, const BasisRow& a, const BasisRow& b) {
       Matrix6 sum = Matrix6::Zero();
@@ -548,11 +598,12 @@ class WindowSolver {
       }
       return sum;
     };
+    const int n = model_.layout().channels;
+    leverage_.assign(static_cast<std::size_t>(n + kCoordinates), 0.0);
     for (const MotionBlock& b : blocks_.motion) {
       const Vector6 variance = covariance(b.interval, b.basis, b.basis).diagonal();
-      for (int c = 0; c < 6; ++c) fit.groups[motion_group(c)].leverage += b.weight[c] * variance[c];
+      for (int c = 0; c < 6; ++c) leverage_[static_cast<std::size_t>(n + c)] += b.weight[c] * variance[c];
     }
-    const int n = model_.layout().channels;
     const WindowModelAt<N> model(model_, fit.theta);
     const ChannelMatrix<N>& by_rate = model.raw_by_rate();
     for (const WrenchBlock<N>& b : blocks_.wrench) {
@@ -566,9 +617,56 @@ class WindowSolver {
         const auto jr = by_rate.row(c);
         const double variance =
             (jc * cc * jc.transpose() + 2.0 * jc * cr * jr.transpose() + jr * rr * jr.transpose())(0);
-        fit.groups[wrench_group(c, n)].leverage += b.weight[c] * variance;
+        leverage_[static_cast<std::size_t>(c)] += b.weight[c] * variance;
       }
     }
+  }
+
+  // By Hutchinson's estimator: z^T A z with random signs z has the mean trace(A), and needs only solutions.
+  void leverage_by_probes(const WindowFit& fit) {
+    constexpr int probes = 16;
+    const int n = model_.layout().channels;
+    const WindowModelAt<N> model(model_, fit.theta);
+    const ChannelMatrix<N>& by_rate = model.raw_by_rate();
+    leverage_.assign(static_cast<std::size_t>(n + kCoordinates), 0.0);
+    const auto rows = static_cast<std::size_t>(kCoordinates) * blocks_.motion.size() +
+                      static_cast<std::size_t>(n) * blocks_.wrench.size();
+    std::minstd_rand random(1);
+    std::vector<double> signs(rows);
+    for (int p = 0; p < probes; ++p) {
+      for (double& s : signs) s = random() % 2 == 0 ? 1.0 : -1.0;
+      Eigen::MatrixXd y = Eigen::MatrixXd::Zero(kCoordinates * fit.spline.coefficients(), 1);
+      // Twice over the rows J of the whitened problem: y = J^T z, then z^T J H^-1 y per component.
+      for (const bool forward : {true, false}) {
+        std::size_t at = 0;
+        for (const MotionBlock& b : blocks_.motion) {
+          for (int c = 0; c < kCoordinates; ++c) {
+            const double z = signs[at++] * std::sqrt(b.weight[c]);
+            for (int k = 0; k < kActive; ++k) {
+              double& entry = y(kCoordinates * (b.interval + k) + c, 0);
+              if (forward) entry += z * b.basis[k];
+              if (!forward) leverage_[static_cast<std::size_t>(n + c)] += z * b.basis[k] * entry / probes;
+            }
+          }
+        }
+        for (const WrenchBlock<N>& b : blocks_.wrench) {
+          const Vector6 s = fit.x.middleRows<kActive>(b.interval).transpose() * b.basis;
+          const ChannelMatrix<N> by_coordinate = model.raw_by_coordinate(s);
+          for (int c = 0; c < n; ++c) {
+            const double z = signs[at++] * std::sqrt(b.weight[c]);
+            for (int k = 0; k < kActive; ++k) {
+              const Vector6 row =
+                  z * (b.basis[k] * by_coordinate.row(c) + b.basis_rate[k] * by_rate.row(c)).transpose();
+              auto entry = y.col(0).template segment<kCoordinates>(kCoordinates * (b.interval + k));
+              if (forward) entry += row;
+              if (!forward) leverage_[static_cast<std::size_t>(c)] += row.dot(entry) / probes;
+            }
+          }
+        }
+        if (forward) normal_.solve(y);
+      }
+    }
+    for (double& l : leverage_) l = std::max(l, 0.0);
   }
 
   const WindowModel<N>& model_;
@@ -578,6 +676,7 @@ class WindowSolver {
   WindowNormal<N> normal_;
   WindowNormal<N> fine_normal_;
   std::vector<RowMatrix> residual_rows_;
+  std::vector<double> leverage_;                    // per channel, then per component of the motion
   std::vector<std::pair<int, Disturbance>> found_;  // the series of the motion, or -1 for the sensor
 };
 

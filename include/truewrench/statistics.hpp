@@ -56,6 +56,36 @@ struct GroupStatistics {
 };
 using Groups = std::array<GroupStatistics, kGroups>;
 
+// Residuals of one channel, or of one component of the motion: their size, and that of their means over runs of
+// 2, 4, 8 ... samples. White noise has the same spectral density at every length; coloured noise has more at
+// the lengths that matter to the gain.
+struct ComponentStatistics {
+  static constexpr int kRuns = 6;
+
+  GroupStatistics all;
+  std::array<double, kRuns> run_squares{};  // squared sums of runs over the number of samples in them
+  std::array<double, kRuns> runs{};         // how many
+
+  // A whole series, NaN where there is no sample: runs do not reach across.
+  template <typename Series>
+  void add(const Series& r) {
+    for (Eigen::Index k = 0; k < r.size(); ++k) {
+      if (!std::isfinite(r[k])) continue;
+      all.sum_of_squares += r[k] * r[k];
+      all.count += 1.0;
+    }
+    for (int level = 0; level < kRuns; ++level) {
+      const Eigen::Index length = Eigen::Index{2} << level;
+      for (Eigen::Index k = 0; k + length <= r.size(); k += length) {
+        const double sum = r.segment(k, length).sum();
+        if (!std::isfinite(sum)) continue;
+        run_squares[static_cast<std::size_t>(level)] += sum * sum / static_cast<double>(length);
+        runs[static_cast<std::size_t>(level)] += 1.0;
+      }
+    }
+  }
+};
+
 inline Group wrench_group(int channel, int channels) {
   return channels == 6 && channel >= 3 ? kMoment : kForce;
 }

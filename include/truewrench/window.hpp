@@ -342,6 +342,12 @@ class WindowNormal {
     return Eigen::Map<const Coefficients>(z.data(), z.size() / kCoordinates, kCoordinates);
   }
 
+  // H^-1 r, r of the motion's coefficients, after reduce().
+  void solve(Eigen::MatrixXd& r) const {
+    hxx_.solve_forward(r);
+    hxx_.solve_backward(r);
+  }
+
   MotionNormal covariance_band() const { return hxx_.inverse_band(); }
 
  private:
