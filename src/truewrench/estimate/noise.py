@@ -1,0 +1,186 @@
+"""Noise as the residuals show it: how large, how coloured, and what that does to sigma (docs/method.md, "Noise").
+
+The gain is decided by the noise at the frequencies of the motion. White noise has the same spectral density there as
+anywhere; the density of coloured noise is larger by a factor, its colour, and an estimate that takes it for
+white is too sure of itself. So the colour is measured from means of the residuals over runs of samples, and the
+estimate is repeated with the noise that has the same density where it matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.estimate.windows import WindowEstimate
+from truewrench.rig import Rig
+
+__all__ = ["Noise", "estimate_with_noise", "measured_noise", "with_noise"]
+
+Array = NDArray[np.float64]
+
+SIGNIFICANT = 5.0  # standard deviations by which means over runs must exceed those of white noise,
+NOTICEABLE = 1.1  # and the factor
+LARGEST = 300.0  # colour that is still paid for
+MARGIN = 1.5  # on what colour adds
+FITS = 1.3  # variance of the residuals over the stated one up to which it is a matter of colour
+SETTLED = 1.15  # factor between two rounds that ends the search
+ROUNDS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Per channel of the sensor and per component of the twist (n + 6).
+
+    Attributes:
+        given: 1 sigma as stated [raw, m/s, rad/s].
+        estimated: 1 sigma of the residuals, corrected for what the motion took; NaN without residuals.
+        colour: spectral density at the frequencies of the motion over that of white noise of this sigma.
+        assumed: 1 sigma of the white noise that the estimate was made with.
+    """
+
+    given: Array
+    estimated: Array
+    colour: Array
+    assumed: Array
+
+    @property
+    def coloured(self) -> bool:
+        """Whether any channel's noise is coloured."""
+        return bool((self.colour > NOTICEABLE).any())
+
+
+def estimate_with_noise(
+    rig: Rig, estimate: Callable[[Rig, bool], WindowEstimate], rescale: bool
+) -> tuple[WindowEstimate, Noise]:
+    """Estimate with the stated noise, and again with what the residuals show where that is coloured.
+
+    Args:
+        rig: with the stated noise.
+        estimate: the estimator on the logs for a rig; with True its first, quick pass is enough.
+        rescale: take the size of the noise from the residuals, too.
+    """
+    given = _stated(rig)
+    found = estimate(rig, False)
+    noise = measured_noise(rig, found.windows, given)
+    if rescale:
+        size = _settled_size(rig, estimate, given, noise)
+        rig = with_noise(rig, size)
+        found = estimate(rig, False)
+        noise = measured_noise(rig, found.windows, given)
+    base = _stated(rig)
+    fitted = _all_fitted(found)
+    first = noise
+    if not fitted:
+        # Windows of the quick pass are solved with a gain of their own, and tell more where none fits.
+        first = measured_noise(rig, estimate(rig, True).windows, given)
+    if not first.coloured or np.any(np.nan_to_num(first.estimated / base, nan=1.0) ** 2.0 > FITS):
+        return found, noise
+    colour = first.colour
+    for _ in range(ROUNDS):
+        changed = with_noise(rig, base * np.sqrt(colour))
+        seen = measured_noise(changed, estimate(changed, True).windows, given).colour
+        before, colour = colour, np.maximum(colour, seen)
+        if np.all(colour < SETTLED * before):
+            break
+    changed = with_noise(rig, base * np.sqrt(colour))
+    found = estimate(changed, False)
+    last = measured_noise(changed, found.windows, given)
+    return found, replace(last, colour=colour)
+
+
+def _settled_size(
+    rig: Rig, estimate: Callable[[Rig, bool], WindowEstimate], given: Array, noise: Noise
+) -> Array:
+    """1 sigma that the residuals of an estimate made with it confirm."""
+    size = given
+    for _ in range(ROUNDS):
+        before, size = size, np.where(np.isfinite(noise.estimated), noise.estimated, size)
+        if np.all(np.maximum(size, before) < SETTLED**0.5 * np.minimum(size, before)):
+            break
+        changed = with_noise(rig, size)
+        noise = measured_noise(changed, estimate(changed, True).windows, given)
+    return size
+
+
+def measured_noise(rig: Rig, windows: Sequence[_core.WindowReport], given: Array | None = None) -> Noise:
+    """Size and colour of the noise from the residuals of windows that were made with the noise of a rig."""
+    assumed = _stated(rig)
+    n = rig.sensor.n
+    given = assumed if given is None else given
+    squares, freedom, count = np.zeros(n + 6), np.zeros(n + 6), np.zeros(n + 6)
+    run_squares, runs = np.zeros((n + 6, 6)), np.zeros((n + 6, 6))
+    for window in windows:
+        for i, component in enumerate(window.components):
+            squares[i] += component.all.sum_of_squares
+            count[i] += component.all.count
+            freedom[i] += component.all.count - component.all.leverage
+            run_squares[i] += component.run_squares
+            runs[i] += component.runs
+    with np.errstate(divide="ignore", invalid="ignore"):
+        estimated = assumed * np.sqrt(np.where(freedom > 1.0, squares / freedom, np.nan))
+        variance = squares / count
+    colour = np.ones(n + 6)
+    groups = [slice(0, 3), slice(3, 6)] if n == 6 else [slice(0, n)]
+    for group in groups:
+        total = runs[group].sum(axis=0)
+        used = (runs[group] > 0.0).all(axis=0) & (variance[group] > 0.0).all()
+        if not used.any():
+            continue
+        ratio = np.full(6, np.nan)
+        normalised = run_squares[group][:, used] / variance[group][:, None]
+        ratio[used] = normalised.sum(axis=0) / total[used]
+        colour[group] = _colour(ratio, total)
+    return Noise(given, estimated, colour, assumed)
+
+
+def _colour(ratio: Array, runs: Array) -> float:
+    """From mean squares of run sums over their length, relative to one sample's: 1 where the noise is white.
+
+    A share of the variance with correlation rho^k, the rest white: the least squares fit over all lengths. What the
+    motion absorbs makes long runs small, so the fit can only be too low: it rises as the assumed noise does, and
+    what remains is covered by a margin.
+    """
+    lengths = 2.0 ** np.arange(1, ratio.size + 1)
+    known = np.isfinite(ratio)
+    excess = (ratio - 1.0) / np.sqrt(2.0 / np.maximum(runs, 1.0))
+    seen = known & (excess > SIGNIFICANT) & (ratio > NOTICEABLE)
+    if not seen.any():
+        return 1.0
+    last = int(np.flatnonzero(seen)[np.argmax(ratio[seen])])  # beyond the largest the motion absorbs
+    lengths, ratio, runs = lengths[: last + 1], ratio[: last + 1], runs[: last + 1]
+    best, colour = np.inf, 1.0
+    for rho in 1.0 - np.geomspace(0.8, 0.005, 60):
+        shape = np.array(
+            [2.0 * sum((1.0 - k / m) * rho**k for k in range(1, int(m))) for m in lengths]
+        )
+        weight = runs / ratio**2.0
+        share = float(np.clip((weight * shape) @ (ratio - 1.0) / ((weight * shape) @ shape), 0.0, 1.0))
+        misfit = float(weight @ (ratio - 1.0 - share * shape) ** 2.0)
+        if misfit < best:
+            best, colour = misfit, 1.0 + MARGIN * 2.0 * share * rho / (1.0 - rho)
+    return min(colour, LARGEST)
+
+
+def _all_fitted(estimate: WindowEstimate) -> bool:
+    return bool(estimate.windows) and all(
+        w.status in (_core.WindowStatus.fitted, _core.WindowStatus.too_short) for w in estimate.windows
+    )
+
+
+def _stated(rig: Rig) -> Array:
+    return np.concatenate([rig.sensor.noise_array, rig.motion.noise_array])
+
+
+def with_noise(rig: Rig, noise: Array) -> Rig:
+    """The rig with other noise (n + 6)."""
+    n = rig.sensor.n
+    return rig.model_copy(
+        update={
+            "sensor": rig.sensor.model_copy(update={"noise": tuple(noise[:n].tolist())}),
+            "motion": rig.motion.model_copy(update={"noise": tuple(noise[n:].tolist())}),
+        }
+    )
