@@ -24,17 +24,23 @@ struct RecordedLog {
   Vector3 point = Vector3::Zero();
   Vector3 gravity_constant = Vector3::Zero();
   std::vector<std::pair<Array1, Array2>> motion;
-  std::vector<std::pair<int, Vector6>> motion_kind;  // order and sigma
+  struct MotionKind {
+    int order;
+    Vector6 sigma;
+    std::optional<Matrix6> combination;
+  };
+  std::vector<MotionKind> motion_kind;
   std::optional<std::pair<Array1, Array2>> wrench;
   std::optional<Array1> temperature;
   std::optional<std::pair<Array1, Array2>> gravity;
 
-  void add_motion(int order, Array1 time, Array2 value, const Vector6& sigma) {
+  void add_motion(int order, Array1 time, Array2 value, const Vector6& sigma,
+                  const std::optional<Matrix6>& combination) {
     if (order < 0 || order > 1) throw nb::value_error("order must be 0 (twist) or 1 (its derivative)");
     if (value.shape(0) != time.shape(0) || value.shape(1) != 6)
       throw nb::value_error("motion: N x 6 is expected");
     motion.emplace_back(std::move(time), std::move(value));
-    motion_kind.emplace_back(order, sigma);
+    motion_kind.push_back({order, sigma, combination});
   }
 
   void set_wrench(Array1 time, Array2 raw, std::optional<Array1> departure) {
@@ -58,8 +64,13 @@ struct RecordedLog {
     d.point = point;
     for (std::size_t i = 0; i < motion.size(); ++i) {
       const auto& [time, value] = motion[i];
-      d.motion.push_back(
-          {motion_kind[i].first, {time.data(), time.shape(0)}, value.data(), motion_kind[i].second});
+      const MotionKind& kind = motion_kind[i];
+      d.motion.push_back({kind.order,
+                          {time.data(), time.shape(0)},
+                          value.data(),
+                          kind.sigma,
+                          !kind.combination,
+                          kind.combination.value_or(Matrix6::Identity())});
     }
     d.wrench = {{wrench->first.data(), wrench->first.shape(0)},
                 wrench->second.data(),
@@ -206,8 +217,9 @@ void bind_estimator(nb::module_& m) {
       .def_rw("point", &RecordedLog::point, "The point whose twist is logged, fixed to the sensor [m].")
       .def_rw("gravity_constant", &RecordedLog::gravity_constant)
       .def("add_motion", &RecordedLog::add_motion, nb::arg("order"), nb::arg("time"), nb::arg("value"),
-           nb::arg("sigma"),
-           "Measurements (N, 6) of the order-th derivative of the twist, NaN where missing.")
+           nb::arg("sigma"), nb::arg("combination").none() = nb::none(),
+           "Measurements (N, 6) of the order-th derivative of the twist, or of a combination (6, 6) of its "
+           "components, NaN where missing.")
       .def("set_wrench", &RecordedLog::set_wrench, nb::arg("time"), nb::arg("raw"),
            nb::arg("temperature").none() = nb::none(),
            "Raw sensor samples (N, n), NaN where missing, and the departure from the reference temperature "
@@ -229,7 +241,7 @@ void bind_estimator(nb::module_& m) {
       .def_ro("runs", &ComponentStatistics::runs);
 
   nb::class_<WindowReport>(m, "WindowReport", "One window: where it lies, its knots and how well it fits.")
-      .def_ro("log", &WindowReport::log)
+      .def_rw("log", &WindowReport::log)
       .def_ro("begin", &WindowReport::begin)
       .def_ro("end", &WindowReport::end)
       .def_ro("status", &WindowReport::status)
@@ -248,7 +260,7 @@ void bind_estimator(nb::module_& m) {
       .def_ro("nested_expected", &WindowReport::nested_expected);
 
   nb::class_<HistoryEntry>(m, "HistoryEntry", "The common parameters after a window of `online`, normalised.")
-      .def_ro("log", &HistoryEntry::log)
+      .def_rw("log", &HistoryEntry::log)
       .def_ro("time", &HistoryEntry::time)
       .def_ro("mean", &HistoryEntry::mean)
       .def_ro("sigma", &HistoryEntry::sigma);

@@ -386,7 +386,7 @@ class WindowSolver {
   double cost(const Coefficients& x, const Eigen::VectorXd& theta) const {
     double sum = 0.0;
     for (const MotionBlock& b : blocks_.motion) {
-      const Vector6 r = b.value - x.middleRows<kActive>(b.interval).transpose() * b.basis;
+      const Vector6 r = b.value - b.series->of(x.middleRows<kActive>(b.interval).transpose() * b.basis);
       sum += b.weight.dot(r.cwiseAbs2());
     }
     const WindowModelAt<N> model(model_, theta);
@@ -432,7 +432,7 @@ class WindowSolver {
     const Coefficients x_new = x + fine_normal_.motion_step(dtheta);
     const Eigen::VectorXd theta_new = prior != nullptr ? Eigen::VectorXd(fit.theta + dtheta) : fit.theta;
     for (const MotionBlock& b : fine_blocks_.motion) {
-      const Vector6 d = (x_new - x).middleRows<kActive>(b.interval).transpose() * b.basis;
+      const Vector6 d = b.series->of((x_new - x).middleRows<kActive>(b.interval).transpose() * b.basis);
       out.gain[static_cast<std::size_t>(b.interval / 2)] += b.weight.dot(d.cwiseAbs2());
     }
     if (terms == Terms::all) {
@@ -494,13 +494,14 @@ class WindowSolver {
                                 const Visit& visit) const {
     const MotionSeries& series = model_.log().motion[m];
     const Vector6 precision = series.sigma.cwiseInverse();
-    for_each_sample(fit, series.time, 0.0, window.motion[m],
-                    [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
-                      if (!model_.moved(m, k)) return;
-                      const Vector6 s = series.order == 0 ? x * u : x * fit.spline.rate(i, u);
-                      visit(k, i,
-                            (Eigen::Map<const Vector6>(series.value + 6 * k) - s).cwiseProduct(precision));
-                    });
+    for_each_sample(
+        fit, series.time, 0.0, window.motion[m],
+        [&](std::size_t k, int i, const Polynomial& x, const Powers& u) {
+          if (!model_.moved(m, k)) return;
+          const Vector6 s = series.order == 0 ? x * u : x * fit.spline.rate(i, u);
+          visit(k, i,
+                (Eigen::Map<const Vector6>(series.value + 6 * k) - series.of(s)).cwiseProduct(precision));
+        });
   }
 
   template <typename Visit>
@@ -601,7 +602,11 @@ class WindowSolver {
     const int n = model_.layout().channels;
     leverage_.assign(static_cast<std::size_t>(n + kCoordinates), 0.0);
     for (const MotionBlock& b : blocks_.motion) {
-      const Vector6 variance = covariance(b.interval, b.basis, b.basis).diagonal();
+      Matrix6 variance_of = covariance(b.interval, b.basis, b.basis);
+      if (!b.series->direct) {
+        variance_of = b.series->combination * variance_of * b.series->combination.transpose();
+      }
+      const Vector6 variance = variance_of.diagonal();
       for (int c = 0; c < 6; ++c) leverage_[static_cast<std::size_t>(n + c)] += b.weight[c] * variance[c];
     }
     const WindowModelAt<N> model(model_, fit.theta);
@@ -643,9 +648,10 @@ class WindowSolver {
           for (int c = 0; c < kCoordinates; ++c) {
             const double z = signs[at++] * std::sqrt(b.weight[c]);
             for (int k = 0; k < kActive; ++k) {
-              double& entry = y(kCoordinates * (b.interval + k) + c, 0);
-              if (forward) entry += z * b.basis[k];
-              if (!forward) leverage_[static_cast<std::size_t>(n + c)] += z * b.basis[k] * entry / probes;
+              const Vector6 row = (z * b.basis[k]) * b.series->combination.row(c).transpose();
+              auto entry = y.col(0).template segment<kCoordinates>(kCoordinates * (b.interval + k));
+              if (forward) entry += row;
+              if (!forward) leverage_[static_cast<std::size_t>(n + c)] += row.dot(entry) / probes;
             }
           }
         }

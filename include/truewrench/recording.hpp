@@ -13,13 +13,17 @@
 
 namespace truewrench {
 
-// Direct measurements of a derivative of the motion coordinates, NaN where there is none. For a logged twist:
-// order 0 is the twist, order 1 its component-wise derivative.
+// Measurements of a derivative of the motion coordinates, or of a combination of its components, NaN where there is
+// none. For a logged twist: order 0 is the twist, order 1 its component-wise derivative.
 struct MotionSeries {
   int order = 0;
   std::span<const double> time;   // [s]
   const double* value = nullptr;  // rows of six
   Vector6 sigma = Vector6::Ones();
+  bool direct = true;  // or `combination` times the derivative is what was measured
+  Matrix6 combination = Matrix6::Identity();
+
+  Vector6 of(const Vector6& s) const { return direct ? s : Vector6(combination * s); }
 };
 
 struct WrenchSeries {

@@ -157,7 +157,7 @@ class WindowModelAt {
 // fraction (block / interval)^2 of it.
 struct MotionBlock {
   int interval;
-  int order;
+  const MotionSeries* series;
   BasisRow basis;  // mean of the order-th derivative of the active basis functions
   Vector6 value;
   Vector6 weight;  // samples / variance; 0 where missing
@@ -211,8 +211,8 @@ struct Blocks {
               sum += Eigen::Map<const Vector6>(series.value + 6 * k);
             }
             const double count = static_cast<double>(last - first);
-            MotionBlock b{interval, series.order, spline.basis(interval, u / count, series.order),
-                          sum / count, series.sigma.cwiseAbs2().cwiseInverse() * count};
+            MotionBlock b{interval, &series, spline.basis(interval, u / count, series.order), sum / count,
+                          series.sigma.cwiseAbs2().cwiseInverse() * count};
             for (int c = 0; c < 6; ++c) {
               if (!(mask >> c & 1U)) b.value[c] = b.weight[c] = 0.0;
             }
@@ -357,13 +357,24 @@ class WindowNormal {
 
   void add_motion(const MotionBlock& b, const Coefficients& x) {
     const Vector6 s = x.middleRows<kActive>(b.interval).transpose() * b.basis;
-    const Vector6 r = b.value - s;
-    const Vector6 wr = b.weight.cwiseProduct(r);
+    const Vector6 r = b.value - b.series->of(s);
+    Vector6 wr = b.weight.cwiseProduct(r);
     cost_ += wr.dot(r);
     const auto last = rhs_.cols() - 1;
+    const Matrix6& m = b.series->combination;
+    Matrix6 mwm;
+    if (!b.series->direct) {
+      mwm = m.transpose() * b.weight.asDiagonal() * m;
+      wr = m.transpose() * wr;
+    }
     for (int k = 0; k < kActive; ++k) {
       for (int l = 0; l <= k; ++l) {
-        hxx_(b.interval + k, b.interval + l).diagonal() += (b.basis[k] * b.basis[l]) * b.weight;
+        const double kl = b.basis[k] * b.basis[l];
+        if (b.series->direct) {
+          hxx_(b.interval + k, b.interval + l).diagonal() += kl * b.weight;
+        } else {
+          hxx_(b.interval + k, b.interval + l) += kl * mwm;
+        }
       }
       rhs_.col(last).template segment<6>(6 * (b.interval + k)) += b.basis[k] * wr;
     }

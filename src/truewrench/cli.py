@@ -115,6 +115,9 @@ def calibrate(
     window: Annotated[float | None, typer.Option(min=0.0, help="Length of a window of motion [s].")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
     process_density: Annotated[float | None, typer.Option(min=0.0, help="ekf: of the acceleration.")] = None,
+    rescale_noise: Annotated[
+        bool, typer.Option("--rescale-noise", help="Take the noise of sensor and motion from the residuals.")
+    ] = False,
     held_out: Annotated[
         bool,
         typer.Option("--held-out/--no-held-out", help="Compare with the nominal gain on unseen data."),
@@ -139,6 +142,7 @@ def calibrate(
             window=window,
             threads=threads,
             held_out=held_out,
+            rescale_noise=rescale_noise,
             published=published,
             smooth=smooth,
             process_density=process_density,

@@ -27,6 +27,7 @@ class Log:
         twist: (N, 6) of the point `motion.of`, sensor axes [m/s, rad/s]; None with a reference instead.
         gravity: (N, 3) acceleration of free fall in sensor axes [m/s^2], None when there is no such column.
         acceleration: (N, 6) component-wise derivative of the twist, None likewise.
+        specific_force: (N, 3) of the sensor origin, sensor axes [m/s^2], None likewise.
         temperature: (N,) [degC], None likewise.
         reference: (N, 6) wrench known from elsewhere, in the rig's sign [N, N m], None likewise.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
@@ -41,6 +42,7 @@ class Log:
     twist: FloatArray | None = None
     gravity: FloatArray | None = None
     acceleration: FloatArray | None = None
+    specific_force: FloatArray | None = None
     temperature: FloatArray | None = None
     reference: FloatArray | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)

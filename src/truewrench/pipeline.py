@@ -20,6 +20,7 @@ from truewrench.comparison import Comparison, compare_held_out, compare_in_sampl
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.least_squares import least_squares
+from truewrench.estimate.noise import estimate_with_noise, noise_figures, noise_notes, with_noise
 from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
 from truewrench.known_wrench import (
@@ -49,6 +50,7 @@ def calibrate(
     window: float | None = None,
     threads: int | None = None,
     held_out: bool = True,
+    rescale_noise: bool = False,
     published: bool = False,
     smooth: Literal["spline"] | None = None,
     process_density: float | None = None,
@@ -66,6 +68,7 @@ def calibrate(
         threads: of the window estimators, all by default; no effect on the result.
         held_out: compare nominal and new gain on a part of the record that a second run of the estimator
             does not see; without it they are compared on what was fitted, in half the time.
+        rescale_noise: take the noise of sensor and motion from the residuals, where it was not well known.
         published: `ekf` starts from C = I and P = I in SI units.
         smooth: `ls` differentiates a spline and not the samples.
         process_density: of `ekf`.
@@ -82,7 +85,12 @@ def calibrate(
         raise InputError.at(None, "window", f"{window:g} s", "a positive length")
     _check_supported(rig)
     _check_options(
-        estimator, window=window, published=published, smooth=smooth, process_density=process_density
+        estimator,
+        window=window,
+        rescale_noise=rescale_noise,
+        published=published,
+        smooth=smooth,
+        process_density=process_density,
     )
     report = progress or (lambda phase, share: None)
     started = time.perf_counter()
@@ -92,7 +100,7 @@ def calibrate(
         return _from_known_wrench(rig, records, held_out, report)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
-        return _from_windows(rig, records, estimator, window, threads, held_out, report)
+        return _from_windows(rig, records, estimator, window, threads, held_out, rescale_noise, report)
     return _from_reference(rig, records, estimator, published, smooth, process_density, started)
 
 
@@ -103,21 +111,27 @@ def _from_windows(
     window: float | None,
     threads: int | None,
     held_out: bool,
+    rescale_noise: bool,
     report: Progress,
 ) -> Calibration:
     settings = _core.EstimatorSettings()
     settings.window = settings.window if window is None else window
     settings.threads = threads or 0
     clock = [time.perf_counter()]
-    estimate = estimate_windows(rig, logs, estimator, settings)
+
+    def estimated(rig: Rig, quick: bool) -> WindowEstimate:
+        return estimate_windows(rig, logs, "online" if quick else estimator, settings)
+
+    estimate, noise = estimate_with_noise(rig, estimated, rescale_noise)
+    as_found = with_noise(rig, noise.assumed)  # white, with the spectral density of what was found
     clock.append(time.perf_counter())
     report("judging", None)
-    verdict = judge_windows(rig, estimate, logs)
+    verdict = judge_windows(rig, estimate, logs, noise)
     calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
-        found = estimate_windows(rig, kept, estimator, settings)
+        found = estimate_windows(as_found, kept, estimator, settings)
         return _of_estimate(rig, kept, estimator, found, Verdict(True)) if found.solved else None
 
     compared: Comparison | str = "not asked for"
@@ -134,7 +148,12 @@ def _from_windows(
         calibration,
         verdict=replace(verdict, usable=not reasons, reasons=reasons),
         improvement=compared.improvement,
-        figures={**_figures(rig, estimate), "held_out": compared.figures, "notes": still_twists(logs)},
+        figures={
+            **_figures(rig, estimate),
+            "noise": noise_figures(rig, noise),
+            "held_out": compared.figures,
+            "notes": [*still_twists(logs), *noise_notes(rig, noise)],
+        },
         timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
     )
 
@@ -284,6 +303,7 @@ def _check_supported(rig: Rig) -> None:
 def _check_options(estimator: EstimatorName, **options: Any) -> None:
     belongs = {
         "window": ("map", "online"),
+        "rescale_noise": ("map", "online"),
         "published": ("ekf",),
         "process_density": ("ekf",),
         "smooth": ("ls",),
@@ -313,7 +333,10 @@ def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
             samples[w.status.name.replace("_", " ")] += w.samples
     rows, left_out = estimate.wrench_rows[k], estimate.left_out[k]
     gated = Counter(
-        {"disturbance of the sensor": int(left_out.sum()), "disturbance of the motion": estimate.motion_left_out[k]}
+        {
+            "disturbance of the sensor": int(left_out.sum()),
+            "disturbance of the motion": estimate.motion_left_out[k],
+        }
     )
     used = max(0, samples.pop("fitted", 0) - gated["disturbance of the sensor"])
     sensed = int(np.isfinite(log.raw).any(axis=1).sum())

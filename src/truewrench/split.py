@@ -44,12 +44,14 @@ def held_out(logs: Sequence[Log], fraction: float = 0.2, blocks: int = 4) -> tup
         phase = log.time / duration * count % 1.0  # of each of `count` equal parts, the middle is held out
         chosen = np.abs(phase - 0.5) < 0.5 * fraction
         # a part has no hash: it is not the file
-        kept.append(replace(_rows(log, ~chosen), sha256=""))
-        out.append(replace(_rows(log, chosen), sha256="", nan_counts={}, dropped_rows=0))
+        kept.append(replace(rows_of(log, ~chosen), sha256=""))
+        out.append(replace(rows_of(log, chosen), sha256="", nan_counts={}, dropped_rows=0))
     return kept, out
 
 
-def _rows(log: Log, rows: NDArray[np.bool_]) -> Log:
+def rows_of(log: Log, rows: NDArray[np.bool_]) -> Log:
+    """The log with some of its rows."""
+
     def pick(values: Array | None) -> Array | None:
         return None if values is None else values[rows]
 
@@ -60,6 +62,7 @@ def _rows(log: Log, rows: NDArray[np.bool_]) -> Log:
         twist=pick(log.twist),
         gravity=pick(log.gravity),
         acceleration=pick(log.acceleration),
+        specific_force=pick(log.specific_force),
         temperature=pick(log.temperature),
         reference=pick(log.reference),
     )

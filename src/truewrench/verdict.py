@@ -14,6 +14,7 @@ from scipy.linalg import qr
 from truewrench import _core
 from truewrench.advice import advice
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
+from truewrench.estimate.noise import Noise
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -86,7 +87,9 @@ def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> di
     return fits
 
 
-def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) -> Verdict:
+def judge_windows(
+    rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = (), noise: Noise | None = None
+) -> Verdict:
     """The verdict on what `map` or `online` found; with the logs, also on how the rig was set up."""
     faults = channel_faults(rig, logs)
     silent = {fault.channel for fault in faults if fault.silent}
@@ -100,10 +103,13 @@ def judge_windows(rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = ()) 
         reasons.append("the estimate did not converge")
     for name, fit in group_fits(estimate.windows).items():
         above = fit.chi_square > CHI_SQUARE and fit.deviate > DEVIATE
-        if above or (fit.chi_square < CHI_SQUARE_LOW and fit.deviate < -DEVIATE):
+        below = fit.chi_square < CHI_SQUARE_LOW and fit.deviate < -DEVIATE
+        paid = noise is not None and noise.coloured  # density at the motion's frequencies, not the size
+        if above or (below and not paid):
             reasons.append(
                 f"residuals of {name} do not match the stated noise: chi-square {fit.chi_square:.3g} "
-                f"per degree of freedom ({fit.deviate:.1f} sigma from 1)"
+                f"per degree of freedom ({fit.deviate:.1f} sigma from 1); state the noise as it is, or let "
+                "it be taken from the residuals (--rescale-noise)"
             )
     if estimate.knot_dependence > DEPENDENCE:
         reasons.append(

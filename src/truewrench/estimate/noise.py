@@ -1,24 +1,33 @@
-"""Noise as the residuals show it: how large, how coloured, and what that does to sigma (docs/method.md, "Noise").
+"""Noise as the residuals show it: its size, its colour, what that does to sigma (docs/method.md, "Noise").
 
-The gain is decided by the noise at the frequencies of the motion. White noise has the same spectral density there as
-anywhere; the density of coloured noise is larger by a factor, its colour, and an estimate that takes it for
+The gain is decided by the noise at the frequencies of the motion. White noise has the same spectral density
+there as anywhere; that of coloured noise is larger by a factor, its colour, and an estimate that takes it for
 white is too sure of itself. So the colour is measured from means of the residuals over runs of samples, and the
-estimate is repeated with the noise that has the same density where it matters.
+estimate is repeated with the white noise that has the same density where it matters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimate.windows import WindowEstimate
+from truewrench.io.table import TWIST
 from truewrench.rig import Rig
 
-__all__ = ["Noise", "estimate_with_noise", "measured_noise", "with_noise"]
+__all__ = [
+    "Noise",
+    "estimate_with_noise",
+    "measured_noise",
+    "noise_figures",
+    "noise_notes",
+    "with_noise",
+]
 
 Array = NDArray[np.float64]
 
@@ -92,6 +101,34 @@ def estimate_with_noise(
     return found, replace(last, colour=colour)
 
 
+def noise_figures(rig: Rig, noise: Noise) -> dict[str, Any]:
+    """1 sigma as given and as the residuals show it, and the colour, per channel and part of the twist."""
+    names = (*rig.sensor.channels, *TWIST)
+    estimated = [None if np.isnan(value) else float(value) for value in noise.estimated]
+    return {
+        name: {"given": float(given), "estimated": found, "colour": float(colour)}
+        for name, given, found, colour in zip(names, noise.given, estimated, noise.colour, strict=True)
+    }
+
+
+def noise_notes(rig: Rig, noise: Noise) -> list[str]:
+    """What a person should know of the noise: where the stated one disagrees, and what colour cost."""
+    notes = []
+    names = (*rig.sensor.channels, *TWIST)
+    ratio = noise.estimated / noise.given
+    off = [i for i in range(len(names)) if np.isfinite(ratio[i]) and not 0.8 < ratio[i] < 1.25]
+    if off:
+        listed = ", ".join(f"{names[i]} {noise.estimated[i]:.3g} and not {noise.given[i]:.3g}" for i in off)
+        notes.append(f"the residuals show another noise than the rig states: {listed}")
+    if noise.coloured:
+        most = float(noise.colour.max())
+        notes.append(
+            "the sensor's noise is coloured (a low-pass filter, or drift): at the motion's frequencies it "
+            f"has {most:.1f} times the density of white noise of its size, which sigma contains"
+        )
+    return notes
+
+
 def _settled_size(
     rig: Rig, estimate: Callable[[Rig, bool], WindowEstimate], given: Array, noise: Noise
 ) -> Array:
@@ -140,9 +177,9 @@ def measured_noise(rig: Rig, windows: Sequence[_core.WindowReport], given: Array
 def _colour(ratio: Array, runs: Array) -> float:
     """From mean squares of run sums over their length, relative to one sample's: 1 where the noise is white.
 
-    A share of the variance with correlation rho^k, the rest white: the least squares fit over all lengths. What the
-    motion absorbs makes long runs small, so the fit can only be too low: it rises as the assumed noise does, and
-    what remains is covered by a margin.
+    A share of the variance with correlation rho^k, the rest white: the least squares fit over all lengths.
+    What the motion absorbs makes long runs small, so the fit can only be too low: it rises as the assumed noise
+    does, and what remains is covered by a margin.
     """
     lengths = 2.0 ** np.arange(1, ratio.size + 1)
     known = np.isfinite(ratio)
@@ -154,9 +191,7 @@ def _colour(ratio: Array, runs: Array) -> float:
     lengths, ratio, runs = lengths[: last + 1], ratio[: last + 1], runs[: last + 1]
     best, colour = np.inf, 1.0
     for rho in 1.0 - np.geomspace(0.8, 0.005, 60):
-        shape = np.array(
-            [2.0 * sum((1.0 - k / m) * rho**k for k in range(1, int(m))) for m in lengths]
-        )
+        shape = np.array([2.0 * sum((1.0 - k / m) * rho**k for k in range(1, int(m))) for m in lengths])
         weight = runs / ratio**2.0
         share = float(np.clip((weight * shape) @ (ratio - 1.0) / ((weight * shape) @ shape), 0.0, 1.0))
         misfit = float(weight @ (ratio - 1.0 - share * shape) ** 2.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.errors import InputError
 from truewrench.estimate.sources import Sources
+from truewrench.estimate.streams import Part, links, parts_of, recorded
 from truewrench.log import Log
-from truewrench.payload import core_payload
 from truewrench.rig import Rig
 
 __all__ = ["GROUPS", "PayloadDeparture", "WindowEstimate", "estimate_windows"]
@@ -117,12 +117,13 @@ def estimate_windows(
     sensor = rig.sensor
     n, scale, span = sensor.n, sensor.channel_scale, sensor.range_array
     nominal = sensor.nominal_gain_array * span / scale[:, None]
-    prior = _prior(rig, logs, nominal)
+    parts = parts_of(rig, logs)
+    prior = _prior(rig, logs, parts, nominal)
     layout = prior.layout
-    recorded = [_recorded(rig, log) for log in logs]
+    streams = [recorded(rig, part) for part in parts]
     estimate = _core.estimate(
         method,
-        [log for log, _ in recorded],
+        [part for part, _ in streams],
         scale,
         sensor.noise_array / scale,
         sensor.sign / span,
@@ -141,26 +142,32 @@ def estimate_windows(
     clocks_std = np.full(len(logs), sensor.time_offset_prior)
     payloads: dict[str, PayloadDeparture] = {}
     slope = np.zeros(n) if layout.temperature else None
+    of_log = np.array([part.log for part in parts])
+    last = [int(np.flatnonzero(of_log == k)[-1]) for k in range(len(logs))]
     if estimate.solved:
+        means = [estimate.mean[k] for k in last]
+        covariances = [estimate.covariance[k] for k in last]
         normalised = estimate.mean[-1][: 6 * n].reshape(n, 6)
-        stds = [np.sqrt(np.diag(c)) for c in estimate.covariance]
+        stds = [np.sqrt(np.diag(c)) for c in covariances]
         kept = np.arange(6 * n)
         if layout.offset:
             o = slice(layout.offset_begin, layout.offset_begin + n)
             kept = np.append(kept, np.arange(layout.offset_begin, layout.offset_begin + n))
-            offsets = np.array([m[o] for m in estimate.mean]) * scale
+            offsets = np.array([m[o] for m in means]) * scale
             offsets_std = np.array([std[o] for std in stds]) * scale
         covariance = np.zeros((7 * n, 7 * n))
         covariance[: kept.size, : kept.size] = estimate.covariance[-1][np.ix_(kept, kept)]
         if layout.temperature:
             slope = estimate.mean[-1][layout.temperature_begin : layout.temperature_begin + n] * scale
         if layout.time_offset:
-            clocks = np.array([m[layout.time_offset_begin] for m in estimate.mean])
+            clocks = np.array([m[layout.time_offset_begin] for m in means])
             clocks_std = np.array([std[layout.time_offset_begin] for std in stds])
         if layout.payload:
             p = slice(layout.payload_begin, layout.payload_begin + 10)
-            for log, mean, std in zip(logs, estimate.mean, stds, strict=True):
+            for log, mean, std in zip(logs, means, stds, strict=True):
                 payloads[log.payload] = PayloadDeparture(mean[p], std[p])
+    for report in (*estimate.windows, *estimate.history):
+        report.log = parts[report.log].log
     history = estimate.history
     return WindowEstimate(
         gain=normalised * to_gain,
@@ -180,10 +187,13 @@ def estimate_windows(
         history_log=np.array([h.log for h in history], dtype=np.int64),
         history_gain=np.array([h.mean[: 6 * n].reshape(n, 6) for h in history]).reshape(-1, n, 6) * to_gain,
         history_std=np.array([h.sigma[: 6 * n].reshape(n, 6) for h in history]).reshape(-1, n, 6) * to_gain,
-        wrench=tuple(estimate.wrench),
-        wrench_rows=tuple(rows for _, rows in recorded),
-        left_out=tuple(np.asarray(rows, dtype=bool).ravel() for rows in estimate.left_out),
-        motion_left_out=tuple(sum(series) for series in estimate.motion_left_out),
+        wrench=_joined(estimate.wrench, of_log),
+        wrench_rows=_rows_of_logs(parts, [rows for _, rows in streams], logs),
+        left_out=_joined([np.asarray(rows, dtype=bool).ravel() for rows in estimate.left_out], of_log),
+        motion_left_out=tuple(
+            sum(sum(estimate.motion_left_out[k]) for k in np.flatnonzero(of_log == log))
+            for log in range(len(logs))
+        ),
         knot_dependence=estimate.knot_dependence,
         window_dependence=estimate.window_dependence,
         iterations=estimate.iterations,
@@ -206,7 +216,25 @@ def _sources(prior: _core.CommonPrior, gain_prior: float, covariance: Array) -> 
     return Sources.of(covariance, 6 * layout.channels, groups, sigma, gain_prior)
 
 
-def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:
+def _joined(arrays: Sequence[Any], of_log: NDArray[np.int64]) -> tuple[Any, ...]:
+    """Per log, the arrays of its parts one after the other."""
+    return tuple(
+        np.concatenate([arrays[k] for k in np.flatnonzero(of_log == log)]) for log in np.unique(of_log)
+    )
+
+
+def _rows_of_logs(
+    parts: Sequence[Part], rows: Sequence[NDArray[np.int64]], logs: Sequence[Log]
+) -> tuple[NDArray[np.int64], ...]:
+    """Per log, its rows that the sensor's streams were made of."""
+    out: list[list[NDArray[np.int64]]] = [[] for _ in logs]
+    for part, chosen in zip(parts, rows, strict=True):
+        first = int(np.searchsorted(logs[part.log].time_ns, part.rows.time_ns[0]))
+        out[part.log].append(chosen + first)
+    return tuple(np.concatenate(found) for found in out)
+
+
+def _prior(rig: Rig, logs: Sequence[Log], parts: Sequence[Part], nominal: Array) -> _core.CommonPrior:
     """Priors of the common parameters, normalised; what is exact and not needed is left out."""
     sensor = rig.sensor
     _check_temperature(rig, logs)
@@ -233,7 +261,10 @@ def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:
     prior.layout = layout
     prior.mean = mean
     prior.information = np.maximum(sigma, _EXACT) ** -2.0
-    prior.payload_of = [names.index(log.payload) for log in logs]
+    prior.payload_of = [names.index(part.rows.payload) for part in parts]
+    prior.gains_walk = sensor.gain_walk > 0.0
+    if len(parts) > len(logs) or prior.gains_walk:
+        prior.links = links(rig, parts, layout)
     known = []
     for name in names:
         u = rig.payloads[name].uncertainty
@@ -244,38 +275,6 @@ def _prior(rig: Rig, logs: Sequence[Log], nominal: Array) -> _core.CommonPrior:
     return prior
 
 
-def _recorded(rig: Rig, log: Log) -> tuple[_core.RecordedLog, NDArray[np.int64]]:
-    """The streams of one log, each on the rows where it has samples, and the rows of the sensor."""
-    if log.twist is None:
-        raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
-    spec = rig.payloads[log.payload]
-    recorded = _core.RecordedLog()
-    recorded.payload = core_payload(spec)
-    if rig.motion.of == "com":
-        recorded.point = spec.center_of_mass_array
-    time = log.time
-    moving = np.isfinite(log.twist).any(axis=1)
-    recorded.add_motion(0, time[moving], np.ascontiguousarray(log.twist[moving]), rig.motion.noise_array)
-    noise = np.array(rig.motion.acceleration_noise or ())
-    if log.acceleration is not None and noise.size == 6:
-        known = np.isfinite(log.acceleration).any(axis=1)
-        recorded.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
-    rows = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
-    if log.gravity is not None:
-        known = np.isfinite(log.gravity).all(axis=1)
-        if np.count_nonzero(known) < 2:
-            found = f"{np.count_nonzero(known)} complete rows"
-            raise InputError.at(log.path, "gx gy gz", found, "at least 2")
-        recorded.set_gravity(time[known], np.ascontiguousarray(log.gravity[known]))
-        # gravity is interpolated, never extrapolated
-        first, last = time[known][[0, -1]]
-        rows = rows[(time[rows] >= first) & (time[rows] <= last)]
-    elif rig.in_gravity:
-        raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
-    recorded.set_wrench(time[rows], np.ascontiguousarray(log.raw[rows]), _temperature(rig, log, time[rows]))
-    return recorded, rows
-
-
 def _check_temperature(rig: Rig, logs: Sequence[Log]) -> None:
     measured = [log for log in logs if log.temperature is not None]
     for log in logs:
@@ -283,12 +282,3 @@ def _check_temperature(rig: Rig, logs: Sequence[Log]) -> None:
             raise InputError.at(
                 log.path, "temperature", "no such column", "one in every log, as in the others"
             )
-
-
-def _temperature(rig: Rig, log: Log, at: Array) -> Array | None:
-    """Departure from the reference temperature at the sensor's times [K]."""
-    if log.temperature is None or rig.temperature.prior == 0.0:
-        return None
-    known = np.isfinite(log.temperature)
-    values = np.interp(at, log.time[known], log.temperature[known])
-    return np.ascontiguousarray(values - rig.temperature.reference)

@@ -13,7 +13,7 @@ import pyarrow.csv as pacsv
 from truewrench.calibration import AXES
 from truewrench.errors import InputError
 from truewrench.io.cells import Column, numbers, to_nanoseconds
-from truewrench.io.table import ACCELERATION, GRAVITY, TWIST, Chunk, Table
+from truewrench.io.table import ACCELERATION, GRAVITY, SPECIFIC_FORCE, TWIST, Chunk, Table
 
 __all__ = ["CsvChunk", "CsvTable"]
 
@@ -57,7 +57,7 @@ class CsvChunk(Chunk):
 
 
 NUMERIC = frozenset(
-    ["time_s", *TWIST, *GRAVITY, *ACCELERATION, "accel_x", "accel_y", "accel_z", "temperature"]
+    ["time_s", *TWIST, *GRAVITY, *ACCELERATION, *SPECIFIC_FORCE, "temperature"]
     + [f"base_{name}" for name in (*TWIST, "qw", "qx", "qy", "qz")]
     + [f"ref_{name}" for name in AXES]
 )

@@ -16,6 +16,7 @@ __all__ = ["ACCELERATION", "GRAVITY", "REFERENCE", "TWIST", "Chunk", "Table"]
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 ACCELERATION = ("ax", "ay", "az", "alx", "aly", "alz")
 GRAVITY = ("gx", "gy", "gz")
+SPECIFIC_FORCE = ("accel_x", "accel_y", "accel_z")
 REFERENCE = ("ref_fx", "ref_fy", "ref_fz", "ref_mx", "ref_my", "ref_mz")
 
 

@@ -18,7 +18,7 @@ from truewrench.io.cells import numbers, to_nanoseconds
 from truewrench.io.csv_table import CsvTable
 from truewrench.io.output import write_batches
 from truewrench.io.parquet_table import ParquetTable
-from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, TWIST, Chunk, Table
+from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST, Chunk, Table
 from truewrench.log import Log
 from truewrench.rig import Rig
 
@@ -156,6 +156,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         "twist": TWIST,
         "gravity": GRAVITY,
         "acceleration": ACCELERATION,
+        "specific_force": SPECIFIC_FORCE,
         "temperature": ("temperature",),
         "reference": REFERENCE,
     }
@@ -189,6 +190,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         twist=arrays.get("twist"),
         gravity=arrays.get("gravity"),
         acceleration=arrays.get("acceleration"),
+        specific_force=arrays.get("specific_force"),
         temperature=arrays["temperature"][:, 0] if "temperature" in arrays else None,
         reference=arrays.get("reference"),
         nan_counts={name: count for name, count in nan_counts.items() if count},

@@ -1,0 +1,170 @@
+"""The streams of a log as the core reads them, in parts where the offset walks (docs/method.md, "Drift")."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.errors import InputError
+from truewrench.log import Log
+from truewrench.payload import core_payload
+from truewrench.rig import Rig
+from truewrench.smooth import smooth_twist
+from truewrench.split import rows_of
+
+__all__ = ["Part", "links", "parts_of", "recorded"]
+
+Array = NDArray[np.float64]
+
+SHORTEST_PART = 4.0  # [s]
+MOST_PARTS = 200  # of one log
+DAY = 86400.0
+_SAME = 1e-7  # [s] 1 sigma, between parts of one log, that stands for the same clock
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Consecutive rows of a log with an offset of their own.
+
+    Attributes:
+        log: index of the log.
+        rows: the part of it.
+        origin_ns: the log's first time stamp.
+        middle: time of the middle of the part [s, on the log's own clock].
+    """
+
+    log: int
+    rows: Log
+    origin_ns: int
+    middle: float
+
+
+def parts_of(rig: Rig, logs: Sequence[Log]) -> list[Part]:
+    """Every log in parts over which its offset walks less than the part's own noise; whole without a walk."""
+    walk = rig.sensor.offset_walk_array
+    parts = []
+    for k, log in enumerate(logs):
+        time = log.time
+        count = 1
+        if walk.any():
+            period = float(np.median(np.diff(time)))
+            moving = walk > 0.0
+            longest = float((rig.sensor.noise_array[moving] * np.sqrt(period) / walk[moving]).min())
+            count = int(np.clip(time[-1] / max(longest, SHORTEST_PART), 1, MOST_PARTS))
+        edges = np.linspace(0.0, time[-1], count + 1)
+        edges[-1] = np.inf
+        for begin, end in pairwise(edges):
+            chosen = (time >= begin) & (time < end)
+            if np.count_nonzero(chosen) < 2:
+                continue
+            rows = log if count == 1 else rows_of(log, chosen)
+            middle = 0.5 * float(time[chosen][0] + time[chosen][-1]) + 1e-9 * int(log.time_ns[0])
+            parts.append(Part(k, rows, int(log.time_ns[0]), middle))
+    return parts
+
+
+def links(rig: Rig, parts: Sequence[Part], layout: _core.ParameterLayout) -> list[Array]:
+    """Per part, 1 / variance of the step of its own parameters from the part before (n + ... as the layout).
+
+    Offsets walk inside a log and start anew with the next; gains walk on through all of them.
+    """
+    sensor = rig.sensor
+    found = [np.zeros(0)]
+    for before, part in pairwise(parts):
+        step = abs(part.middle - before.middle)
+        link = np.zeros(layout.size)
+        if sensor.gain_walk > 0.0:
+            link[: 6 * sensor.n] = 1.0 / (sensor.gain_walk**2.0 * max(step, 1e-3) / DAY)
+        if part.log == before.log:
+            if layout.offset:
+                walk = (
+                    np.maximum(sensor.offset_walk_array, 1e-12 * sensor.channel_scale) / sensor.channel_scale
+                )
+                o = slice(layout.offset_begin, layout.offset_begin + sensor.n)
+                link[o] = 1.0 / (walk**2.0 * max(step, 1e-9))
+            if layout.time_offset:
+                link[layout.time_offset_begin] = _SAME**-2.0
+        found.append(link if link.any() else np.zeros(0))
+    return found
+
+
+def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]]:
+    """The streams of a part, each on the rows where it has samples, and the rows of the sensor."""
+    log = part.rows
+    if log.twist is None:
+        raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
+    spec = rig.payloads[log.payload]
+    streams = _core.RecordedLog()
+    streams.payload = core_payload(spec)
+    if rig.motion.of == "com":
+        streams.point = spec.center_of_mass_array
+    time = (log.time_ns - part.origin_ns) * 1e-9
+    moving = np.isfinite(log.twist).any(axis=1)
+    streams.add_motion(0, time[moving], np.ascontiguousarray(log.twist[moving]), rig.motion.noise_array)
+    noise = np.array(rig.motion.acceleration_noise or ())
+    if log.acceleration is not None and noise.size == 6:
+        known = np.isfinite(log.acceleration).any(axis=1)
+        streams.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
+    if log.specific_force is not None and noise.size == 3:
+        _add_specific_force(streams, rig, log, time, noise)
+    rows = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
+    if log.gravity is not None:
+        known = np.isfinite(log.gravity).all(axis=1)
+        if np.count_nonzero(known) < 2:
+            found = f"{np.count_nonzero(known)} complete rows"
+            raise InputError.at(log.path, "gx gy gz", found, "at least 2")
+        streams.set_gravity(time[known], np.ascontiguousarray(log.gravity[known]))
+        # gravity is interpolated, never extrapolated
+        first, last = time[known][[0, -1]]
+        rows = rows[(time[rows] >= first) & (time[rows] <= last)]
+    elif rig.in_gravity:
+        raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
+    streams.set_wrench(
+        time[rows], np.ascontiguousarray(log.raw[rows]), _temperature(rig, part, log, time[rows])
+    )
+    return streams, rows
+
+
+def _add_specific_force(streams: _core.RecordedLog, rig: Rig, log: Log, time: Array, noise: Array) -> None:
+    """An accelerometer at the sensor origin: vdot_S + Omega x v_S - g, and vdot_S = vdot_P + p x Omegadot.
+
+    Omega x v_S comes from the smoothed twist, and its noise counts as the accelerometer's.
+    """
+    if log.specific_force is None or log.twist is None:
+        return
+    whole = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
+    known = np.isfinite(log.specific_force).any(axis=1)
+    if whole.size < 8 or not known.any():
+        return
+    smooth = smooth_twist(time[whole], log.twist[whole], rig.motion.noise_array).twist
+    twist = np.column_stack([np.interp(time[known], time[whole], column) for column in smooth.T])
+    p = np.array(rig.payloads[log.payload].center_of_mass_array if rig.motion.of == "com" else np.zeros(3))
+    v, omega = twist[:, :3], twist[:, 3:]
+    v_sensor = v - np.cross(omega, p)
+    gravity = np.zeros((1, 3))
+    if log.gravity is not None:
+        seen = np.isfinite(log.gravity).all(axis=1)
+        gravity = np.column_stack([np.interp(time[known], time[seen], g) for g in log.gravity[seen].T])
+    value = np.full((int(known.sum()), 6), np.nan)
+    value[:, :3] = log.specific_force[known] - np.cross(omega, v_sensor) + gravity
+    of_v, of_omega = rig.motion.noise_array[:3].max(), rig.motion.noise_array[3:].max()
+    of_twist = np.mean(omega**2) * of_v**2 + np.mean(v_sensor**2) * of_omega**2
+    combination = np.eye(6)
+    combination[:3, 3:] = [[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]]
+    sigma = np.append(np.sqrt(noise**2.0 + 2.0 * of_twist), np.ones(3))
+    streams.add_motion(1, time[known], value, sigma, combination)
+
+
+def _temperature(rig: Rig, part: Part, log: Log, at: Array) -> Array | None:
+    """Departure from the reference temperature at the sensor's times [K]."""
+    if log.temperature is None or rig.temperature.prior == 0.0:
+        return None
+    known = np.isfinite(log.temperature)
+    time = (log.time_ns - part.origin_ns) * 1e-9
+    values = np.interp(at, time[known], log.temperature[known])
+    return np.ascontiguousarray(values - rig.temperature.reference)
