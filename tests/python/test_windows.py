@@ -97,9 +97,9 @@ def test_sigma_is_honest_and_near_the_bound(method: Method, gravity: list[float]
 UNCERTAIN = {"mass": 1e-3, "center_of_mass": 5e-4, "inertia": 1e-2}
 
 
-def uncertain_rig(**changes: Any) -> Rig:
+def uncertain_rig(uncertainty: dict[str, float] = UNCERTAIN, **changes: Any) -> Rig:
     """Payload and clock drawn from exactly what the rig states of them."""
-    payloads = {"table_1": {**rig_of().to_mapping()["payloads"]["table_1"], "uncertainty": UNCERTAIN}}
+    payloads = {"table_1": {**rig_of().to_mapping()["payloads"]["table_1"], "uncertainty": uncertainty}}
     return rig_of(
         payloads=payloads,
         sensor={"time_offset_prior": 5e-3},
@@ -122,6 +122,18 @@ def test_sigma_contains_what_is_uncertain_of_payload_and_clock(method: Method) -
         assert estimate.time_offsets_std[0] < 5e-4
     assert honest(scores, 42)
     assert np.mean(np.square(clocks)) < 2.5
+
+
+@METHODS
+def test_sigma_contains_the_curve_on_which_an_uncertain_payload_moves_the_gain(method: Method) -> None:
+    loose = {"mass": 0.01, "center_of_mass": 0.002, "inertia": 0.05}  # the gain: to 1e-4 in some directions
+    rig = uncertain_rig(loose, gravity=GRAVITY)
+    scores = []
+    for seed in range(8):
+        run = simulate(rig, seed=seed)
+        scores.append(nees(rig, estimate_windows(rig, [run.log], method), [run]))
+    assert 0.7 < np.mean(scores) < 1.1  # first order: 4
+    assert max(scores) < chi2.isf(1e-8, 42) / 42
 
 
 def test_sources_of_uncertainty_add_up_and_grow_with_what_is_stated() -> None:

@@ -2,8 +2,8 @@
 
 The gain is decided by the noise at the frequencies of the motion. White noise has the same spectral density
 there as anywhere; that of coloured noise is larger by a factor, its colour, and an estimate that takes it for
-white is too sure of itself. So the colour is measured from means of the residuals over runs of samples, and the
-estimate is repeated with the white noise that has the same density where it matters.
+white is too sure of itself. So the colour is measured from means of the residuals over runs of samples, and
+the estimate is repeated with the white noise that has the same density where it matters.
 """
 
 from __future__ import annotations
@@ -178,8 +178,8 @@ def _colour(ratio: Array, runs: Array) -> float:
     """From mean squares of run sums over their length, relative to one sample's: 1 where the noise is white.
 
     A share of the variance with correlation rho^k, the rest white: the least squares fit over all lengths.
-    What the motion absorbs makes long runs small, so the fit can only be too low: it rises as the assumed noise
-    does, and what remains is covered by a margin.
+    What the motion absorbs makes long runs small, so the fit can only be too low: it rises as the assumed
+    noise does, and what remains is covered by a margin.
     """
     lengths = 2.0 ** np.arange(1, ratio.size + 1)
     known = np.isfinite(ratio)

@@ -30,6 +30,8 @@ class Sources:
         sensitivity: (6n, m) K, per prior sigma.
         covariance: (m, m) P_nu, per prior sigma.
         groups: which of the m belong to mass, center_of_mass, inertia, timing.
+        bent: (6n,) variance beyond the first order, by an uncertain payload.
+        bent_alone: (6n,) of it that each source alone accounts for.
     """
 
     noise: Array
@@ -37,6 +39,8 @@ class Sources:
     sensitivity: Array
     covariance: Array
     groups: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    bent: Array | None = None
+    bent_alone: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -79,6 +83,7 @@ class Sources:
         for name, at in self.groups.items():
             part = self.sensitivity[:, at]
             variance = np.einsum("ij,jk,ik->i", part, self.covariance[np.ix_(at, at)], part)
+            variance += self.bent_alone.get(name, 0.0)
             found[name] = np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 6)
         return found
 
@@ -124,4 +129,6 @@ class Sources:
             by_data = np.linalg.inv(self.covariance) - np.eye(size)
             known = np.linalg.inv(by_data + np.diag(priors))
             variance += np.einsum("ij,jk,ik->i", self.sensitivity, known, self.sensitivity)
+        if self.bent is not None:  # of second order: at least with the square of the worst prior
+            variance += self.bent * max((factors[name] for name in self.bent_alone), default=1.0) ** 2
         return variance

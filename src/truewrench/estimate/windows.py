@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.errors import InputError
+from truewrench.estimate.curvature import PAYLOAD, Curvature, enlarged
 from truewrench.estimate.sources import Sources
 from truewrench.estimate.streams import Part, links, parts_of, recorded
 from truewrench.log import Log
@@ -144,28 +145,33 @@ def estimate_windows(
     slope = np.zeros(n) if layout.temperature else None
     of_log = np.array([part.log for part in parts])
     last = [int(np.flatnonzero(of_log == k)[-1]) for k in range(len(logs))]
+    sources = None
     if estimate.solved:
         means = [estimate.mean[k] for k in last]
         covariances = [estimate.covariance[k] for k in last]
-        normalised = estimate.mean[-1][: 6 * n].reshape(n, 6)
+        normalised = means[-1][: 6 * n].reshape(n, 6)
         stds = [np.sqrt(np.diag(c)) for c in covariances]
-        kept = np.arange(6 * n)
+        curvatures = _curvatures(rig, logs, layout, means, covariances)
+        moments = _second_moments(curvatures, logs, layout, stds[-1])
+        kept = _kept(layout)
         if layout.offset:
             o = slice(layout.offset_begin, layout.offset_begin + n)
-            kept = np.append(kept, np.arange(layout.offset_begin, layout.offset_begin + n))
             offsets = np.array([m[o] for m in means]) * scale
-            offsets_std = np.array([std[o] for std in stds]) * scale
+            bent = np.array([np.diag(moment)[6 * n :] for moment in moments])
+            offsets_std = np.sqrt(np.array([std[o] for std in stds]) ** 2 + bent) * scale
         covariance = np.zeros((7 * n, 7 * n))
-        covariance[: kept.size, : kept.size] = estimate.covariance[-1][np.ix_(kept, kept)]
+        covariance[: kept.size, : kept.size] = covariances[-1][np.ix_(kept, kept)] + moments[-1]
         if layout.temperature:
-            slope = estimate.mean[-1][layout.temperature_begin : layout.temperature_begin + n] * scale
+            slope = means[-1][layout.temperature_begin : layout.temperature_begin + n] * scale
         if layout.time_offset:
             clocks = np.array([m[layout.time_offset_begin] for m in means])
             clocks_std = np.array([std[layout.time_offset_begin] for std in stds])
         if layout.payload:
-            p = slice(layout.payload_begin, layout.payload_begin + 10)
+            p = slice(layout.payload_begin, layout.payload_begin + PAYLOAD)
             for log, mean, std in zip(logs, means, stds, strict=True):
                 payloads[log.payload] = PayloadDeparture(mean[p], std[p])
+        bent_gain = np.diag(moments[-1])[: 6 * n]
+        sources = _sources(prior, sensor.gain_prior, covariances[-1], bent_gain, curvatures[-1])
     for report in (*estimate.windows, *estimate.history):
         report.log = parts[report.log].log
     history = estimate.history
@@ -179,7 +185,7 @@ def estimate_windows(
         time_offsets_std=clocks_std,
         payloads=payloads,
         offset_temperature=slope,
-        sources=_sources(prior, sensor.gain_prior, estimate.covariance[-1]) if estimate.solved else None,
+        sources=sources,
         solved=estimate.solved,
         converged=estimate.converged,
         windows=tuple(estimate.windows),
@@ -200,7 +206,58 @@ def estimate_windows(
     )
 
 
-def _sources(prior: _core.CommonPrior, gain_prior: float, covariance: Array) -> Sources:
+def _kept(layout: _core.ParameterLayout) -> NDArray[np.int64]:
+    """Where gain and offset are among the common parameters."""
+    n = layout.channels
+    offset = (
+        np.arange(layout.offset_begin, layout.offset_begin + n) if layout.offset else np.zeros(0, np.int64)
+    )
+    return np.append(np.arange(6 * n), offset)
+
+
+def _curvatures(
+    rig: Rig,
+    logs: Sequence[Log],
+    layout: _core.ParameterLayout,
+    means: Sequence[Array],
+    covariances: Sequence[Array],
+) -> list[Curvature | None]:
+    """Per log, None where its payload is exact."""
+    kept, first, found = _kept(layout), layout.payload_begin, list[Curvature | None]()
+    for log, mean, covariance in zip(logs, means, covariances, strict=True):
+        spec = rig.payloads[log.payload]
+        if spec.exact or not np.isfinite(covariance).all():
+            found.append(None)
+            continue
+        at = np.append(kept, np.arange(first, first + PAYLOAD))
+        gain, mass = mean[: 6 * layout.channels].reshape(-1, 6), spec.mass * (1.0 + mean[first])
+        found.append(Curvature.of(gain, covariance[np.ix_(at, at)], mass, spec.mass, spec.inertia_matrix))
+    return found
+
+
+def _second_moments(
+    curvatures: Sequence[Curvature | None], logs: Sequence[Log], layout: _core.ParameterLayout, std: Array
+) -> list[Array]:
+    """Per log, of gain and offset: by its own payload, and of the gain no less than by any other."""
+    gains, size = 6 * layout.channels, _kept(layout).size
+    own = [np.zeros((size, size)) if c is None else c.second_moment() for c in curvatures]
+    by_payload = {log.payload: moment[:gains, :gains] for log, moment in zip(logs, own, strict=True)}
+    found = []
+    for log, moment in zip(logs, own, strict=True):
+        for payload, other in by_payload.items():
+            if payload != log.payload:
+                moment = enlarged(moment, other, std[:gains])
+        found.append(moment)
+    return found
+
+
+def _sources(
+    prior: _core.CommonPrior,
+    gain_prior: float,
+    covariance: Array,
+    bent: Array,
+    curvature: Curvature | None,
+) -> Sources:
     """Of the last log: noise, its payload and its clock; the clocks of the others count as noise."""
     layout = prior.layout
     first, clock = layout.payload_begin, layout.time_offset_begin
@@ -209,11 +266,17 @@ def _sources(prior: _core.CommonPrior, gain_prior: float, covariance: Array) -> 
     if layout.payload:
         groups["mass"] = [first]
         groups["center_of_mass"] = list(range(first + 1, first + 4))
-        groups["inertia"] = list(range(first + 4, first + 10))
-        sigma[first : first + 10] = prior.payload_information[prior.payload_of[-1]] ** -0.5
+        groups["inertia"] = list(range(first + 4, first + PAYLOAD))
+        sigma[first : first + PAYLOAD] = prior.payload_information[prior.payload_of[-1]] ** -0.5
+    alone = {
+        name: np.diag(curvature.alone([k - first for k in at]))[: bent.size]
+        for name, at in groups.items()
+        if curvature is not None
+    }
     if layout.time_offset:
         groups["timing"] = [clock]
-    return Sources.of(covariance, 6 * layout.channels, groups, sigma, gain_prior)
+    found = Sources.of(covariance, 6 * layout.channels, groups, sigma, gain_prior)
+    return replace(found, bent=bent, bent_alone=alone)
 
 
 def _joined(arrays: Sequence[Any], of_log: NDArray[np.int64]) -> tuple[Any, ...]:
