@@ -21,7 +21,7 @@ __all__ = ["Part", "links", "parts_of", "recorded"]
 
 Array = NDArray[np.float64]
 
-SHORTEST_PART = 4.0  # [s]
+SHORTEST_PART = 1.0  # [s]
 MOST_PARTS = 200  # of one log
 DAY = 86400.0
 _SAME = 1e-7  # [s] 1 sigma, between parts of one log, that stands for the same clock
@@ -36,12 +36,14 @@ class Part:
         rows: the part of it.
         origin_ns: the log's first time stamp.
         middle: time of the middle of the part [s, on the log's own clock].
+        duration: of the part [s].
     """
 
     log: int
     rows: Log
     origin_ns: int
     middle: float
+    duration: float
 
 
 def parts_of(rig: Rig, logs: Sequence[Log]) -> list[Part]:
@@ -63,8 +65,10 @@ def parts_of(rig: Rig, logs: Sequence[Log]) -> list[Part]:
             if np.count_nonzero(chosen) < 2:
                 continue
             rows = log if count == 1 else rows_of(log, chosen)
-            middle = 0.5 * float(time[chosen][0] + time[chosen][-1]) + 1e-9 * int(log.time_ns[0])
-            parts.append(Part(k, rows, int(log.time_ns[0]), middle))
+            first, last = time[chosen][[0, -1]]
+            origin = int(log.time_ns[0])
+            middle = 0.5 * float(first + last) + 1e-9 * origin
+            parts.append(Part(k, rows, origin, middle, float(last - first)))
     return parts
 
 

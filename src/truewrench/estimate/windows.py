@@ -158,9 +158,13 @@ def estimate_windows(
             o = slice(layout.offset_begin, layout.offset_begin + n)
             offsets = np.array([m[o] for m in means]) * scale
             bent = np.array([np.diag(moment)[6 * n :] for moment in moments])
-            offsets_std = np.sqrt(np.array([std[o] for std in stds]) ** 2 + bent) * scale
+            # what an offset walks from the middle of its part to the end of the log
+            walked = np.outer([0.5 * parts[k].duration for k in last], sensor.offset_walk_array**2.0)
+            offsets_std = np.sqrt((np.array([std[o] for std in stds]) ** 2 + bent) * scale**2.0 + walked)
         covariance = np.zeros((7 * n, 7 * n))
         covariance[: kept.size, : kept.size] = covariances[-1][np.ix_(kept, kept)] + moments[-1]
+        if layout.offset:
+            covariance[6 * n :, 6 * n :] += np.diag(walked[-1] / scale**2.0)
         if layout.temperature:
             slope = means[-1][layout.temperature_begin : layout.temperature_begin + n] * scale
         if layout.time_offset:
