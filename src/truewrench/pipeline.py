@@ -83,7 +83,7 @@ def calibrate(
         raise InputError.at(None, "", "no log", "at least one")
     if window is not None and not window > 0.0:
         raise InputError.at(None, "window", f"{window:g} s", "a positive length")
-    _check_supported(rig)
+    _check_supported(rig, estimator)
     _check_options(
         estimator,
         window=window,
@@ -286,7 +286,7 @@ def _calibration(
     )
 
 
-def _check_supported(rig: Rig) -> None:
+def _check_supported(rig: Rig, estimator: EstimatorName) -> None:
     def refuse(key: str, found: str, expected: str) -> InputError:
         return UnsupportedError.at(rig.path, key, found, expected)
 
@@ -294,9 +294,9 @@ def _check_supported(rig: Rig) -> None:
         raise refuse(
             "motion.source", f"`{rig.motion.source}`", "`twist`: calibration from joints is not supported"
         )
-    if rig.sensor.lowpass_hz is not None:
+    if rig.sensor.lowpass_hz is not None and estimator in ("ekf", "ls"):
         raise refuse(
-            "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz:g}", "null: a filtered sensor is not supported"
+            "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz:g}", f"null: `{estimator}` knows no filtered sensor"
         )
 
 

@@ -17,7 +17,7 @@ from truewrench.rig import Rig
 from truewrench.smooth import smooth_twist
 from truewrench.split import rows_of
 
-__all__ = ["Part", "links", "parts_of", "recorded"]
+__all__ = ["Part", "links", "noise_behind_filter", "parts_of", "recorded"]
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,10 @@ def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]
         streams.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
     if log.specific_force is not None and noise.size == 3:
         _add_specific_force(streams, rig, log, time, noise)
-    rows = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
+    raw, delay = log.raw, 0.0
+    if rig.sensor.lowpass_hz is not None:
+        raw, delay = _unfiltered(log.raw, time, rig.sensor.lowpass_hz)
+    rows = np.flatnonzero(np.isfinite(raw).any(axis=1))
     if log.gravity is not None:
         known = np.isfinite(log.gravity).all(axis=1)
         if np.count_nonzero(known) < 2:
@@ -129,9 +132,56 @@ def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]
     elif rig.in_gravity:
         raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
     streams.set_wrench(
-        time[rows], np.ascontiguousarray(log.raw[rows]), _temperature(rig, part, log, time[rows])
+        time[rows] - delay, np.ascontiguousarray(raw[rows]), _temperature(rig, part, log, time[rows])
     )
     return streams, rows
+
+
+def noise_behind_filter(rig: Rig, logs: Sequence[Log]) -> float:
+    """Factor of the noise of `recorded` channels over that of the logged ones: undoing a filter costs noise.
+
+    Noise that went through the filter becomes white again; noise that came after it does not, and grows more.
+    Which of the two a sensor has shows in third differences, which leave little of the motion.
+    """
+    if rig.sensor.lowpass_hz is None:
+        return 1.0
+    factors = []
+    for log in logs:
+        rows = np.isfinite(log.raw).any(axis=1)
+        alpha = float(np.exp(-2.0 * np.pi * rig.sensor.lowpass_hz * np.median(np.diff(log.time[rows]))))
+        third = np.diff(log.raw[rows], n=3, axis=0)
+        third = third[np.isfinite(third).all(axis=1)]
+        correlation = np.mean(third[1:] * third[:-1], axis=0) / np.mean(third**2, axis=0)
+        weights = np.array([20.0, -15.0, 6.0, -1.0])  # autocovariance of third differences of white noise
+        lagged = np.zeros(5)
+        for lag in range(5):
+            lags = np.abs(np.arange(-3, 4) - lag)
+            lagged[lag] = np.sum(weights[np.abs(np.arange(-3, 4))] * alpha**lags)
+        through, after = lagged[1] / lagged[0], weights[1] / weights[0]
+        filtered = abs(np.median(correlation) - through) < abs(np.median(correlation) - after)
+        factors.append(
+            np.sqrt((1.0 + alpha) / (1.0 - alpha)) if filtered else np.sqrt(1.0 + alpha**2) / (1.0 - alpha)
+        )
+    return float(np.median(factors))
+
+
+def _unfiltered(raw: Array, time: Array, corner: float) -> tuple[Array, float]:
+    """Channels before a first-order low-pass, and how far before its time stamp each sample then lies [s].
+
+    x_k - alpha x_{k-1} is (1 - alpha) times the mean of the input over the last period, weighted by
+    exp(-s / tau).
+    """
+    tau = 1.0 / (2.0 * np.pi * corner)
+    rows = np.flatnonzero(np.isfinite(raw).any(axis=1))
+    period = np.diff(time[rows])
+    usual = float(np.median(period))
+    alpha = np.exp(-period / tau)[:, None]
+    behind = raw[rows]
+    undone = np.full_like(raw, np.nan)
+    undone[rows[1:]] = (behind[1:] - alpha * behind[:-1]) / (1.0 - alpha)
+    undone[rows[1:][np.abs(period - usual) > 0.5 * usual]] = np.nan
+    pole = float(np.exp(-usual / tau))
+    return undone, tau - usual * pole / (1.0 - pole)
 
 
 def _add_specific_force(streams: _core.RecordedLog, rig: Rig, log: Log, time: Array, noise: Array) -> None:

@@ -13,7 +13,7 @@ from truewrench import _core
 from truewrench.errors import InputError
 from truewrench.estimate.curvature import PAYLOAD, Curvature, enlarged
 from truewrench.estimate.sources import Sources
-from truewrench.estimate.streams import Part, links, parts_of, recorded
+from truewrench.estimate.streams import Part, links, noise_behind_filter, parts_of, recorded
 from truewrench.log import Log
 from truewrench.rig import Rig
 
@@ -126,7 +126,7 @@ def estimate_windows(
         method,
         [part for part, _ in streams],
         scale,
-        sensor.noise_array / scale,
+        noise_behind_filter(rig, logs) * sensor.noise_array / scale,
         sensor.sign / span,
         prior,
         settings or _core.EstimatorSettings(),
