@@ -322,6 +322,24 @@ class KnotSettings:
     @max_levels.setter
     def max_levels(self, arg: int, /) -> None: ...
 
+    @property
+    def false_disturbances(self) -> float: ...
+
+    @false_disturbances.setter
+    def false_disturbances(self, arg: float, /) -> None: ...
+
+    @property
+    def disturbance_price(self) -> float: ...
+
+    @disturbance_price.setter
+    def disturbance_price(self, arg: float, /) -> None: ...
+
+    @property
+    def most_disturbed(self) -> float: ...
+
+    @most_disturbed.setter
+    def most_disturbed(self, arg: float, /) -> None: ...
+
 class EstimatorSettings:
     """Settings of the window estimators, with their defaults."""
 
@@ -362,6 +380,12 @@ class EstimatorSettings:
 
     @dependence_sigma.setter
     def dependence_sigma(self, arg: float, /) -> None: ...
+
+    @property
+    def enough_fitted(self) -> float: ...
+
+    @enough_fitted.setter
+    def enough_fitted(self, arg: float, /) -> None: ...
 
     @property
     def few_samples(self) -> float: ...
@@ -477,6 +501,22 @@ class CommonPrior:
     def information(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
 
     @property
+    def gains_walk(self) -> bool:
+        """Every log has gains of its own."""
+
+    @gains_walk.setter
+    def gains_walk(self, arg: bool, /) -> None: ...
+
+    @property
+    def links(self) -> list[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+        """
+        Per log, 1 / variance of the step of its own parameters from those of the log before, 0 where there is none; or an empty vector.
+        """
+
+    @links.setter
+    def links(self, arg: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], /) -> None: ...
+
+    @property
     def payload_of(self) -> list[int]:
         """Per log: which payload it carries."""
 
@@ -517,9 +557,9 @@ class RecordedLog:
     @gravity_constant.setter
     def gravity_constant(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], /) -> None: ...
 
-    def add_motion(self, order: int, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], value: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], sigma: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')]) -> None:
+    def add_motion(self, order: int, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], value: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], sigma: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], combination: Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')] | None = None) -> None:
         """
-        Measurements (N, 6) of the order-th derivative of the twist, NaN where missing.
+        Measurements (N, 6) of the order-th derivative of the twist, or of a combination (6, 6) of its components, NaN where missing.
         """
 
     def set_wrench(self, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], temperature: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None:
@@ -545,11 +585,28 @@ class GroupStatistics:
     @property
     def deviate(self) -> float: ...
 
+class ComponentStatistics:
+    """
+    Residuals of one channel or component of the motion over their noise, and of their means over runs of 2, 4, 8 ... samples.
+    """
+
+    @property
+    def all(self) -> GroupStatistics: ...
+
+    @property
+    def run_squares(self) -> list[float]: ...
+
+    @property
+    def runs(self) -> list[float]: ...
+
 class WindowReport:
     """One window: where it lies, its knots and how well it fits."""
 
     @property
     def log(self) -> int: ...
+
+    @log.setter
+    def log(self, arg: int, /) -> None: ...
 
     @property
     def begin(self) -> float: ...
@@ -573,6 +630,12 @@ class WindowReport:
     def groups(self) -> list[GroupStatistics]: ...
 
     @property
+    def components(self) -> list[ComponentStatistics]:
+        """
+        ComponentStatistics of the channels, then of the six components of the motion; empty for a window without a fit.
+        """
+
+    @property
     def nested(self) -> float: ...
 
     @property
@@ -583,6 +646,9 @@ class HistoryEntry:
 
     @property
     def log(self) -> int: ...
+
+    @log.setter
+    def log(self, arg: int, /) -> None: ...
 
     @property
     def time(self) -> float: ...
@@ -620,6 +686,16 @@ class Estimate:
     def wrench(self) -> list[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
         """
         Per log: the payload's wrench (rows of set_wrench, 6), SI, NaN where no window fits.
+        """
+
+    @property
+    def left_out(self) -> list[Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C')]]:
+        """Per log: whether a row of set_wrench was left out as a disturbance."""
+
+    @property
+    def motion_left_out(self) -> list[list[int]]:
+        """
+        Per log and series of the motion: how many rows were left out as disturbances.
         """
 
     @property
