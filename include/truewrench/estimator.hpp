@@ -215,7 +215,8 @@ class Estimator {
       for (const double share : {0.0, 0.5, 0.25, 0.75}) starts.push_back({share, clock});
     }
     for (const auto& [start, clock] : starts) {
-      if (clock != 0.0 && best > 0.5) break;
+      // Where no window at all fits, none has spoilt the others.
+      if (clock == 0.0 ? start != 0.0 && best == 0.0 : start != 0.0 || best > 0.0) continue;
       Estimate pass;
       std::vector<Item> pass_items;
       std::vector<InformationSum> pass_coarse, pass_fine;

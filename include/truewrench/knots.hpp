@@ -31,6 +31,8 @@ struct KnotSettings {
   int max_levels = 30;
   double false_disturbances = 0.01;  // disturbances found by chance in a window without any
   double disturbance_price = 40;     // decrease of the cost (chi-square units) that one must be worth
+  double hopeless_sigma = 2;         // residuals of an interval that do not fit; where more intervals than
+  double hopeless_share = 0.9;       // this share do not, disturbances are not looked for
   double most_disturbed = 0.4;       // share of a window's samples that may be left out
 };
 
@@ -73,6 +75,7 @@ class WindowSolver {
     WindowFit fit = search(window, start, theta, prior, finest, false);
     if (model_.gate() == nullptr || !suspect(fit, window)) return fit;
     const bool fitted = fit.status == WindowStatus::fitted;
+    if (!fitted && hopeless(fit, window)) return fit;
     open(window);
     WindowFit other = search(window, start, theta, prior, finest, true);
     other.iterations += fit.iterations;
@@ -278,6 +281,18 @@ class WindowSolver {
       most = std::max(most, share(model_.gate()->motion[m], window.motion[m]));
     }
     return most;
+  }
+
+  // Whether most intervals do not fit: no disturbance, but noise or a motion that the model has not.
+  bool hopeless(const WindowFit& fit, const WindowRange& window) const {
+    if (fit.status != WindowStatus::misfit && fit.status != WindowStatus::unresolved) return false;
+    int bad = 0;
+    const std::vector<Groups> groups = residuals(fit, window, Terms::all);
+    for (const Groups& interval : groups) {
+      bad += std::any_of(interval.begin(), interval.end(),
+                         [&](const GroupStatistics& g) { return g.deviate() > settings_.hopeless_sigma; });
+    }
+    return bad > settings_.hopeless_share * static_cast<double>(groups.size());
   }
 
   // Knots much closer in one place than in another.
