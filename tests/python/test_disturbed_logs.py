@@ -296,3 +296,17 @@ def newton_euler(mass: float, c: Array, inertia: Array, twist: Array, rate: Arra
     force = mass * (vdot + np.cross(omega, v))
     moment = alpha @ inertia.T + np.cross(omega, omega @ inertia.T) + np.cross(c, force)
     return -np.column_stack([force, moment])
+
+
+def test_the_parts_of_a_walking_log_are_reported_as_one_log() -> None:
+    density = 0.05 * NOISE
+    rig = rig_of(offset_walk=density.tolist())
+    run = simulate(rig, seed=2)
+    logs = [walked(run.log, density, np.random.default_rng(k))[0] for k in range(2)]
+    estimate = estimate_windows(rig, logs)
+    assert {w.log for w in estimate.windows} == {0, 1}
+    assert len(estimate.windows) > 4
+    assert len(estimate.offsets) == len(estimate.wrench) == len(estimate.left_out) == 2
+    for log, rows, wrench in zip(logs, estimate.wrench_rows, estimate.wrench, strict=True):
+        np.testing.assert_array_equal(rows, np.arange(len(log.time)))
+        assert wrench.shape == (len(log.time), 6)
