@@ -170,6 +170,7 @@ def score(found: Calibration, gain: Array) -> Row:
 REASONS = (
     ("no window", "no window fits"),
     ("rejected windows", "rejected windows"),
+    ("left out as contact", "too many left out"),
     ("did not converge", "not converged"),
     ("could not be solved", "not solved"),
     ("do not match the stated noise", "chi-square"),

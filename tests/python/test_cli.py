@@ -88,13 +88,14 @@ def test_options_reach_the_pipeline(
     run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
 ) -> None:
     words = "--estimator ekf --published --window 2.5 --threads 2 --process-density 1e-1 --smooth spline"
+    words += " --rescale-noise"
     status, *_ = run("calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out", *words.split())
     options = pipeline.asked[3]
     del options["progress"]
     assert status == 0
     assert options == {
         "published": True, "window": 2.5, "threads": 2, "process_density": 0.1, "smooth": "spline",
-        "held_out": True,
+        "held_out": True, "rescale_noise": True,
     }  # fmt: skip
 
 

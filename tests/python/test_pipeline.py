@@ -157,17 +157,27 @@ def test_pooled_logs_are_reported_one_by_one(estimator: Literal["map", "online"]
     assert (result.logs[1].dropped_rows, result.logs[1].nan_counts) == (3, {"vx": 2})
 
 
-def test_every_sample_is_used_or_accounted_for(rig: Rig, run: SimulatedRun) -> None:
+@pytest.mark.parametrize(("first", "last", "left_out"), [(500, 560, 60), (300, 900, None)])
+def test_every_sample_is_used_or_accounted_for(
+    rig: Rig, run: SimulatedRun, first: int, last: int, left_out: int | None
+) -> None:
     raw, twist = run.log.raw.copy(), np.array(run.log.twist)
     raw[:50] = np.nan  # the sensor starts late
     twist[1100:] = np.nan  # the motion ends early
-    raw[500:560] += 40.0 * np.random.default_rng(0).normal(size=(60, 6))
+    raw[first:last] += 40.0 * np.random.default_rng(0).normal(size=(last - first, 6))
     result = calibrate(rig, replace(run.log, raw=raw, twist=twist))
     (report,) = result.logs
-    assert report.used + sum(report.rejected.values()) == 1150
+    assert report.used + sum(report.gated.values()) + sum(report.rejected.values()) == 1150
     assert report.rejected["outside every window"] == pytest.approx(100, abs=2)
-    assert report.rejected["misfit"] > 0
-    assert not result.verdict.usable
+    if left_out is None:  # too long to be taken out of the windows that it lies in
+        assert report.rejected["misfit"] > 0
+        assert not result.verdict.usable
+    else:
+        assert report.gated == {"disturbance of the sensor": left_out}
+        assert set(report.rejected) == {"outside every window"}
+        ((begin, end),) = report.disturbances
+        assert (begin, end) == pytest.approx((run.log.time[first], run.log.time[last - 1]), abs=1e-9)
+        assert result.verdict.usable
 
 
 def test_one_log_alone_is_a_list_of_one(rig: Rig, run: SimulatedRun, result: Calibration) -> None:
@@ -212,15 +222,18 @@ def test_calibration_file_keeps_everything(result: Calibration, tmp_path: Path) 
     assert set(fields.split()) <= set(content)
 
 
+@pytest.mark.parametrize("estimator", ["ekf", "ls"])
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
         ({"sensor": {"lowpass_hz": 100.0}}, "sensor.lowpass_hz"),
     ],
 )
-def test_what_is_not_supported_is_refused(changes: dict[str, Any], key: str, run: SimulatedRun) -> None:
+def test_what_is_not_supported_is_refused(
+    changes: dict[str, Any], key: str, estimator: Any, run: SimulatedRun
+) -> None:
     with pytest.raises(UnsupportedError, match=key):
-        calibrate(rig_of(**changes), run.log)
+        calibrate(rig_of(**changes), run.log, estimator)
 
 
 def test_options_of_other_estimators_are_refused(rig: Rig, run: SimulatedRun) -> None:

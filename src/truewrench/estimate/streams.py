@@ -107,7 +107,7 @@ def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]
     streams.payload = core_payload(spec)
     if rig.motion.of == "com":
         streams.point = spec.center_of_mass_array
-    time = (log.time_ns - part.origin_ns) * 1e-9
+    time = np.asarray((log.time_ns - part.origin_ns) * 1e-9, dtype=np.float64)
     moving = np.isfinite(log.twist).any(axis=1)
     streams.add_motion(0, time[moving], np.ascontiguousarray(log.twist[moving]), rig.motion.noise_array)
     noise = np.array(rig.motion.acceleration_noise or ())

@@ -176,9 +176,11 @@ def estimate_windows(
                 payloads[log.payload] = PayloadDeparture(mean[p], std[p])
         bent_gain = np.diag(moments[-1])[: 6 * n]
         sources = _sources(prior, sensor.gain_prior, covariances[-1], bent_gain, curvatures[-1])
-    for report in (*estimate.windows, *estimate.history):
-        report.log = parts[report.log].log
-    history = estimate.history
+    windows, history = estimate.windows, estimate.history  # copies: in terms of logs, not of their parts
+    for window in windows:
+        window.log = parts[window.log].log
+    for entry in history:
+        entry.log = parts[entry.log].log
     return WindowEstimate(
         gain=normalised * to_gain,
         covariance=covariance * units[:, None] * units,
@@ -192,7 +194,7 @@ def estimate_windows(
         sources=sources,
         solved=estimate.solved,
         converged=estimate.converged,
-        windows=tuple(estimate.windows),
+        windows=tuple(windows),
         history_time=np.array([h.time for h in history]),
         history_log=np.array([h.log for h in history], dtype=np.int64),
         history_gain=np.array([h.mean[: 6 * n].reshape(n, 6) for h in history]).reshape(-1, n, 6) * to_gain,
@@ -286,7 +288,7 @@ def _sources(
 def _joined(arrays: Sequence[Any], of_log: NDArray[np.int64]) -> tuple[Any, ...]:
     """Per log, the arrays of its parts one after the other."""
     return tuple(
-        np.concatenate([arrays[k] for k in np.flatnonzero(of_log == log)]) for log in np.unique(of_log)
+        np.concatenate([arrays[int(k)] for k in np.flatnonzero(of_log == log)]) for log in np.unique(of_log)
     )
 
 
