@@ -294,10 +294,18 @@ def _check_supported(rig: Rig, estimator: EstimatorName) -> None:
         raise refuse(
             "motion.source", f"`{rig.motion.source}`", "`twist`: calibration from joints is not supported"
         )
-    if rig.sensor.lowpass_hz is not None and estimator in ("ekf", "ls"):
-        raise refuse(
-            "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz:g}", f"null: `{estimator}` knows no filtered sensor"
-        )
+    if estimator == "map" or estimator == "online":
+        return
+    sensor = rig.sensor
+    if sensor.lowpass_hz is not None:
+        found = f"{sensor.lowpass_hz:g}"
+        raise refuse("sensor.lowpass_hz", found, f"null: `{estimator}` knows no filtered sensor")
+    for key, walks in (
+        ("offset_walk", sensor.offset_walk_array.any()),
+        ("gain_walk", sensor.gain_walk > 0.0),
+    ):
+        if walks:
+            raise refuse(f"sensor.{key}", "a walk", f"0: `{estimator}` knows no drift")
 
 
 def _check_options(estimator: EstimatorName, **options: Any) -> None:

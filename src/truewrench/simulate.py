@@ -133,7 +133,11 @@ def simulate(
     )  # fmt: skip
     noise = rig.sensor.noise_array * rng.standard_normal((shown.size, rig.sensor.n))
     raw = np.full((time_ns.size, rig.sensor.n), np.nan)
-    raw[np.searchsorted(time_ns, sensor_ns)] = wrench @ truth.gain.T + truth.offset + noise
+    # the offset walks to what the truth says, which is its value at the end
+    steps = np.sqrt(np.diff(shown, append=shown[-1]))[:, None] * rig.sensor.offset_walk_array
+    steps = steps * np.random.default_rng([truth.seed, 3]).standard_normal(steps.shape)
+    offset = truth.offset - np.cumsum(steps[::-1], axis=0)[::-1]
+    raw[np.searchsorted(time_ns, sensor_ns)] = wrench @ truth.gain.T + offset + noise
     twist = np.full((time_ns.size, 6), np.nan)
     measured = motion.twist(_seconds(motion_ns))
     measured += rig.motion.noise_array * rng.standard_normal(measured.shape)

@@ -14,7 +14,7 @@ from scipy.linalg import qr
 from truewrench import _core
 from truewrench.advice import advice
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
-from truewrench.estimate.noise import Noise
+from truewrench.estimate.noise import Noise, hidden_delay
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -111,6 +111,13 @@ def judge_windows(
                 f"per degree of freedom ({fit.deviate:.1f} sigma from 1); state the noise as it is, or let "
                 "it be taken from the residuals (--rescale-noise)"
             )
+    delay = hidden_delay(rig, noise, _period(logs)) if noise is not None and logs else 0.0
+    if delay > 0.0:
+        reasons.append(
+            "the sensor's noise is coloured as behind a low-pass filter, which would also delay the wrench by "
+            f"about {1e3 * delay:.2g} ms, and the rig states a better clock: state `lowpass_hz`, or a "
+            "`time_offset_prior` of that size"
+        )
     if estimate.knot_dependence > DEPENDENCE:
         reasons.append(
             f"the gain depends on the knot spacing ({estimate.knot_dependence:.1f} sigma): "
@@ -296,6 +303,11 @@ def _of_windows(estimate: WindowEstimate) -> list[str]:
         ]
     share = 100.0 * (total - samples["fitted"]) / total
     return [*without, f"{share:.0f} % of the samples lie in rejected windows{level}: {causes}"]
+
+
+def _period(logs: Sequence[Log]) -> float:
+    rows = np.isfinite(logs[0].raw).any(axis=1)
+    return float(np.median(np.diff(logs[0].time[rows])))
 
 
 def _of_disturbances(estimate: WindowEstimate) -> list[str]:

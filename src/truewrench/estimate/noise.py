@@ -8,6 +8,7 @@ the estimate is repeated with the white noise that has the same density where it
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,6 +24,7 @@ from truewrench.rig import Rig
 __all__ = [
     "Noise",
     "estimate_with_noise",
+    "hidden_delay",
     "measured_noise",
     "noise_figures",
     "noise_notes",
@@ -35,9 +37,11 @@ SIGNIFICANT = 5.0  # standard deviations by which means over runs must exceed th
 NOTICEABLE = 1.1  # and the factor
 LARGEST = 300.0  # colour that is still paid for
 MARGIN = 1.5  # on what colour adds
+SILENT = 0.02  # of the assumed noise: a stream that is constant and says nothing of its noise
 FITS = 1.3  # variance of the residuals over the stated one up to which it is a matter of colour
 SETTLED = 1.15  # factor between two rounds that ends the search
 ROUNDS = 6
+EXPLAINS = 0.3  # 1 sigma of the clock, of a delay that it can take up
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +50,8 @@ class Noise:
 
     Attributes:
         given: 1 sigma as stated [raw, m/s, rad/s].
-        estimated: 1 sigma of the residuals, corrected for what the motion took; NaN without residuals.
+        estimated: 1 sigma of the residuals, corrected for what the motion took; NaN where the stream has none
+            or is constant.
         colour: spectral density at the frequencies of the motion over that of white noise of this sigma.
         assumed: 1 sigma of the white noise that the estimate was made with.
     """
@@ -111,6 +116,19 @@ def noise_figures(rig: Rig, noise: Noise) -> dict[str, Any]:
     }
 
 
+def hidden_delay(rig: Rig, noise: Noise, period: float) -> float:
+    """Delay [s] of the low-pass filter that would colour the sensor's noise so; 0 where none is suspected.
+
+    A first-order filter of the pole rho has the colour (1 + rho) / (1 - rho), and delays the wrench by its
+    time constant -period / ln(rho). A clock that may be off by as much takes that up.
+    """
+    colour = 1.0 + (float(noise.colour.max()) - 1.0) / MARGIN
+    if not noise.coloured or rig.sensor.lowpass_hz is not None:
+        return 0.0
+    delay = period / math.log((colour + 1.0) / (colour - 1.0))
+    return delay if rig.sensor.time_offset_prior < EXPLAINS * delay else 0.0
+
+
 def noise_notes(rig: Rig, noise: Noise) -> list[str]:
     """What a person should know of the noise: where the stated one disagrees, and what colour cost."""
     notes = []
@@ -158,11 +176,14 @@ def measured_noise(rig: Rig, windows: Sequence[_core.WindowReport], given: Array
             run_squares[i] += component.run_squares
             runs[i] += component.runs
     with np.errstate(divide="ignore", invalid="ignore"):
-        estimated = assumed * np.sqrt(np.where(freedom > 1.0, squares / freedom, np.nan))
         variance = squares / count
+        heard = (freedom > 1.0) & (squares > SILENT**2.0 * freedom)
+        estimated = assumed * np.sqrt(np.where(heard, squares / freedom, np.nan))
     colour = np.ones(n + 6)
-    groups = [slice(0, 3), slice(3, 6)] if n == 6 else [slice(0, n)]
-    for group in groups:
+    for channels in (range(3), range(3, 6)) if n == 6 else (range(n),):
+        group = [i for i in channels if heard[i]]
+        if not group:
+            continue
         total = runs[group].sum(axis=0)
         used = (runs[group] > 0.0).all(axis=0) & (variance[group] > 0.0).all()
         if not used.any():
