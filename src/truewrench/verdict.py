@@ -114,8 +114,8 @@ def judge_windows(
     delay = hidden_delay(rig, noise, _period(logs)) if noise is not None and logs else 0.0
     if delay > 0.0:
         reasons.append(
-            "the sensor's noise is coloured as behind a low-pass filter, which would also delay the wrench by "
-            f"about {1e3 * delay:.2g} ms, and the rig states a better clock: state `lowpass_hz`, or a "
+            "the sensor's noise is coloured as behind a low-pass filter, which would also delay the wrench "
+            f"by about {1e3 * delay:.2g} ms, and the rig states a better clock: state `lowpass_hz`, or a "
             "`time_offset_prior` of that size"
         )
     if estimate.knot_dependence > DEPENDENCE:

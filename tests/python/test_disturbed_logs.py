@@ -144,7 +144,7 @@ def test_white_noise_is_measured_as_it_is() -> None:
 
 @pytest.mark.parametrize("rho", [0.6, 0.9])
 def test_coloured_noise_is_seen_and_paid_for(rho: float) -> None:
-    rig = rig_of(noise=(np.sqrt(2.0) * NOISE).tolist())
+    rig = rig_of(noise=(np.sqrt(2.0) * NOISE).tolist(), time_offset_prior=0.01)
     scores, ignored = [], []
     for seed in range(3):
         quiet = simulate(rig_of(), seed=seed)
@@ -310,3 +310,27 @@ def test_the_parts_of_a_walking_log_are_reported_as_one_log() -> None:
     for log, rows, wrench in zip(logs, estimate.wrench_rows, estimate.wrench, strict=True):
         np.testing.assert_array_equal(rows, np.arange(len(log.time)))
         assert wrench.shape == (len(log.time), 6)
+
+
+def test_a_filter_that_the_rig_does_not_state_is_suspected_where_the_clock_is_said_to_be_exact() -> None:
+    run = simulate(rig_of(), seed=1)
+    extra = coloured(np.random.default_rng(1), len(run.log.raw), 0.9) * NOISE
+    log = replace(run.log, raw=run.log.raw + extra)
+    calibration = tw.calibrate(rig_of(noise=(np.sqrt(2.0) * NOISE).tolist()), log, held_out=False)
+    assert any("lowpass_hz" in reason for reason in calibration.verdict.reasons)
+
+
+def test_a_simulated_walk_ends_at_the_offset_of_the_truth() -> None:
+    density = 0.2 * NOISE
+    rig, still = rig_of(offset_walk=density.tolist()), rig_of()
+    walks = np.stack([simulate(rig, seed=s).log.raw - simulate(still, seed=s).log.raw for s in range(40)])
+    np.testing.assert_allclose(walks[:, -1], 0.0, atol=1e-9)
+    duration = simulate(still, seed=0).log.time[-1]
+    assert np.mean((walks[:, 0] / density) ** 2) == pytest.approx(duration, rel=0.35)
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "ls"])
+def test_reference_estimators_refuse_a_walk(estimator: Any) -> None:
+    rig = rig_of(offset_walk=(0.1 * NOISE).tolist())
+    with pytest.raises(tw.UnsupportedError, match="offset_walk"):
+        tw.calibrate(rig, simulate(rig, seed=0).log, estimator)
