@@ -94,7 +94,7 @@ def judge_windows(
     faults = channel_faults(rig, logs)
     silent = {fault.channel for fault in faults if fault.silent}
     reasons = [fault.words for fault in faults]
-    reasons += [*_of_windows(estimate), *_of_disturbances(estimate)]
+    reasons += [*_of_windows(estimate), *_of_disturbances(estimate, logs)]
     if not silent:  # whose gains look like any mistake
         reasons += _setup_errors(rig, logs, estimate)
     if not estimate.solved:
@@ -310,7 +310,7 @@ def _period(logs: Sequence[Log]) -> float:
     return float(np.median(np.diff(logs[0].time[rows])))
 
 
-def _of_disturbances(estimate: WindowEstimate) -> list[str]:
+def _of_disturbances(estimate: WindowEstimate, logs: Sequence[Log]) -> list[str]:
     found = []
     for k, left_out in enumerate(estimate.left_out):
         share = float(left_out.mean()) if left_out.size else 0.0
@@ -319,6 +319,9 @@ def _of_disturbances(estimate: WindowEstimate) -> list[str]:
                 f"{100.0 * share:.0f} % of the samples of log {k + 1} were left out as contact or spikes: "
                 "too many to trust the rest"
             )
+    for k, log in enumerate(logs):
+        if estimate.motion_left_out[k] > DISTURBED * len(log.time_ns):
+            found.append(f"too many samples of the motion of log {k + 1} were left out as spikes")
     return found
 
 
