@@ -334,3 +334,12 @@ def test_reference_estimators_refuse_a_walk(estimator: Any) -> None:
     rig = rig_of(offset_walk=(0.1 * NOISE).tolist())
     with pytest.raises(tw.UnsupportedError, match="offset_walk"):
         tw.calibrate(rig, simulate(rig, seed=0).log, estimator)
+
+
+def test_noise_that_is_a_little_larger_than_stated_is_paid_for() -> None:
+    run = simulate(rig_of(200), seed=9)
+    stated = tw.calibrate(rig_of(200, noise=(0.94 * NOISE).tolist()), run.log, held_out=False)
+    assert stated.verdict.usable, stated.verdict.reasons
+    right = tw.calibrate(rig_of(200), run.log, held_out=False)
+    ratio = np.sqrt(np.mean(stated.gain_std**2) / np.mean(right.gain_std**2))
+    assert ratio == pytest.approx(1.0, abs=0.04)  # and not 0.94
