@@ -18,6 +18,7 @@ from truewrench.bound import oracle_rms
 from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
 from truewrench.comparison import Comparison, compare_held_out, compare_in_sample
 from truewrench.errors import InputError, UnsupportedError
+from truewrench.estimate.clock import clock_doubts
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.least_squares import least_squares
 from truewrench.estimate.noise import estimate_with_noise, noise_figures, noise_notes, with_noise
@@ -127,6 +128,9 @@ def _from_windows(
     clock.append(time.perf_counter())
     report("judging", None)
     verdict = judge_windows(rig, estimate, logs, noise)
+    if verdict.usable:
+        doubts = clock_doubts(as_found, lambda rig: estimate_windows(rig, logs, "online", settings))
+        verdict = replace(verdict, usable=not doubts, reasons=tuple(doubts))
     calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())
 

@@ -343,3 +343,21 @@ def test_noise_that_is_a_little_larger_than_stated_is_paid_for() -> None:
     right = tw.calibrate(rig_of(200), run.log, held_out=False)
     ratio = np.sqrt(np.mean(stated.gain_std**2) / np.mean(right.gain_std**2))
     assert ratio == pytest.approx(1.0, abs=0.04)  # and not 0.94
+
+
+@pytest.mark.parametrize("late", ["sensor", "velocities"])
+def test_a_delay_behind_the_back_of_an_exact_clock_is_suspected(late: str) -> None:
+    rig = rig_of(noise=(0.2 * NOISE).tolist())
+    run = simulate(rig, seed=3)
+    assert tw.calibrate(rig, run.log, held_out=False).verdict.usable
+    delay = 0.005 if late == "sensor" else -0.005
+    twist = run.log.twist
+    assert twist is not None
+    moved = np.column_stack(
+        [make_interp_spline(run.log.time, column, k=5)(run.log.time + delay) for column in twist.T]
+    )
+    inner = (run.log.time > 0.1) & (run.log.time < run.log.time[-1] - 0.1)
+    log = rows_of(replace(run.log, twist=moved), inner)
+    verdict = tw.calibrate(rig, log, held_out=False).verdict
+    assert not verdict.usable
+    assert any("time offset" in reason or "lowpass_hz" in reason for reason in verdict.reasons)
