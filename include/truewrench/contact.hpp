@@ -82,7 +82,8 @@ class DisturbanceScan {
     const std::size_t n = samples();
     if (n == 0) return {};
     // Stretches of one length overlap and lengths grow in powers of two: so many are independent.
-    const double looks = 2.0 * static_cast<double>(n) * static_cast<double>(2 * (sums_.cols() / 3) + 2);
+    const Eigen::Index components = sums_.cols() / 3;
+    const double looks = 2.0 * static_cast<double>(n) * static_cast<double>(2 * components + 2);
     const double limit = normal_quantile(false_alarms / looks);
     std::vector<Disturbance> found;
     for (std::size_t length = 1; length <= std::max<std::size_t>(longest, 1); length *= 2) {
