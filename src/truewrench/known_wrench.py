@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -14,6 +13,7 @@ from truewrench import _core
 from truewrench.calibration import AXES, AxisImprovement, LogReport, Verdict
 from truewrench.comparison import Comparison
 from truewrench.errors import InputError, UnsupportedError
+from truewrench.estimate.fits import chi_square_deviate
 from truewrench.estimate.reference import ReferenceEstimate, estimate_from_reference
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -87,8 +87,7 @@ def judge_known_wrench(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstimat
         if i in silent:
             continue
         chi_square = total / freedom
-        v = 2.0 / (9.0 * freedom)  # Wilson and Hilferty
-        deviate = (math.cbrt(chi_square) - (1.0 - v)) / math.sqrt(v)
+        deviate = chi_square_deviate(chi_square, freedom)
         above = chi_square > CHI_SQUARE and deviate > DEVIATE
         if above or (chi_square < CHI_SQUARE_LOW and deviate < -DEVIATE):
             reasons.append(

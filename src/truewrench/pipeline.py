@@ -20,6 +20,7 @@ from truewrench.comparison import Comparison, compare_held_out, compare_in_sampl
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.clock import clock_doubts
 from truewrench.estimate.ekf import estimate_ekf
+from truewrench.estimate.fits import group_fits
 from truewrench.estimate.least_squares import least_squares
 from truewrench.estimate.noise import estimate_with_noise, noise_figures, noise_notes, with_noise
 from truewrench.estimate.reference import estimate_from_reference
@@ -34,7 +35,7 @@ from truewrench.known_wrench import (
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
 from truewrench.silence import still_twists
-from truewrench.verdict import group_fits, judge_reference, judge_windows
+from truewrench.verdict import judge_reference, judge_windows
 
 __all__ = ["calibrate"]
 

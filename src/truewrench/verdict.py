@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,9 @@ from scipy.linalg import qr
 from truewrench import _core
 from truewrench.advice import advice
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
+from truewrench.estimate.fits import group_fits
 from truewrench.estimate.noise import Noise, hidden_delay
-from truewrench.estimate.windows import GROUPS, WindowEstimate
+from truewrench.estimate.windows import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.setup_errors import (
@@ -27,9 +27,7 @@ from truewrench.setup_errors import (
 from truewrench.silence import channel_faults
 
 __all__ = [
-    "GroupFit",
     "gain_reasons",
-    "group_fits",
     "judge_reference",
     "judge_windows",
     "undetermined_directions",
@@ -63,28 +61,6 @@ _CAUSES = {
     "samples resolve (vibration, servo ripple), contact, or noise stated too small",
     "unresolved": "finer knots would still fit better, but the samples do not resolve them",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class GroupFit:
-    """Residuals of one stream over their noise: chi-square per degree of freedom, and how unlikely it is."""
-
-    chi_square: float
-    deviate: float
-
-
-def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> dict[str, GroupFit]:
-    """Per stream, over all fitted windows (or all that were rejected with residuals)."""
-    fits = {}
-    for k, name in enumerate(GROUPS):
-        groups = [w.groups[k] for w in windows if (w.status == _core.WindowStatus.fitted) == fitted]
-        total = sum(g.sum_of_squares for g in groups)
-        freedom = sum(g.count - g.leverage for g in groups)
-        if freedom < 1.0:
-            continue
-        v = 2.0 / (9.0 * freedom)  # Wilson and Hilferty
-        fits[name] = GroupFit(total / freedom, (math.cbrt(total / freedom) - (1.0 - v)) / math.sqrt(v))
-    return fits
 
 
 def judge_windows(

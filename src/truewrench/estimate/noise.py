@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.fits import group_fits
+from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.io.table import TWIST
 from truewrench.rig import Rig
 
@@ -37,7 +38,8 @@ SIGNIFICANT = 5.0  # standard deviations by which means over runs must exceed th
 NOTICEABLE = 1.1  # and the factor
 LARGEST = 300.0  # colour that is still paid for
 MARGIN = 1.5  # on what colour adds
-SLIGHTLY = 1.05  # chi-square above which noise is larger than stated
+SLIGHTLY = 1.05  # chi-square above which noise is larger than stated,
+LIKELY = 2.5  # where it is that many standard deviations from 1
 SILENT = 0.02  # of the assumed noise: a stream that is constant and says nothing of its noise
 FITS = 1.3  # variance of the residuals over the stated one up to which it is a matter of colour
 SETTLED = 1.15  # factor between two rounds that ends the search
@@ -159,16 +161,12 @@ def _slightly_larger(rig: Rig, windows: Sequence[_core.WindowReport]) -> Array:
     Ripple that the knots follow only in part looks so, or noise stated a few percent too small: that is paid.
     """
     n = rig.sensor.n
-    of_group = (range(3), range(3, 6)) if n == 6 else (range(n), range(0))
+    force, moment = (range(3), range(3, 6)) if n == 6 else (range(n), range(0))
+    members = dict(zip(GROUPS, (force, moment, range(n, n + 3), range(n + 3, n + 6)), strict=True))
     larger = np.zeros(n + 6)
-    for k, members in enumerate((*of_group, range(n, n + 3), range(n + 3, n + 6))):
-        groups = [w.groups[k] for w in windows]
-        freedom = sum(g.count - g.leverage for g in groups)
-        if freedom < 1.0 or not members:
-            continue
-        chi_square = sum(g.sum_of_squares for g in groups) / freedom
-        if SLIGHTLY < chi_square < FITS and chi_square - 1.0 > SIGNIFICANT * math.sqrt(2.0 / freedom) / 2.0:
-            larger[list(members)] = chi_square
+    for name, fit in group_fits(windows).items():
+        if SLIGHTLY < fit.chi_square < FITS and fit.deviate > LIKELY:
+            larger[list(members[name])] = fit.chi_square
     return larger
 
 

@@ -1,0 +1,39 @@
+"""How well residuals match their noise: chi-squares per stream, and how unlikely they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from truewrench import _core
+from truewrench.estimate.windows import GROUPS
+
+__all__ = ["GroupFit", "chi_square_deviate", "group_fits"]
+
+
+def chi_square_deviate(chi_square: float, freedom: float) -> float:
+    """Standard normal deviate of a chi-square per degree of freedom (Wilson and Hilferty's cube root)."""
+    v = 2.0 / (9.0 * freedom)
+    return (math.cbrt(chi_square) - (1.0 - v)) / math.sqrt(v)
+
+
+@dataclass(frozen=True, slots=True)
+class GroupFit:
+    """Residuals of one stream over their noise: chi-square per degree of freedom, and how unlikely it is."""
+
+    chi_square: float
+    deviate: float
+
+
+def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> dict[str, GroupFit]:
+    """Per stream, over all fitted windows (or all that were rejected with residuals)."""
+    fits = {}
+    for k, name in enumerate(GROUPS):
+        groups = [w.groups[k] for w in windows if (w.status == _core.WindowStatus.fitted) == fitted]
+        total = sum(g.sum_of_squares for g in groups)
+        freedom = sum(g.count - g.leverage for g in groups)
+        if freedom < 1.0:
+            continue
+        fits[name] = GroupFit(total / freedom, chi_square_deviate(total / freedom, freedom))
+    return fits
