@@ -17,6 +17,7 @@ namespace nb = nanobind;
 // Read-only, C-contiguous double arrays from NumPy; anything else is converted by the Python side.
 using Array1 = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Array2 = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Array3 = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
 using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using ArrayOut = nb::ndarray<nb::numpy, double, nb::c_contig>;

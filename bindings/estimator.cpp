@@ -23,24 +23,42 @@ struct RecordedLog {
   Payload payload;
   Vector3 point = Vector3::Zero();
   Vector3 gravity_constant = Vector3::Zero();
-  std::vector<std::pair<Array1, Array2>> motion;
-  struct MotionKind {
+  struct Motion {
     int order;
+    Array1 time;
+    Array2 value;
     Vector6 sigma;
     std::optional<Matrix6> combination;
+    std::optional<Array3> covariance;
+    std::optional<Array3> coupling;
   };
-  std::vector<MotionKind> motion_kind;
+  std::vector<Motion> motion;
+  std::optional<ReferenceMotion> reference;
   std::optional<std::pair<Array1, Array2>> wrench;
   std::optional<Array1> temperature;
   std::optional<std::pair<Array1, Array2>> gravity;
 
   void add_motion(int order, Array1 time, Array2 value, const Vector6& sigma,
-                  const std::optional<Matrix6>& combination) {
-    if (order < 0 || order > 1) throw nb::value_error("order must be 0 (twist) or 1 (its derivative)");
+                  const std::optional<Matrix6>& combination, std::optional<Array3> covariance,
+                  std::optional<Array3> coupling) {
+    if (order < 0 || order > 2) throw nb::value_error("order must be 0, 1 or 2");
     if (value.shape(0) != time.shape(0) || value.shape(1) != 6)
       throw nb::value_error("motion: N x 6 is expected");
-    motion.emplace_back(std::move(time), std::move(value));
-    motion_kind.push_back({order, sigma, combination});
+    for (const auto* m : {&covariance, &coupling}) {
+      if (*m && ((*m)->shape(0) != time.shape(0) || (*m)->shape(1) != 6 || (*m)->shape(2) != 6))
+        throw nb::value_error("motion: covariance and coupling are N x 6 x 6");
+    }
+    if (coupling && order == 0) throw nb::value_error("motion: order 0 has no order below");
+    motion.push_back({order, std::move(time), std::move(value), sigma, combination, std::move(covariance),
+                      std::move(coupling)});
+  }
+
+  void set_reference(const std::vector<double>& breakpoints, const Array2& twist, double spacing) {
+    if (breakpoints.size() < 2 || twist.shape(0) != breakpoints.size() + kDegree - 1 || twist.shape(1) != 6)
+      throw nb::value_error("reference: 6 coefficients for each of K + 5 splines are expected on K intervals");
+    reference.emplace(
+        breakpoints,
+        Eigen::Map<const Coefficients>(twist.data(), static_cast<Eigen::Index>(twist.shape(0)), 6), spacing);
   }
 
   void set_wrench(Array1 time, Array2 raw, std::optional<Array1> departure) {
@@ -62,16 +80,16 @@ struct RecordedLog {
     LogData d;
     d.payload = payload;
     d.point = point;
-    for (std::size_t i = 0; i < motion.size(); ++i) {
-      const auto& [time, value] = motion[i];
-      const MotionKind& kind = motion_kind[i];
-      d.motion.push_back({kind.order,
-                          {time.data(), time.shape(0)},
-                          value.data(),
-                          kind.sigma,
-                          !kind.combination,
-                          kind.combination.value_or(Matrix6::Identity())});
+    for (const Motion& m : motion) {
+      d.motion.push_back({m.order,
+                          {m.time.data(), m.time.shape(0)},
+                          m.value.data(),
+                          m.sigma,
+                          m.combination,
+                          m.covariance ? m.covariance->data() : nullptr,
+                          m.coupling ? m.coupling->data() : nullptr});
     }
+    d.reference = reference;
     d.wrench = {{wrench->first.data(), wrench->first.shape(0)},
                 wrench->second.data(),
                 temperature ? temperature->data() : nullptr};
@@ -218,8 +236,14 @@ void bind_estimator(nb::module_& m) {
       .def_rw("gravity_constant", &RecordedLog::gravity_constant)
       .def("add_motion", &RecordedLog::add_motion, nb::arg("order"), nb::arg("time"), nb::arg("value"),
            nb::arg("sigma"), nb::arg("combination").none() = nb::none(),
-           "Measurements (N, 6) of the order-th derivative of the twist, or of a combination (6, 6) of its "
-           "components, NaN where missing.")
+           nb::arg("covariance").none() = nb::none(), nb::arg("coupling").none() = nb::none(),
+           "Measurements (N, 6) of the order-th derivative of the twist, or about a reference of the displacement, "
+           "or of a combination (6, 6) of its components; NaN where missing. `covariance` (N, 6, 6) instead of "
+           "sigma; `coupling` (N, 6, 6): plus so much of the derivative of the order below.")
+      .def("set_reference", &RecordedLog::set_reference, nb::arg("breakpoints"), nb::arg("twist"),
+           nb::arg("spacing"),
+           "The motion is then a displacement from this one: coefficients (K + 5, 6) of the quintic spline of the "
+           "logged point's twist, and the spacing of the knots of the fit behind it [s].")
       .def("set_wrench", &RecordedLog::set_wrench, nb::arg("time"), nb::arg("raw"),
            nb::arg("temperature").none() = nb::none(),
            "Raw sensor samples (N, n), NaN where missing, and the departure from the reference temperature "

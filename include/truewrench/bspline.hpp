@@ -83,9 +83,9 @@ class BSpline {
 
   // The six active basis functions, or their d-th time derivative, from the (mean) powers of u.
   BasisRow basis(int i, const Powers& u, int derivative) const {
-    const auto& m = pieces_[static_cast<std::size_t>(i)];
-    if (derivative == 0) return m * u;
-    return m * (derivative == 1 ? rate(i, u) : rate(i, rate(i, u)));
+    Powers p = u;
+    for (int d = 0; d < derivative; ++d) p = rate(i, p);
+    return pieces_[static_cast<std::size_t>(i)] * p;
   }
 
   // The same spline on other breakpoints, of which this one's are a subset: rows of `x` are coefficients.

@@ -139,6 +139,15 @@ class Estimator {
     return {mean[k], std::sqrt(std::max(0.0, covariance(k, k)))};
   }
 
+  // Uniform knots, no wider than what it takes to undo the noise of a reference motion.
+  BSpline knots_to_begin_with(std::size_t log, const WindowRange& w, int intervals) const {
+    if (const auto& reference = logs_[log].reference) {
+      intervals =
+          std::max(intervals, static_cast<int>(std::ceil(2.0 * (w.end - w.begin) / reference->spacing())));
+    }
+    return BSpline(BSpline::uniform(w.begin, w.end, std::max(1, intervals)));
+  }
+
   static bool enough_samples(const WindowRange& w) {
     std::size_t motion = 0;
     for (const auto& m : w.motion) motion = std::max(motion, m.second - m.first);
@@ -166,9 +175,8 @@ class Estimator {
       WindowSolver<N> solver(models_[item.log], settings_.knots);
       item.fit.theta = posterior.mean[item.log];
       if (!solver.suspect(item.fit, item.range)) return;
-      WindowFit fit =
-          solver.search(item.range, BSpline(BSpline::uniform(item.range.begin, item.range.end, 1)),
-                        posterior.mean[item.log], nullptr, finest_[item.log]);
+      WindowFit fit = solver.search(item.range, knots_to_begin_with(item.log, item.range, 1),
+                                    posterior.mean[item.log], nullptr, finest_[item.log]);
       changed[k] = fit.status == WindowStatus::fitted &&
                    (item.fit.status != WindowStatus::fitted ||
                     fit.spline.breakpoints() != item.fit.spline.breakpoints() || fit.disturbances > 0);
@@ -291,8 +299,7 @@ class Estimator {
             const int start = spacing > 0.0 ? static_cast<int>((stop - t) / (2.0 * spacing)) : 1;
             Eigen::VectorXd from = prior.mean;
             if (prior_.layout.time_offset) from[prior_.layout.time_offset_begin()] += shift;
-            fit = solver.search(window, BSpline(BSpline::uniform(t, stop, std::max(1, start))), from, &prior,
-                                finest_[l]);
+            fit = solver.search(window, knots_to_begin_with(l, window, start), from, &prior, finest_[l]);
           }
           const bool fitted = fit.status == WindowStatus::fitted;
           // Motion that is slow for the window: a longer one determines it better.
@@ -412,10 +419,10 @@ class Estimator {
     const WindowRange& w = item.range;
     const double length = w.end - w.begin;
     if (enough_samples(w)) {
-      const int start = std::max(1, static_cast<int>(length / (4.0 * spacing)));
+      const int start = static_cast<int>(length / (4.0 * spacing));
       WindowSolver<N> solver(models_[item.log], settings_.knots);
-      item.fit = solver.search(w, BSpline(BSpline::uniform(w.begin, w.end, start)), posterior.mean[item.log],
-                               nullptr, finest_[item.log]);
+      item.fit = solver.search(w, knots_to_begin_with(item.log, w, start), posterior.mean[item.log], nullptr,
+                               finest_[item.log]);
       if (item.fit.status != WindowStatus::fitted && length >= 2.0 * settings_.window) {
         const auto [first, second] = halves(item, posterior);
         search({item.log, first, {}}, spacing, posterior, out);

@@ -2,28 +2,44 @@
 #pragma once
 
 #include "truewrench/payload.hpp"
+#include "truewrench/reference.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <utility>
 #include <vector>
 
 namespace truewrench {
 
-// Measurements of a derivative of the motion coordinates, or of a combination of its components, NaN where there is
-// none. For a logged twist: order 0 is the twist, order 1 its component-wise derivative.
+// Measurements of a derivative of the motion coordinates, NaN where there is none. The coordinates are a logged twist
+// (order 0 the twist, order 1 its component-wise derivative), or the displacement from a reference motion (order 0 the
+// displacement, order 1 its derivative).
 struct MotionSeries {
   int order = 0;
   std::span<const double> time;   // [s]
   const double* value = nullptr;  // rows of six
   Vector6 sigma = Vector6::Ones();
-  bool direct = true;  // or `combination` times the derivative is what was measured
-  Matrix6 combination = Matrix6::Identity();
+  // What was measured is `combination` times the derivative, with a covariance and with a part of the derivative of the
+  // order below, which change from sample to sample; identity, diag(sigma^2) and zero unless given.
+  std::optional<Matrix6> combination = std::nullopt;
+  const double* covariance = nullptr;  // rows of 6 x 6
+  const double* coupling = nullptr;    // rows of 6 x 6, in `combination` of it
 
-  Vector6 of(const Vector6& s) const { return direct ? s : Vector6(combination * s); }
+  bool direct() const { return !combination && covariance == nullptr && coupling == nullptr; }
+
+  // L^-1 of a covariance L L^T: what makes noise white.
+  static Matrix6 whitening(const Matrix6& covariance) {
+    const Eigen::LLT<Matrix6> factor(covariance);
+    return factor.matrixL().solve(Matrix6::Identity());
+  }
+  Matrix6 covariance_at(std::size_t k) const { return Eigen::Map<const Matrix6>(covariance + 36 * k); }
+  Matrix6 coupling_at(std::size_t k) const {
+    return Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(coupling + 36 * k);
+  }
 };
 
 struct WrenchSeries {
@@ -66,7 +82,8 @@ struct LogData {
       Vector3::Zero();  // the point whose twist is logged, fixed to the sensor, seen from its centre [m]
   std::vector<MotionSeries> motion;
   WrenchSeries wrench;
-  GravitySeries gravity;
+  GravitySeries gravity;  // of the reference motion, where there is one
+  std::optional<ReferenceMotion> reference;
 };
 
 // Samples of one log that are left out: a contact, a spike. Windows that share no sample may write at once.

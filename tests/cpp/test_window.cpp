@@ -1,6 +1,8 @@
 // The normal equations of a window against the dense Jacobian of residuals written out here.
 #include "truewrench/window.hpp"
 
+#include "truewrench/spatial.hpp"
+
 #include "oracles.hpp"
 
 #include <gtest/gtest.h>
@@ -17,6 +19,7 @@ struct Scene {
   int channels = 6;
   bool offset = true;
   bool extras = false;  // payload, temperature and clock as well
+  bool about = false;   // about a reference motion, with a covariance and a coupling per sample
   Payload payload{3.0, Vector3(0.1, -0.2, 0.15), Vector3(0.3, 0.2, 0.4).asDiagonal()};
   Vector3 point = Vector3(-0.3, 0.2, 0.1);
   std::vector<double> breakpoints{0.0, 0.3, 0.45, 1.0};
@@ -26,11 +29,14 @@ struct Scene {
   Vector6 rate_sigma = Vector6(0.5, 0.4, 0.3, 0.2, 0.6, 0.7);
   Vector6 wrench_scale = -Vector6(20, 30, 40, 2, 3, 4).cwiseInverse();
   Eigen::VectorXd channel, sensor_sigma, temperature;
+  std::vector<double> reference_breakpoints{-0.2, 0.1, 0.5, 0.8, 1.3};
+  Coefficients reference_twist;
+  RowMatrix covariance, coupling;  // 6 x 6 in a row, of the twist's samples and those of the rate
   Coefficients x;
   Eigen::VectorXd theta;
 
-  Scene(int n, bool with_offset, bool with_extras = false)
-      : channels(n), offset(with_offset), extras(with_extras) {
+  Scene(int n, bool with_offset, bool with_extras = false, bool about_reference = false)
+      : channels(n), offset(with_offset), extras(with_extras), about(about_reference) {
     std::mt19937 random(17);
     std::uniform_real_distribution<double> time(0.0, 1.0);
     payload.inertia += 0.05 * (Matrix3::Ones() - Matrix3::Identity());
@@ -60,6 +66,16 @@ struct Scene {
     for (const auto& [row, column] : {std::pair(0, 3), {7, 0}, {7, 5}, {30, n - 1}})
       raw(row, column) = missing;
     raw.row(12).setConstant(missing);
+    if (!about) return;
+    reference_twist = oracle::normal_matrix(random, 9, 6);
+    covariance.resize(23, 36);
+    for (Eigen::Index k = 0; k < 23; ++k) {
+      const Matrix6 l = Matrix6::Identity() + 0.3 * oracle::normal_matrix(random, 6, 6);
+      const Matrix6 c = 1e-3 * l * l.transpose();
+      covariance.row(k) = Eigen::Map<const Eigen::Matrix<double, 1, 36>>(c.data());
+      if (twist.row(k).hasNaN()) twist.row(k).setConstant(missing);  // a row is whole or missing
+    }
+    coupling = oracle::normal_matrix(random, 11, 36);
   }
 
   double delay() const { return extras ? theta[layout().time_offset_begin()] : 0.0; }
@@ -78,6 +94,11 @@ struct Scene {
     d.point = point;
     d.motion.push_back({0, twist_time, twist.data(), twist_sigma});
     d.motion.push_back({1, rate_time, rate.data(), rate_sigma});
+    if (about) {
+      d.motion[0].covariance = covariance.data();
+      d.motion[1].coupling = coupling.data();
+      d.reference.emplace(reference_breakpoints, reference_twist, 1.0);
+    }
     d.wrench = {sensor_time, raw.data(), extras ? temperature.data() : nullptr};
     if (!extras) d.gravity = {sensor_time, gravity.data(), Vector3::Zero()};
     return d;
@@ -87,6 +108,22 @@ struct Scene {
     return {0.0, 1.0, {{0, twist_time.size()}, {0, rate_time.size()}}, {0, sensor_time.size()}};
   }
 
+  // A body displaced by p from the reference: its twist, the derivative of that, and gravity in its axes.
+  void displace(double t, Vector6& p, Vector6& dp, const Vector6& ddp, Vector3& g) const {
+    const Vector6 nu = reference_twist.transpose() * oracle::basis(reference_breakpoints, t, 0);
+    const Vector6 a = reference_twist.transpose() * oracle::basis(reference_breakpoints, t, 1);
+    const auto bracket = [](const Vector6& b, const Vector6& c) {  // of two twists
+      const Vector3 v = b.head<3>(), omega = b.tail<3>(), u = c.head<3>(), phi = c.tail<3>();
+      Vector6 out;
+      out << omega.cross(u) + v.cross(phi), omega.cross(phi);
+      return out;
+    };
+    g += g.cross(Vector3(p.tail<3>()));
+    const Vector6 twist_there = nu + bracket(nu, p) + dp;
+    dp = a + bracket(a, p) + bracket(nu, dp) + ddp;
+    p = twist_there;
+  }
+
   // Every residual over its sigma, as a function of motion and common parameters.
   Eigen::VectorXd residuals(const Coefficients& at_x, const Eigen::VectorXd& at_theta,
                             bool sensor = true) const {
@@ -94,10 +131,21 @@ struct Scene {
     const auto motion = [&](const std::vector<double>& t, const RowMatrix& value, const Vector6& sigma,
                             int order) {
       for (std::size_t k = 0; k < t.size(); ++k) {
-        const Vector6 s = at_x.transpose() * oracle::basis(breakpoints, t[k], order);
+        const auto row = static_cast<Eigen::Index>(k);
+        Vector6 s = at_x.transpose() * oracle::basis(breakpoints, t[k], order);
+        if (about && order == 1) {
+          for (int c = 0; c < 6; ++c) {
+            s[c] += coupling.row(row).segment<6>(6 * c).dot(at_x.transpose() *
+                                                            oracle::basis(breakpoints, t[k], 0));
+          }
+        }
+        Vector6 whitened = (value.row(row).transpose() - s).cwiseQuotient(sigma);
+        if (about && order == 0) {
+          const Matrix6 c = Eigen::Map<const Matrix6>(covariance.data() + 36 * k);
+          whitened = c.llt().matrixL().solve(Vector6(value.row(row).transpose() - s));
+        }
         for (int c = 0; c < 6; ++c) {
-          const double v = value(static_cast<Eigen::Index>(k), c);
-          if (!std::isnan(v)) r.push_back((v - s[c]) / sigma[c]);
+          if (!std::isnan(whitened[c])) r.push_back(whitened[c]);
         }
       }
     };
@@ -123,9 +171,11 @@ struct Scene {
     }
     for (std::size_t k = 0; sensor && k < sensor_time.size(); ++k) {
       const auto row = static_cast<Eigen::Index>(k);
-      const Vector6 s = at_x.transpose() * oracle::basis(breakpoints, sensor_time[k] + delay, 0);
-      const Vector6 ds = at_x.transpose() * oracle::basis(breakpoints, sensor_time[k] + delay, 1);
-      const Vector3 g = extras ? Vector3::Zero() : Vector3(gravity.row(row).transpose());
+      const double t = sensor_time[k] + delay;
+      Vector6 s = at_x.transpose() * oracle::basis(breakpoints, t, 0);
+      Vector6 ds = at_x.transpose() * oracle::basis(breakpoints, t, 1);
+      Vector3 g = extras ? Vector3::Zero() : Vector3(gravity.row(row).transpose());
+      if (about) displace(t, s, ds, at_x.transpose() * oracle::basis(breakpoints, t, 2), g);
       const Vector6 w = oracle::wrench(mass, center, inertia, point, s, ds, g).cwiseProduct(wrench_scale);
       for (int i = 0; i < channels; ++i) {
         double expected = at_theta.segment<6>(6 * i).dot(w);
@@ -231,6 +281,38 @@ TEST(WindowNormal, PayloadClockAndTemperatureGiveTheDenseNormalEquations) {
   // Finite differences of the time offset are exact to about 1e-8.
   expect_dense_normal_equations<6>(Scene(6, true, true), 1e4);
   expect_dense_normal_equations<Eigen::Dynamic>(Scene(7, false, true), 1e4);
+}
+
+TEST(WindowNormal, DisplacementFromAReferenceGivesTheDenseNormalEquations) {
+  expect_dense_normal_equations<6>(Scene(6, true, false, true), 1e2);
+  expect_dense_normal_equations<6>(Scene(6, true, true, true), 1e4);
+  expect_dense_normal_equations<Eigen::Dynamic>(Scene(7, true, false, true), 1e2);
+}
+
+TEST(ReferenceMotion, DisplacedBodyMovesAsTheProductOfThePosesDoes) {
+  // Poses by the exponential of SE(3), differentiated numerically.
+  const auto pose = [](const Vector6& x) {
+    Eigen::Matrix4d m = Eigen::Matrix4d::Zero();
+    m.topLeftCorner<3, 3>() = cross_matrix(x.tail<3>());
+    m.topRightCorner<3, 1>() = x.head<3>();
+    Eigen::Matrix4d sum = Eigen::Matrix4d::Identity(), term = sum;
+    for (int k = 1; k < 20; ++k) sum += term = (term * m / k).eval();
+    return sum;
+  };
+  const Vector6 nu(0.3, -0.2, 0.5, 0.4, 0.7, -0.6);
+  const Vector6 p0 = 1e-5 * Vector6(1, 2, -1, 3, -2, 1), p1 = 1e-5 * Vector6(-4, 1, 2, 2, 5, -3);
+  const auto at = [&](double t) { return Eigen::Matrix4d(pose(nu * t) * pose(p0 + p1 * t)); };
+  const double h = 1e-3;
+  const Eigen::Matrix4d rate = at(0.0).inverse() * (at(h) - at(-h)) / (2.0 * h);
+  ReferencePoint reference;
+  reference.nu = nu;
+  const MotionState s = reference.displaced(p0, p1, Vector6::Zero(), Vector3(0, 0, -9.81));
+  // Second order in the displacement, and in the step.
+  EXPECT_LT((Vector3(rate.topRightCorner<3, 1>()) - Vector3(s.nu.head<3>())).norm(), 1e-6);
+  EXPECT_LT((Vector3(rate(2, 1), rate(0, 2), rate(1, 0)) - Vector3(s.nu.tail<3>())).norm(), 1e-6);
+  const Eigen::Matrix3d turned = pose(p0).topLeftCorner<3, 3>();
+  EXPECT_LT((turned.transpose() * Vector3(0, 0, -9.81) - s.gravity).norm(), 1e-8);
+  EXPECT_GT((s.nu - nu - p1).norm(), 5e-6);  // which the bracket gives
 }
 
 TEST(WindowNormal, EightGaugesGiveTheDenseNormalEquations) {
