@@ -263,8 +263,8 @@ def simulate(
     debug: DebugOption = False,
 ) -> Outcome:
     """Simulate a log, and write its truth beside it."""
+    from truewrench.io.plans import read_plan
     from truewrench.rig import load_rig
-    from truewrench.simulate import read_plan
     from truewrench.simulate import simulate as run
 
     settings = load_rig(rig)
@@ -296,8 +296,8 @@ def campaign(
     """Simulate and calibrate many times: accuracy, honesty, time. A rerun goes on where it stood."""
     from truewrench.campaign import campaign as run
     from truewrench.campaign_statistics import campaign_words
+    from truewrench.io.plans import read_plan
     from truewrench.rig import load_rig
-    from truewrench.simulate import read_plan
 
     _check_folder(output)
     settings = load_rig(rig)

@@ -15,18 +15,15 @@ from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.files import write_yaml
-from truewrench.io.cells import numbers
-from truewrench.io.table import ACCELERATION, GRAVITY, TWIST
-from truewrench.io.tables import TimeReader, open_table, require, write_table
+from truewrench.io.table import GRAVITY, TWIST
+from truewrench.io.tables import write_table
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
-from truewrench.trajectory import Body, HarmonicTwist, SplineTwist, Trajectory, attitude
+from truewrench.trajectory import Body, HarmonicTwist, Trajectory, attitude
 
-__all__ = ["SimulatedRun", "Truth", "default_trajectory", "read_plan", "simulate", "wrench_on_sensor"]
+__all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on_sensor"]
 
 Array = NDArray[np.float64]
-
-_FEWEST_ROWS = 6  # of a plan: what a quintic spline needs
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,47 +203,6 @@ def default_trajectory(rig: Rig) -> HarmonicTwist:
     if limits.wrench_fraction is None:
         return motion
     return _within_wrench(rig, motion, limits.wrench_fraction)
-
-
-def read_plan(path: str | Path) -> SplineTwist:
-    """Read the planned twist of a PLAN table (CSV or Parquet): vx ... wz and, checked, ax ... alz.
-
-    Raises:
-        InputError: for missing columns or numbers, time that does not increase, or accelerations that are
-            not the derivative of the twist.
-    """
-    table = open_table(path)
-    stated = any(name in table.names for name in ACCELERATION)
-    names = TWIST + ACCELERATION if stated else TWIST
-    require(table, names)
-    reader = TimeReader(table)
-    stamps, blocks = [], []
-    for chunk in table.chunks([reader.name, *names]):
-        stamps.append(reader.read(chunk))
-        blocks.append(np.column_stack([numbers(chunk.column(name))[0] for name in names]))
-    rows = sum(map(len, stamps))
-    if rows < _FEWEST_ROWS:
-        raise InputError.at(path, "", f"{rows} rows", f"at least {_FEWEST_ROWS}")
-    time, data = _seconds(np.concatenate(stamps)), np.concatenate(blocks)
-    if np.isnan(data).any():
-        row, column = np.argwhere(np.isnan(data))[0]
-        raise InputError.at(
-            path, f"row {row + 1}, column `{names[column]}`", "no number", "a number in every row"
-        )
-    trajectory = SplineTwist.through(time, data[:, :6])
-    if stated:
-        _check_derivative(path, data[:, 6:], trajectory.acceleration(time - time[0]))
-    return trajectory
-
-
-def _check_derivative(path: str | Path, stated: Array, derivative: Array) -> None:
-    # 2% of the largest forgives a coarse table, not a wrong unit or the derivative in another frame
-    excess = np.abs(derivative - stated) - 0.02 * np.abs(stated).max(axis=0) - 1e-6
-    row, axis = np.unravel_index(np.argmax(excess), excess.shape)
-    if excess[row, axis] > 0.0:
-        place = f"row {row + 1}, column `{ACCELERATION[axis]}`"
-        expected = f"{derivative[row, axis]:.6g}, the derivative of {TWIST[axis]}"
-        raise InputError.at(path, place, f"{stated[row, axis]:.6g}", expected)
 
 
 def _check_supported(rig: Rig) -> None:
