@@ -86,7 +86,7 @@ def _columns(path: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
     rows = sum(map(len, stamps))
     if rows < _FEWEST_ROWS:
         raise InputError.at(path, "", f"{rows} rows", f"at least {_FEWEST_ROWS}")
-    time: Array = np.concatenate(stamps) * 1e-9
+    time = np.asarray(np.concatenate(stamps) * 1e-9, dtype=np.float64)
     data = np.concatenate(blocks)
     if np.isnan(data).any():
         row, column = np.argwhere(np.isnan(data))[0]
