@@ -1,7 +1,7 @@
 """The robot model against the sensors of MuJoCo, an independent physics engine, on random states.
 
-MuJoCo's loader fuses links that have no joint, unless it is told not to; its force sensor reads the wrench that moves
-the payload (`sensor_on_payload`), the opposite of the payload's reaction.
+MuJoCo fuses links that have no joint, unless it is told not to. Its force sensor reads the wrench that
+moves the payload (`sensor_on_payload`), the opposite of the payload's reaction.
 """
 
 from __future__ import annotations
