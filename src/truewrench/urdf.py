@@ -44,11 +44,23 @@ def read_urdf(path: str | Path) -> ElementTree.Element:
     links = {link.get("name", "") for link in robot.findall("link")}
     for joint in robot.findall("joint"):
         _check(joint, links, path)
+    for origin in robot.iter("origin"):
+        for key in ("xyz", "rpy"):
+            _check_three(origin.get(key, "0 0 0"), key, path)
     for link in robot.findall("link"):
         for tag in ("visual", "collision"):
             for geometry in link.findall(tag):
                 link.remove(geometry)
     return robot
+
+
+def _check_three(text: str, key: str, path: str | Path) -> None:
+    try:
+        numbers = [float(part) for part in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
+        raise InputError.at(path, "an <origin>", f'{key}="{text}"', "three numbers")
 
 
 def _check(joint: ElementTree.Element, links: set[str], path: str | Path) -> None:

@@ -24,6 +24,7 @@ FLOORS = [
         "sections",
         "rig",
         "payload",
+        "payload_sources",
         "urdf",
         "robot",
         "calibration",
