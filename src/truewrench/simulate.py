@@ -35,6 +35,10 @@ class SimulatedRun:
         """Write the log (CSV, or Parquet by its suffix) and PATH.truth.yaml beside it; return both paths."""
         return write_run(path, self.log, self.truth)
 
+    def figures(self) -> dict[str, float]:
+        """Nothing beside the log is worth telling."""
+        return {}
+
 
 def simulate(
     rig: Rig, trajectory: Trajectory | None = None, *, payload: str | None = None, seed: int | None = None
@@ -55,7 +59,7 @@ def simulate(
         InputError: for a payload that the rig does not have.
     """
     if rig.motion.source != "twist":
-        expected = "`twist`: an arm is simulated by `arm_simulation`"
+        expected = "`twist`: arms move in `arm_simulation`"
         raise UnsupportedError.at(rig.path, "motion.source", rig.motion.source, expected)
     name, truth = begin(rig, payload, seed)
     motion = default_trajectory(rig) if trajectory is None else trajectory

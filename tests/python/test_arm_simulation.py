@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,11 @@ from scipy.interpolate import make_interp_spline
 from truewrench.arm_simulation import simulate_arm
 from truewrench.arm_simulation.model import Arm, Reading, arm_of
 from truewrench.arm_simulation.run import ArmRun, record
+from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.tables import read_log
 from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.rig import Rig, load_rig
 from truewrench.trajectory import Body
 from truewrench.trajectory_joint import SplineJoints
 from truewrench.truth import Truth, begin
@@ -156,8 +158,10 @@ class Oracle:
             a = data.a[self.weld].vector
             inertial = a[:3] + np.cross(nu[3:], nu[:3])
             g = R.T @ self.gravity
-            rows.append(np.concatenate([-data.f[self.weld].vector, nu, inertial - g, g]))
-        return Reading(*np.hsplit(np.array(rows), [6, 12, 15]))
+            p = data.oMi[self.weld].translation
+            rows.append(np.concatenate([-data.f[self.weld].vector, nu, inertial - g, g, R.ravel(), p]))
+        wrench, twist, force, g, R, p = np.hsplit(np.array(rows), [6, 12, 15, 18, 27])
+        return Reading(wrench, twist, force, g, R.reshape(-1, 3, 3), p)
 
 
 def arm(folder: Path, body: Body = BODY, gravity: Array = GROUND) -> Arm:
@@ -170,7 +174,7 @@ def test_mujoco_and_pinocchio_agree_on_the_sensor_of_random_states(folder: Path,
     q, qd, qdd = rng.uniform(-1, 1, (3, 50, 4)) * np.array([[[3.0]], [[2.0]], [[10.0]]])
     found = arm(folder, gravity=gravity).ideal(q, qd, qdd)
     expected = Oracle(folder, BODY, gravity).reading(q, qd, qdd)
-    for name in ("wrench", "twist", "specific_force", "gravity"):
+    for name in ("wrench", "twist", "specific_force", "gravity", "R_root_sensor", "p_root_sensor"):
         value = getattr(expected, name)
         np.testing.assert_allclose(
             getattr(found, name), value, rtol=0, atol=1e-12 * (1 + np.abs(value).max())
@@ -407,6 +411,19 @@ def test_default_motion_rests_at_both_ends_within_all_limits(folder: Path) -> No
     assert 0.009 < share.max() < 0.0105  # the servos may overshoot
 
 
+def test_default_motion_keeps_sensor_and_payload_inside_the_workspace(folder: Path) -> None:
+    free = simulate_arm(rig_of(folder, **QUIET)).moved.joints.reading
+    middle = free.p_root_sensor[0] + 0.5 * free.R_root_sensor[0] @ BODY.center_of_mass
+    box = np.column_stack([middle - 0.12, middle + 0.12])
+    rig = rig_of(folder, limits={"workspace": box.tolist()}, **QUIET)
+    held = simulate_arm(rig).moved.joints.reading
+    assert np.any(free.p_root_sensor < box[:, 0]) or np.any(free.p_root_sensor > box[:, 1])
+    for point in (held.p_root_sensor, held.p_root_sensor + held.R_root_sensor @ BODY.center_of_mass):
+        assert np.all(point > box[:, 0] - 1e-3)  # the servos may overshoot
+        assert np.all(point < box[:, 1] + 1e-3)
+        assert np.ptp(point, axis=0).max() > 0.05
+
+
 def test_a_flat_payload_at_any_angle_can_be_carried(folder: Path) -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -423,8 +440,9 @@ def test_plans_beyond_the_robot_are_refused(folder: Path) -> None:
         simulate_arm(rig_of(folder), still([0.0, 9.0, 0.9, 0.0]))  # the elbow has no limits
     with pytest.raises(InputError, match="3 joints"):
         simulate_arm(rig_of(folder), still([0.0, 0.0, 0.0]))
+    only_velocities = {"initial_position": [0, 0.2, 0, 0], "position_noise": None}
     with pytest.raises(InputError, match=r"initial_position\[1\]"):
-        simulate_arm(rig_of(folder, motion={"initial_position": [0, 0.2, 0, 0]}), still([0.0] * 4))
+        simulate_arm(rig_of(folder, motion=only_velocities), still([0.0] * 4))
 
 
 def test_rigs_that_cannot_be_simulated_are_refused(folder: Path) -> None:
@@ -432,7 +450,31 @@ def test_rigs_that_cannot_be_simulated_are_refused(folder: Path) -> None:
         simulate_arm(rig_of(folder), payload="hammer")
     with pytest.raises(UnsupportedError, match="lowpass_hz"):
         simulate_arm(rig_of(folder, sensor={"lowpass_hz": 100}))
-    with pytest.raises(UnsupportedError, match="workspace"):
-        simulate_arm(rig_of(folder, limits={"workspace": [[-1, 1]] * 3}))
+    with pytest.raises(InputError, match="workspace"):
+        simulate_arm(rig_of(folder, limits={"workspace": [[5, 6]] * 3}))
     with pytest.raises(InputError, match="wrench_fraction"):
         simulate_arm(rig_of(folder, gravity=[0, 0, -9.81], limits={"wrench_fraction": 0.05}))
+
+
+def test_command_simulates_arms_with_and_without_a_plan(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "rig.yaml"
+    settings = deepcopy(SETTINGS) | {"plan": {"duration": 1}}
+    settings["motion"]["robot"]["urdf"] = str(folder / "four.urdf")
+    rig.write_text(yaml.safe_dump(settings))
+    plan = tmp_path / "plan.csv"
+    time = np.linspace(0, 1, 41)
+    rows = np.column_stack([time, np.tile(0.1 * np.sin(np.pi * time)[:, None] ** 4, (1, 4))])
+    header = ",".join(["time_s", *(f"q_{name}" for name in JOINTS)])
+    np.savetxt(plan, rows, delimiter=",", header=header, comments="")
+    for arguments in ([], [str(plan)]):
+        log = tmp_path / "run.csv"
+        with pytest.raises(SystemExit) as end:
+            main(["simulate", str(rig), *arguments, "-o", str(log), "--json"])
+        assert end.value.code == 0
+        said = json.loads(capsys.readouterr().out)
+        assert said["outputs"] == [str(log), f"{log}.truth.yaml"]
+        assert said["figures"]["newton_euler_disagreement"] < 1e-6
+    planned = np.interp(read_log(log, load_rig(rig)).time, time, rows[:, 1])
+    np.testing.assert_allclose(read_log(log, load_rig(rig)).position[:, 2], planned, atol=5e-3)

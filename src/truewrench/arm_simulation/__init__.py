@@ -3,6 +3,6 @@
 docs/method.md, section 16, says what is modelled and what is checked.
 """
 
-from truewrench.arm_simulation.run import ArmRun, simulate_arm
+from truewrench.arm_simulation.run import ArmRun, simulate_arm, simulate_plan
 
-__all__ = ["ArmRun", "simulate_arm"]
+__all__ = ["ArmRun", "simulate_arm", "simulate_plan"]

@@ -6,7 +6,7 @@ Nothing here knows Pinocchio or the core's equations, from which logs are calibr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -37,16 +37,20 @@ class Reading:
         twist: (N, 6) of the sensor's origin [m/s, rad/s].
         specific_force: (N, 3) what an accelerometer reads there, vdot + Omega x v - g [m/s^2].
         gravity: (N, 3) acceleration of free fall [m/s^2].
+        R_root_sensor: (N, 3, 3) turns sensor coordinates into those of the root.
+        p_root_sensor: (N, 3) position of the sensor's origin in the root [m].
     """
 
     wrench: Array
     twist: Array
     specific_force: Array
     gravity: Array
+    R_root_sensor: Array
+    p_root_sensor: Array
 
     def at(self, rows: NDArray[np.int64]) -> Reading:
         """Some of the rows."""
-        return Reading(self.wrench[rows], self.twist[rows], self.specific_force[rows], self.gravity[rows])
+        return Reading(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,17 +97,19 @@ class Arm:
         return self.reading(np.array(rows))
 
     def read(self, data: Any) -> Array:
-        """Sensors and the rotation of their site (24,), of a state that MuJoCo has evaluated."""
-        return np.concatenate([data.sensordata, data.site_xmat[0]])
+        """Sensors and the pose of their site (27,), of a state that MuJoCo has evaluated."""
+        return np.concatenate([data.sensordata, data.site_xmat[0], data.site_xpos[0]])
 
     def reading(self, rows: Array) -> Reading:
-        """Rows (N, 24) of `read` as readings."""
-        R_root_sensor = rows[:, 15:].reshape(-1, 3, 3)
+        """Rows (N, 27) of `read` as readings."""
+        R_root_sensor = rows[:, 15:24].reshape(-1, 3, 3)
         return Reading(
             wrench=-rows[:, :6],  # MuJoCo tells what the sensor does to the payload
             twist=rows[:, 6:12],
             specific_force=rows[:, 12:15],
             gravity=np.asarray(np.array(self.model.opt.gravity) @ R_root_sensor),  # R^T g
+            R_root_sensor=R_root_sensor,
+            p_root_sensor=rows[:, 24:],
         )
 
 

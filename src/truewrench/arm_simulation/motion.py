@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm_simulation.model import Arm
-from truewrench.errors import InputError, UnsupportedError
+from truewrench.arm_simulation.model import Arm, Reading
+from truewrench.errors import InputError
 from truewrench.rig import Rig
 from truewrench.robot import Robot
 from truewrench.trajectory_joint import SplineJoints
@@ -24,44 +26,58 @@ _RAMP = 0.15  # of the duration, at both ends
 _BEND = 0.35  # [rad] off the middle, every other joint to the other side: stretched arms are singular
 
 
-def default_motion(rig: Rig, robot: Robot, arms: list[Arm]) -> SplineJoints:
+def default_motion(rig: Rig, robot: Robot, arms: Mapping[str, Arm]) -> SplineJoints:
     """One sine per joint, of distinct frequencies, for ``rig.plan.duration`` and within the limits.
 
     Args:
         rig: its ``limits``, those of the URDF and the sensor's range are kept to.
         robot: limits of the joints.
-        arms: with every payload that must not overload the sensor.
+        arms: the arm with each of the rig's payloads.
 
     Raises:
-        UnsupportedError: for a workspace, which only a planned motion can keep to.
-        InputError: if a payload overloads the sensor at rest.
+        InputError: if a payload overloads the sensor at rest, or begins outside the workspace.
     """
-    if rig.limits.workspace is not None:
-        expected = "a planned motion to simulate (PLAN)"
-        raise UnsupportedError.at(rig.path, "limits.workspace", "a workspace", expected)
     time = np.linspace(0.0, rig.plan.duration, max(64, 1 + round(_RATE * rig.plan.duration)))
     center = _posture(rig, robot)
     swing = _sines(rig, robot, time, center)
-    fraction = rig.limits.wrench_fraction or _WRENCH_SHARE
-    limit = fraction * rig.sensor.range_array
 
-    def load(factor: float) -> float:
+    def use(factor: float) -> dict[str, float]:
+        """Share that the motion times `factor` uses of the limits that depend on all joints together."""
         motion = SplineJoints.through(time, center + factor * swing)
         some = time[:: max(1, time.size // 400)]
         state = motion.position(some), motion.velocity(some), motion.acceleration(some)
-        return max(float(np.max(np.abs(arm.ideal(*state).wrench) / limit)) for arm in arms)
+        used = [
+            _use(rig, rig.payloads[name].center_of_mass_array, arm.ideal(*state))
+            for name, arm in arms.items()
+        ]
+        return {key: max(shares[key] for shares in used) for key in used[0]}
+
+    def fits(factor: float) -> bool:
+        return max(use(factor).values()) <= 1.0
 
     factor = 1.0
-    if load(1.0) > 1.0:
-        if load(0.0) > 1.0:
-            expected = "more: the payload at rest exceeds it"
-            raise InputError.at(rig.path, "limits.wrench_fraction", f"{fraction:g}", expected)
+    if not fits(1.0):
+        for key, share in use(0.0).items():
+            if share > 1.0:
+                found = f"{share:.0%} used by the arm at rest"
+                raise InputError.at(rig.path, f"limits.{key}", found, "room for a motion, or a PLAN")
         low, high = 0.0, 1.0
         for _ in range(12):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if load(middle) <= 1.0 else (low, middle)
+            low, high = (middle, high) if fits(middle) else (low, middle)
         factor = low
     return SplineJoints.through(time, center + factor * swing)
+
+
+def _use(rig: Rig, center_of_mass: Array, reading: Reading) -> dict[str, float]:
+    fraction = rig.limits.wrench_fraction or _WRENCH_SHARE
+    shares = {"wrench_fraction": float(np.max(np.abs(reading.wrench) / (fraction * rig.sensor.range_array)))}
+    if rig.limits.workspace is not None:
+        low, high = np.array(rig.limits.workspace).T
+        for point in (reading.p_root_sensor, reading.p_root_sensor + reading.R_root_sensor @ center_of_mass):
+            share = float(np.max(np.abs(2.0 * point - low - high) / (high - low)))
+            shares["workspace"] = max(share, shares.get("workspace", 0.0))
+    return shares
 
 
 def _posture(rig: Rig, robot: Robot) -> Array:

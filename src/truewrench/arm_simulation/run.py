@@ -12,6 +12,7 @@ from truewrench.arm_simulation.drive import Driven, drive, servo_for
 from truewrench.arm_simulation.model import Arm, Reading, arm_of
 from truewrench.arm_simulation.motion import default_motion
 from truewrench.errors import InputError, UnsupportedError
+from truewrench.io.plans import read_joint_plan
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.robot import Robot, robot_of
@@ -20,7 +21,7 @@ from truewrench.trajectory import Body
 from truewrench.trajectory_joint import JointTrajectory
 from truewrench.truth import Stamps, Truth, begin, readings, stamps_of, stated, write_run
 
-__all__ = ["ArmRun", "Moved", "arm_with", "disagreement", "move", "record", "simulate_arm"]
+__all__ = ["ArmRun", "Moved", "arm_with", "disagreement", "move", "record", "simulate_arm", "simulate_plan"]
 
 Array = NDArray[np.float64]
 
@@ -63,6 +64,15 @@ class ArmRun:
         """Write the log (CSV, or Parquet by its suffix) and PATH.truth.yaml beside it; return both paths."""
         return write_run(path, self.log, self.truth, self.joints)
 
+    def figures(self) -> dict[str, float]:
+        """How closely the servos follow, and whether wrench and motion of the record belong together."""
+        joints, time = self.moved.joints, self.moved.stamps.motion
+        return {
+            "tracking_error_position": float(np.abs(joints.position - self.trajectory.position(time)).max()),
+            "tracking_error_velocity": float(np.abs(joints.velocity - self.trajectory.velocity(time)).max()),
+            "newton_euler_disagreement": self.moved.disagreement,
+        }
+
 
 def simulate_arm(
     rig: Rig,
@@ -92,11 +102,19 @@ def simulate_arm(
     name, truth = begin(rig, payload, seed)
     robot = robot_of(rig)
     if trajectory is None:
-        arms = [arm_with(rig, robot, stated(spec)) for spec in rig.payloads.values()]
+        arms = {carried: arm_with(rig, robot, stated(spec)) for carried, spec in rig.payloads.items()}
         trajectory = default_motion(rig, robot, arms)
     moved = move(rig, robot, trajectory, truth.payloads[name], truth.time_offset)
     log = record(rig, name, truth, moved)
     return ArmRun(log, truth, trajectory, moved, robot.joints)
+
+
+def simulate_plan(
+    rig: Rig, plan: Path | None, *, payload: str | None = None, seed: int | None = None
+) -> ArmRun:
+    """As `simulate_arm`, with the plan of a file."""
+    trajectory = None if plan is None else read_joint_plan(plan, robot_of(rig).joints)
+    return simulate_arm(rig, trajectory, payload=payload, seed=seed)
 
 
 def arm_with(rig: Rig, robot: Robot, payload: Body) -> Arm:
@@ -195,7 +213,7 @@ def _check_range(rig: Rig, robot: Robot, trajectory: JointTrajectory) -> None:
         place = f"plan: joint `{robot.joints[joint]}` at {time[row]:.2f} s"
         expected = f"within [{robot.lower[joint]:.4g}, {robot.upper[joint]:.4g}], its limits in the URDF"
         raise InputError.at(rig.path, place, f"{planned[row, joint]:.4g}", expected)
-    start = rig.motion.initial_position
+    start = rig.motion.initial_position if rig.motion.position_noise is None else None
     if start is not None and np.abs(planned[0] - start).max() > 1e-6:
         joint = int(np.argmax(np.abs(planned[0] - start)))
         expected = f"{planned[0, joint]:.6g}, where the plan starts"
