@@ -27,7 +27,9 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from truewrench.errors import InputError
 
 if TYPE_CHECKING:
+    from truewrench.arm_simulation import ArmRun
     from truewrench.calibration import Calibration
+    from truewrench.simulate import SimulatedRun
 
 __all__ = ["app", "main"]
 
@@ -264,16 +266,23 @@ def simulate(
 ) -> Outcome:
     """Simulate a log, and write its truth beside it."""
     from truewrench.rig import load_rig
-    from truewrench.simulate import read_plan
-    from truewrench.simulate import simulate as run
 
     settings = load_rig(rig)
-    simulated = run(settings, None if plan is None else read_plan(plan), payload=payload, seed=seed)
+    simulated: ArmRun | SimulatedRun
+    if settings.motion.source == "joints":
+        from truewrench.arm_simulation import simulate_plan
+
+        simulated = simulate_plan(settings, plan, payload=payload, seed=seed)
+    else:
+        from truewrench.io.plans import read_plan
+        from truewrench.simulate import simulate as run
+
+        simulated = run(settings, None if plan is None else read_plan(plan), payload=payload, seed=seed)
     log, truth = simulated.write(output)
     rows = len(simulated.log.time_ns)
     return Outcome(
         outputs=[log, truth],
-        figures={"rows": rows, "duration": float(simulated.log.time[-1])},
+        figures={"rows": rows, "duration": float(simulated.log.time[-1]), **simulated.figures()},
         words=lambda: iter([f"{rows} rows with `{simulated.log.payload}`, and what they were made with"]),
     )
 
@@ -296,8 +305,8 @@ def campaign(
     """Simulate and calibrate many times: accuracy, honesty, time. A rerun goes on where it stood."""
     from truewrench.campaign import campaign as run
     from truewrench.campaign_statistics import campaign_words
+    from truewrench.io.plans import read_plan
     from truewrench.rig import load_rig
-    from truewrench.simulate import read_plan
 
     _check_folder(output)
     settings = load_rig(rig)

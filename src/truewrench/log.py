@@ -26,6 +26,10 @@ class Log:
         raw: (N, n) sensor channels in the order of the rig [raw units].
         twist: (N, 6) of the point `motion.of`, sensor axes [m/s, rad/s]; None with a reference instead.
         gravity: (N, 3) acceleration of free fall in sensor axes [m/s^2], None when there is no such column.
+        position: (N, n) joint positions in the order of the chain [rad, m], None likewise.
+        velocity: (N, n) joint velocities [rad/s, m/s], None likewise.
+        base_twist: (N, 6) of the robot's root, root axes [m/s, rad/s], None where the base is fixed.
+        base_attitude: (N, 4) quaternion w, x, y, z from the root to the inertial frame, None likewise.
         acceleration: (N, 6) component-wise derivative of the twist, None likewise.
         specific_force: (N, 3) of the sensor origin, sensor axes [m/s^2], None likewise.
         temperature: (N,) [degC], None likewise.
@@ -45,6 +49,10 @@ class Log:
     specific_force: FloatArray | None = None
     temperature: FloatArray | None = None
     reference: FloatArray | None = None
+    position: FloatArray | None = None
+    velocity: FloatArray | None = None
+    base_twist: FloatArray | None = None
+    base_attitude: FloatArray | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
 

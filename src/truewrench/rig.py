@@ -15,6 +15,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from truewrench.errors import InputError
 from truewrench.files import read_yaml
+from truewrench.payload_sources import AnyPayload
 from truewrench.sections import (
     InertiaSpec,
     LimitsSpec,
@@ -62,7 +63,7 @@ class Rig(Section):
     """Sensor, payloads and motion of a calibration, with the settings of everything built on them."""
 
     sensor: SensorSpec
-    payloads: Annotated[dict[Text, PayloadSpec], Field(min_length=1)]
+    payloads: Annotated[dict[Text, AnyPayload], Field(min_length=1)]
     motion: MotionSpec
     gravity: ThreeNumbers = (0.0, 0.0, 0.0)
     reference_noise: SixPositives | None = None
@@ -83,7 +84,7 @@ class Rig(Section):
             InputError: with one line per problem: key, value found, what was expected.
         """
         try:
-            rig = cls.model_validate(data)
+            rig = cls.model_validate(data, context=_context(path))
         except ValidationError as error:
             raise input_error(error, cls, path) from None
         rig._path = None if path is None else Path(path)
@@ -133,6 +134,11 @@ class Rig(Section):
         return self.model_dump(mode="json", exclude_none=True, exclude=unset_of)
 
 
+def _context(path: str | Path | None) -> dict[str, Path]:
+    """What paths in a rig are relative to."""
+    return {"folder": Path() if path is None else Path(path).parent}
+
+
 def load_rig(path: str | Path) -> Rig:
     """Read and validate a rig file.
 
@@ -143,7 +149,7 @@ def load_rig(path: str | Path) -> Rig:
     if not isinstance(data, Mapping):
         raise InputError.at(path, "", shown(data), "a mapping with sensor, payloads and motion")
     try:
-        rig = Rig.model_validate(data)
+        rig = Rig.model_validate(data, context=_context(path))
     except ValidationError as error:
         raise input_error(error, Rig, path, locate) from None
     rig._path = Path(path)

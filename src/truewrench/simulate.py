@@ -8,60 +8,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.files import write_yaml
-from truewrench.io.cells import numbers
-from truewrench.io.table import ACCELERATION, GRAVITY, TWIST
-from truewrench.io.tables import TimeReader, open_table, require, write_table
 from truewrench.log import Log
-from truewrench.rig import PayloadSpec, Rig
-from truewrench.trajectory import Body, HarmonicTwist, SplineTwist, Trajectory, attitude
+from truewrench.rig import Rig
+from truewrench.trajectory import Body, HarmonicTwist, Trajectory, attitude
+from truewrench.truth import Truth, begin, readings, stamps_of, stated, write_run
 
-__all__ = ["SimulatedRun", "Truth", "default_trajectory", "read_plan", "simulate", "wrench_on_sensor"]
+__all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on_sensor"]
 
 Array = NDArray[np.float64]
-
-_FEWEST_ROWS = 6  # of a plan: what a quintic spline needs
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """What a log was made with: gain (n, 6) and offset (n,) [raw units], clock offset [s], payloads."""
-
-    gain: Array
-    offset: Array
-    time_offset: float
-    payloads: dict[str, Body]
-    seed: int
-
-    def to_mapping(self) -> dict[str, Any]:
-        """Plain numbers and lists, as LOG.truth.yaml holds them."""
-        return {
-            "gain": self.gain.tolist(),
-            "offset": self.offset.tolist(),
-            "time_offset": self.time_offset,
-            "payloads": {
-                name: {
-                    "mass": body.mass,
-                    "center_of_mass": body.center_of_mass.tolist(),
-                    "inertia": {
-                        key: float(body.inertia[i, j])
-                        for key, (i, j) in zip(
-                            ("xx", "yy", "zz", "xy", "xz", "yz"),
-                            ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)),
-                            strict=True,
-                        )
-                    },
-                }
-                for name, body in self.payloads.items()
-            },
-            "seed": self.seed,
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +33,11 @@ class SimulatedRun:
 
     def write(self, path: str | Path) -> tuple[Path, Path]:
         """Write the log (CSV, or Parquet by its suffix) and PATH.truth.yaml beside it; return both paths."""
-        target = Path(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        columns: dict[str, NDArray[np.int64] | Array] = {"time_ns": self.log.time_ns}
-        columns |= {f"raw_{i}": channel for i, channel in enumerate(self.log.raw.T)}
-        for names, block in ((TWIST, self.log.twist), (GRAVITY, self.log.gravity)):
-            if block is not None:
-                columns |= dict(zip(names, block.T, strict=True))
-        write_table(target, columns)
-        truth = target.with_name(target.name + ".truth.yaml")
-        write_yaml(truth, self.truth.to_mapping())
-        return target, truth
+        return write_run(path, self.log, self.truth)
+
+    def figures(self) -> dict[str, float]:
+        """Nothing beside the log is worth telling."""
+        return {}
 
 
 def simulate(
@@ -105,46 +58,26 @@ def simulate(
         UnsupportedError: for a joint rig or a sensor with a filter of its own.
         InputError: for a payload that the rig does not have.
     """
-    _check_supported(rig)
-    name = next(iter(rig.payloads)) if payload is None else payload
-    if name not in rig.payloads:
-        raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
-    options = rig.simulate
+    if rig.motion.source != "twist":
+        expected = "`twist`: arms move in `arm_simulation`"
+        raise UnsupportedError.at(rig.path, "motion.source", rig.motion.source, expected)
+    name, truth = begin(rig, payload, seed)
     motion = default_trajectory(rig) if trajectory is None else trajectory
-    truth = _draw_truth(rig, options.seed if seed is None else seed)
+    stamps = stamps_of(rig, motion.duration, truth.time_offset)
     rng = np.random.default_rng([truth.seed, 1])
-
-    motion_ns = _stamps(motion.duration, options.rate)
-    sensor_ns = _stamps(motion.duration, options.sensor_rate)
-    shown = _seconds(sensor_ns) + truth.time_offset  # t_motion = t_sensor + time_offset
-    inside = (shown >= 0.0) & (shown <= motion.duration)
-    sensor_ns, shown = sensor_ns[inside], shown[inside]
-    if sensor_ns.size == 0:
-        found = f"{truth.time_offset:g} s"
-        raise InputError.at(
-            rig.path, "simulate.time_offset", found, f"less than the {motion.duration} s of motion"
-        )
-    time_ns = np.union1d(motion_ns, sensor_ns)
-
-    gravity = _gravity_in_sensor(rig, motion, np.concatenate([_seconds(time_ns), shown]))
-    wrench = rig.sensor.sign * wrench_on_sensor(
+    rows, shown = stamps.time, stamps.shown
+    gravity = _gravity_in_sensor(rig, motion, np.concatenate([rows, shown]))
+    wrench = wrench_on_sensor(
         truth.payloads[name], _logged_point(rig, name), motion.twist(shown), motion.acceleration(shown),
-        gravity[time_ns.size :],
+        gravity[rows.size :],
     )  # fmt: skip
-    noise = rig.sensor.noise_array * rng.standard_normal((shown.size, rig.sensor.n))
-    raw = np.full((time_ns.size, rig.sensor.n), np.nan)
-    # the offset walks to what the truth says, which is its value at the end
-    steps = np.sqrt(np.diff(shown, append=shown[-1]))[:, None] * rig.sensor.offset_walk_array
-    steps = steps * np.random.default_rng([truth.seed, 3]).standard_normal(steps.shape)
-    offset = truth.offset - np.cumsum(steps[::-1], axis=0)[::-1]
-    raw[np.searchsorted(time_ns, sensor_ns)] = wrench @ truth.gain.T + offset + noise
-    twist = np.full((time_ns.size, 6), np.nan)
-    measured = motion.twist(_seconds(motion_ns))
-    measured += rig.motion.noise_array * rng.standard_normal(measured.shape)
-    twist[np.searchsorted(time_ns, motion_ns)] = measured
+    raw = readings(rig, truth, stamps, wrench, rng)
+    twist = motion.twist(stamps.motion)
+    twist += rig.motion.noise_array * rng.standard_normal(twist.shape)
     log = Log(
-        path=None, payload=name, sha256="", time_ns=time_ns, raw=raw, twist=twist,
-        gravity=gravity[: time_ns.size] if rig.in_gravity else None,
+        path=None, payload=name, sha256="", time_ns=stamps.time_ns, raw=raw,
+        twist=stamps.rows_of(stamps.motion_ns, twist),
+        gravity=gravity[: rows.size] if rig.in_gravity else None,
     )  # fmt: skip
     return SimulatedRun(log, truth, motion)
 
@@ -208,68 +141,6 @@ def default_trajectory(rig: Rig) -> HarmonicTwist:
     return _within_wrench(rig, motion, limits.wrench_fraction)
 
 
-def read_plan(path: str | Path) -> SplineTwist:
-    """Read the planned twist of a PLAN table (CSV or Parquet): vx ... wz and, checked, ax ... alz.
-
-    Raises:
-        InputError: for missing columns or numbers, time that does not increase, or accelerations that are
-            not the derivative of the twist.
-    """
-    table = open_table(path)
-    stated = any(name in table.names for name in ACCELERATION)
-    names = TWIST + ACCELERATION if stated else TWIST
-    require(table, names)
-    reader = TimeReader(table)
-    stamps, blocks = [], []
-    for chunk in table.chunks([reader.name, *names]):
-        stamps.append(reader.read(chunk))
-        blocks.append(np.column_stack([numbers(chunk.column(name))[0] for name in names]))
-    rows = sum(map(len, stamps))
-    if rows < _FEWEST_ROWS:
-        raise InputError.at(path, "", f"{rows} rows", f"at least {_FEWEST_ROWS}")
-    time, data = _seconds(np.concatenate(stamps)), np.concatenate(blocks)
-    if np.isnan(data).any():
-        row, column = np.argwhere(np.isnan(data))[0]
-        raise InputError.at(
-            path, f"row {row + 1}, column `{names[column]}`", "no number", "a number in every row"
-        )
-    trajectory = SplineTwist.through(time, data[:, :6])
-    if stated:
-        _check_derivative(path, data[:, 6:], trajectory.acceleration(time - time[0]))
-    return trajectory
-
-
-def _check_derivative(path: str | Path, stated: Array, derivative: Array) -> None:
-    # 2% of the largest forgives a coarse table, not a wrong unit or the derivative in another frame
-    excess = np.abs(derivative - stated) - 0.02 * np.abs(stated).max(axis=0) - 1e-6
-    row, axis = np.unravel_index(np.argmax(excess), excess.shape)
-    if excess[row, axis] > 0.0:
-        place = f"row {row + 1}, column `{ACCELERATION[axis]}`"
-        expected = f"{derivative[row, axis]:.6g}, the derivative of {TWIST[axis]}"
-        raise InputError.at(path, place, f"{stated[row, axis]:.6g}", expected)
-
-
-def _check_supported(rig: Rig) -> None:
-    if rig.motion.source != "twist":
-        raise UnsupportedError.at(
-            rig.path, "motion.source", rig.motion.source, "`twist`: joints are not simulated"
-        )
-    if rig.sensor.lowpass_hz is not None:
-        found = f"{rig.sensor.lowpass_hz}"
-        raise UnsupportedError.at(rig.path, "sensor.lowpass_hz", found, "null: the filter is not simulated")
-
-
-def _stamps(duration: float, rate: float) -> NDArray[np.int64]:
-    """Stamps k/rate of a stream in [0, duration) [ns]."""
-    count = int(np.ceil(duration * rate - 1e-6))
-    stamps: NDArray[np.int64] = np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
-    return stamps
-
-
-def _seconds(time_ns: NDArray[np.int64]) -> Array:
-    return np.asarray(time_ns * 1e-9, dtype=np.float64)
-
-
 def _logged_point(rig: Rig, payload: str) -> Array:
     """Where the twist belongs to: the STATED centre of mass, whatever the true one is, or the sensor."""
     return rig.payloads[payload].center_of_mass_array if rig.motion.of == "com" else np.zeros(3)
@@ -280,55 +151,6 @@ def _gravity_in_sensor(rig: Rig, motion: Trajectory, time: Array) -> Array:
         return np.zeros((time.size, 3))
     rotation = attitude(motion, time)  # R_root_sensor
     return np.asarray(rig.gravity_array @ rotation)  # R^T g
-
-
-def _draw_truth(rig: Rig, seed: int) -> Truth:
-    sensor, options = rig.sensor, rig.simulate
-    rng = np.random.default_rng([seed, 0])
-    # drawn whether used or not, so that one option does not change what another draws
-    departure = sensor.gain_prior * rng.standard_normal((sensor.n, 6))
-    drawn_offset = sensor.offset_prior_array * rng.standard_normal(sensor.n)
-    gain = sensor.nominal_gain_array
-    if options.gain == "random":
-        gain = gain + departure * sensor.channel_scale[:, None] / sensor.range_array
-    elif options.gain != "nominal":
-        gain = np.array(options.gain)
-    if options.offset == "random":
-        offset = drawn_offset
-    elif isinstance(options.offset, tuple):
-        offset = np.array(options.offset)
-    else:
-        offset = np.zeros(sensor.n)
-    draw = options.payload == "random"
-    payloads = {
-        name: _draw_payload(spec, rng) if draw else _stated(spec) for name, spec in rig.payloads.items()
-    }
-    time_offset = options.time_offset
-    if time_offset == "random":
-        time_offset = sensor.time_offset_prior * float(np.random.default_rng([seed, 2]).standard_normal())
-    return Truth(gain, offset, time_offset, payloads, seed)
-
-
-def _stated(spec: PayloadSpec) -> Body:
-    return Body(spec.mass, spec.center_of_mass_array, spec.inertia_matrix)
-
-
-def _draw_payload(spec: PayloadSpec, rng: np.random.Generator) -> Body:
-    """A payload from the stated uncertainty; inertias that no body can have are drawn again."""
-    sigma, stated = spec.uncertainty, _stated(spec)
-    diagonal = np.sqrt(np.diag(stated.inertia))
-    for _ in range(1000):
-        mass = stated.mass * (1.0 + sigma.mass * rng.standard_normal())
-        center = stated.center_of_mass + sigma.center_of_mass * rng.standard_normal(3)
-        upper = np.triu(rng.standard_normal((3, 3)))
-        symmetric = upper + np.triu(upper, 1).T
-        inertia = stated.inertia + sigma.inertia * symmetric * np.outer(diagonal, diagonal)
-        principal = np.linalg.eigvalsh(inertia)
-        if mass > 0.0 and principal[0] > 0.0 and principal[0] + principal[1] >= principal[2]:
-            return Body(float(mass), center, inertia)
-    raise InputError.at(
-        None, "payloads: uncertainty", f"{sigma}", "an uncertainty that leaves physical bodies likely"
-    )
 
 
 def _material_points(body: Body) -> tuple[Array, Array]:
@@ -352,7 +174,7 @@ def _within_wrench(rig: Rig, motion: HarmonicTwist, fraction: float) -> Harmonic
         gravity = _gravity_in_sensor(rig, scaled, time)
         nu, a = scaled.twist(time), scaled.acceleration(time)
         wrenches = [
-            wrench_on_sensor(_stated(spec), _logged_point(rig, name), nu, a, gravity)
+            wrench_on_sensor(stated(spec), _logged_point(rig, name), nu, a, gravity)
             for name, spec in rig.payloads.items()
         ]
         return float(np.max(np.abs(wrenches) / (fraction * rig.sensor.range_array)))

@@ -65,4 +65,8 @@ def rows_of(log: Log, rows: NDArray[np.bool_]) -> Log:
         specific_force=pick(log.specific_force),
         temperature=pick(log.temperature),
         reference=pick(log.reference),
+        position=pick(log.position),
+        velocity=pick(log.velocity),
+        base_twist=pick(log.base_twist),
+        base_attitude=pick(log.base_attitude),
     )

@@ -126,7 +126,7 @@ def choice(expected: str) -> Discriminator:
 
 
 Word, Zero, Listed = Tag("<word>"), Tag("<zero>"), Tag("<list>")
-_TAGS = ("<word>", "<zero>", "<list>", "[key]")
+_TAGS = ("<word>", "<zero>", "<list>", "[key]", "<body>", "<urdf>", "<franka>", "<ur>")
 
 
 def input_error(
@@ -166,7 +166,7 @@ def _problem(
     if kind == "missing":
         return f"{where}: missing required key"
     if kind == "extra_forbidden":
-        known = list(_fields_at(model, keys[:-1]))
+        known = list(_fields_at(model, details["loc"][:-1]))
         near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.0)[0]
         return f"{where}: unknown key `{keys[-1]}`; nearest known key: `{near}`"
     if kind in ("refused", "length"):
@@ -198,9 +198,14 @@ def _fields_at(model: type[BaseModel], keys: Sequence[int | str]) -> Iterator[st
     for key in keys:
         if isinstance(here, type) and issubclass(here, BaseModel):
             here = here.model_fields[str(key)].annotation
+        elif key in _TAGS:
+            here = next(option for option in get_args(here) if Tag(str(key)) in get_args(option))
         else:  # dict[str, Section]
             here = get_args(here)[-1]
+        if get_origin(here) is Annotated:
+            here = get_args(here)[0]
         if get_origin(here) in (Union, UnionType):
-            here = next(option for option in get_args(here) if option is not type(None))
+            options = [option for option in get_args(here) if option is not type(None)]
+            here = options[0] if len(options) == 1 else here
     if isinstance(here, type) and issubclass(here, BaseModel):
         yield from (field.alias or name for name, field in here.model_fields.items())

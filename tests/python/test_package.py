@@ -16,7 +16,7 @@ PACKAGE = ROOT / "src" / "truewrench"
 # The floors of the package, lowest first: imports run downward only, and sideways only between
 # the data types and what they stand on. "estimate" and "io" stand for the modules inside them.
 FLOORS = [
-    {"errors", "log", "smooth", "workers", "trajectory", "_core", "_cpu"},
+    {"errors", "log", "smooth", "workers", "robots", "trajectory", "trajectory_joint", "_core", "_cpu"},
     {
         "files",
         "strict",
@@ -24,6 +24,9 @@ FLOORS = [
         "sections",
         "rig",
         "payload",
+        "payload_sources",
+        "urdf",
+        "robot",
         "calibration",
         "signed_axes",
         "setup_hypotheses",
@@ -31,8 +34,9 @@ FLOORS = [
         "silence",
     },
     {"io"},
+    {"truth"},
     {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "inertial"},
-    {"setup_errors", "residuals", "advice"},
+    {"setup_errors", "residuals", "advice", "arm_simulation"},
     {"verdict", "validation"},
     {"summary", "comparison"},
     {"known_wrench"},

@@ -12,8 +12,8 @@ import yaml
 
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, default_trajectory, read_plan, simulate, wrench_on_sensor
-from truewrench.trajectory import Body, HarmonicTwist, attitude
+from truewrench.simulate import SimulatedRun, default_trajectory, simulate, wrench_on_sensor
+from truewrench.trajectory import Body, attitude
 
 QUIET = {"sensor": {"noise": [1e-12] * 6}, "motion": {"noise": [1e-12] * 6}}
 
@@ -227,40 +227,6 @@ def test_written_log_and_truth_hold_what_was_simulated(tmp_path: Path) -> None:
     assert set(truth) == {"gain", "offset", "time_offset", "payloads", "seed"}
     np.testing.assert_array_equal(truth["gain"], run.truth.gain)
     assert truth["payloads"]["table_1"]["inertia"]["xx"] == 1.5
-
-
-def write_plan(path: Path, acceleration_scale: float = 1.0) -> HarmonicTwist:
-    one = np.ones((1, 6))
-    motion = HarmonicTwist(0.2 * one, 0.4 * one, 0.0 * one, 5.0)
-    t = np.arange(0, 5.0001, 0.025)
-    rows = np.column_stack([t, motion.twist(t), acceleration_scale * motion.acceleration(t)])
-    header = "time_s,vx,vy,vz,wx,wy,wz,ax,ay,az,alx,aly,alz"
-    np.savetxt(path, rows, delimiter=",", header=header, comments="")
-    return motion
-
-
-def test_plan_is_followed_between_its_rows(tmp_path: Path) -> None:
-    motion = write_plan(tmp_path / "plan.csv")
-    plan = read_plan(tmp_path / "plan.csv")
-    t = np.linspace(0, 5, 333)
-    assert plan.duration == pytest.approx(5.0)
-    np.testing.assert_allclose(plan.twist(t), motion.twist(t), atol=1e-7)
-    np.testing.assert_allclose(plan.acceleration(t), motion.acceleration(t), atol=1e-4)
-
-
-def test_plan_whose_acceleration_is_not_its_derivative_is_refused(tmp_path: Path) -> None:
-    write_plan(tmp_path / "plan.csv", acceleration_scale=9.81)
-    with pytest.raises(InputError, match=r"plan\.csv: row \d+, column `a.*derivative of v"):
-        read_plan(tmp_path / "plan.csv")
-
-
-def test_plan_with_time_running_backwards_is_refused(tmp_path: Path) -> None:
-    write_plan(tmp_path / "plan.csv")
-    lines = (tmp_path / "plan.csv").read_text().splitlines()
-    lines[5], lines[6] = lines[6], lines[5]
-    (tmp_path / "plan.csv").write_text("\n".join(lines))
-    with pytest.raises(InputError, match=r"time_s.*strictly increases"):
-        read_plan(tmp_path / "plan.csv")
 
 
 def test_rigs_that_cannot_be_simulated_are_refused() -> None:

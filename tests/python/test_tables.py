@@ -285,13 +285,6 @@ def test_unknown_payload_is_named_with_the_known_ones(tool_rig: Rig) -> None:
         split_payload("run.csv@hamer", tool_rig)
 
 
-def test_joint_rig_is_refused(settings: dict[str, Any], cells: Cells, csv_of: CsvOf) -> None:
-    robot = {"urdf": "arm.urdf", "sensor_frame": "ft"}
-    settings["motion"] = {"source": "joints", "noise": [1e-4] * 7, "robot": robot}
-    with pytest.raises(UnsupportedError, match=r"motion\.source: found `joints`"):
-        read_log(csv_of(cells), Rig.from_mapping(settings))
-
-
 seconds = st.decimals(Decimal(-10) ** 9, Decimal(8) * 10**9, places=11, allow_nan=False)
 
 

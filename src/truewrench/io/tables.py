@@ -16,6 +16,7 @@ import pyarrow as pa
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.cells import numbers, to_nanoseconds
 from truewrench.io.csv_table import CsvTable
+from truewrench.io.joints import check_attitude, joint_groups
 from truewrench.io.output import write_batches
 from truewrench.io.parquet_table import ParquetTable
 from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST, Chunk, Table
@@ -100,9 +101,15 @@ def require(table: Table, names: Iterable[str]) -> None:
     """Check that columns are present; those that are not are named with the nearest one present."""
     missing = [name for name in names if name not in table.names]
     if missing:
-        near = {name: difflib.get_close_matches(name, table.names, n=1, cutoff=0.0)[0] for name in missing}
+        near = {name: difflib.get_close_matches(name, _alike(name, table), 1, 0.0)[0] for name in missing}
         found = ", ".join(f"no column `{name}` (nearest: `{close}`)" for name, close in near.items())
         raise InputError.at(table.path, "header", found, "every required column")
+
+
+def _alike(name: str, table: Table) -> Sequence[str]:
+    """The columns of the same stream, `q_*` for `q_elbow`, or all where there is none."""
+    stream = name.partition("_")[0]
+    return [other for other in table.names if other.partition("_")[0] == stream] or table.names
 
 
 class TimeReader:
@@ -131,9 +138,9 @@ class TimeReader:
 
 
 def read_log(source: str | Path, rig: Rig) -> Log:
-    """Read a log of a twist rig.
+    """Read a log.
 
-    The motion is required, in gravity with its direction, unless there are reference columns.
+    The motion is required, of a twist rig in gravity its direction too, unless there are reference columns.
 
     Args:
         source: path of a CSV or Parquet file, or `path@payload`.
@@ -142,28 +149,9 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     Raises:
         InputError: naming file, row and column, what was found and what was expected.
     """
-    if rig.motion.source != "twist":
-        raise UnsupportedError.at(rig.path, "motion.source", "`joints`", "`twist`, which alone is supported")
     path, payload = split_payload(source, rig)
     table = open_table(path)
-    raw = raw_columns(table, rig.sensor.n)
-    if not any(name in table.names for name in REFERENCE):  # which makes up for motion
-        require(table, TWIST)
-        if rig.in_gravity:
-            require(table, GRAVITY)
-    groups: dict[str, tuple[str, ...]] = {"raw": raw}
-    optional = {
-        "twist": TWIST,
-        "gravity": GRAVITY,
-        "acceleration": ACCELERATION,
-        "specific_force": SPECIFIC_FORCE,
-        "temperature": ("temperature",),
-        "reference": REFERENCE,
-    }
-    for group, names in optional.items():
-        if any(name in table.names for name in names):
-            require(table, names)
-            groups[group] = names
+    groups = _groups(table, rig)
     columns = [name for names in groups.values() for name in names]
     time_ns, values, nan_counts = _read_columns(table, columns)
     if len(time_ns) < 2:
@@ -179,9 +167,11 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         group: np.ascontiguousarray(values[kept][:, [columns.index(name) for name in names]])
         for group, names in groups.items()
     }
+    if "base_attitude" in arrays:
+        check_attitude(arrays["base_attitude"], path, time_ns[kept])
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return Log(
+    log = Log(
         path=path,
         payload=payload,
         sha256=sha256,
@@ -193,9 +183,38 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         specific_force=arrays.get("specific_force"),
         temperature=arrays["temperature"][:, 0] if "temperature" in arrays else None,
         reference=arrays.get("reference"),
+        position=arrays.get("position"),
+        velocity=arrays.get("velocity"),
+        base_twist=arrays.get("base_twist"),
+        base_attitude=arrays.get("base_attitude"),
         nan_counts={name: count for name, count in nan_counts.items() if count},
         dropped_rows=int((~kept).sum()),
     )
+    return log
+
+
+def _groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
+    """The columns of a log that this rig can use, by field of `Log`, all of them present."""
+    referenced = any(name in table.names for name in REFERENCE)  # which makes up for motion
+    groups = {"raw": raw_columns(table, rig.sensor.n)}
+    optional = {
+        "acceleration": ACCELERATION,
+        "specific_force": SPECIFIC_FORCE,
+        "temperature": ("temperature",),
+        "reference": REFERENCE,
+    }
+    if rig.motion.source == "twist":
+        optional |= {"twist": TWIST, "gravity": GRAVITY}
+        if not referenced:
+            groups["twist"] = TWIST
+            if rig.in_gravity:
+                groups["gravity"] = GRAVITY
+    elif not referenced:
+        groups |= joint_groups(table, rig)
+    groups |= {group: names for group, names in optional.items() if set(names).intersection(table.names)}
+    for names in groups.values():
+        require(table, names)
+    return groups
 
 
 def write_table(path: str | Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:

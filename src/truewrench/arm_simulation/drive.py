@@ -1,0 +1,167 @@
+"""Joint-velocity servos that make the arm follow a motion, integrated with errors far below any noise.
+
+Every joint has the cascade of an industrial drive: position error -> velocity command -> torque, the latter
+proportional and integral. The command is a continuous function of time, evaluated inside the stages of an
+explicit Runge-Kutta method (of order 8, steps by its own error). Held over a step it would be a sawtooth, of
+which the sensor sees the peaks and the velocities the mean; and MuJoCo's implicit integrators would report
+the forces of another acceleration than the one they integrate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853
+from scipy.interpolate import make_interp_spline
+from scipy.linalg import eigh
+
+from truewrench.arm_simulation.model import Arm, Reading
+from truewrench.trajectory_joint import JointTrajectory
+
+__all__ = ["Driven", "Servo", "drive", "servo_for"]
+
+Array = NDArray[np.float64]
+
+_VELOCITY_BANDWIDTH = 100.0  # [rad/s]
+_POSITION_BANDWIDTH = 15.0  # [rad/s]
+_INTEGRAL = 25.0  # [1/s]
+_SET_POINTS = 250.0  # [Hz] of the planned motion, between which the drives interpolate smoothly
+# Inertia of the rotor behind the gear, relative to what the joint moves. URDFs do not tell it. Without it the
+# servos of near-parallel joints would be as stiff as the inertia matrix is near-singular.
+_ROTOR = 1.0
+_DEGREE = 5  # of the interpolation
+_POSTURES = 50  # along the motion, at which the inertias are asked for
+_TOLERANCE = 1e-9  # of a step, relative to the state
+_STEP = 1.0  # at most, in units of the servos' fastest settling time: far inside what is stable
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """Torque = gain * (e + integral * (integral of e)), e = planned velocity + position * (error) - velocity.
+
+    Attributes:
+        gain: (n,) [N m s/rad].
+        fastest: rate at which the stiffest combination of joints settles [1/s].
+        position: of the outer loop [1/s].
+        integral: [1/s].
+    """
+
+    gain: Array
+    fastest: float
+    position: float = _POSITION_BANDWIDTH
+    integral: float = _INTEGRAL
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """The motion that the servos made, at the times that were asked for.
+
+    Attributes:
+        position: (N, n) [rad, m].
+        velocity: (N, n).
+        torque: (N, n) of the drives [N m, N].
+        reading: of ideal sensors.
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+    reading: Reading
+
+    def at(self, rows: NDArray[np.int64]) -> Driven:
+        """Some of the rows."""
+        return Driven(self.position[rows], self.velocity[rows], self.torque[rows], self.reading.at(rows))
+
+
+def servo_for(arm: Arm, trajectory: JointTrajectory) -> Servo:
+    """A servo whose bandwidth is that of `_VELOCITY_BANDWIDTH` at the largest inertia along a motion.
+
+    The rotors are set in the arm's model.
+    """
+    time = np.linspace(0.0, trajectory.duration, _POSTURES)
+    arm.model.dof_armature[:] = 0.0
+    inertias = np.array([arm.inertia(q) for q in trajectory.position(time)])
+    rotors = _ROTOR * np.diagonal(inertias, axis1=1, axis2=2).max(axis=0)
+    arm.model.dof_armature[:] = rotors
+    gain = _VELOCITY_BANDWIDTH * (1.0 + 1.0 / _ROTOR) * rotors
+    fastest = max(float(eigh(np.diag(gain), m + np.diag(rotors), eigvals_only=True)[-1]) for m in inertias)
+    return Servo(gain, fastest)
+
+
+def drive(arm: Arm, servo: Servo, trajectory: JointTrajectory, time: Array) -> Driven:
+    """Follow a motion from its first position and velocity on, the integrators holding the arm's weight.
+
+    Args:
+        arm: with the payload that it carries.
+        servo: of its joints.
+        trajectory: what is commanded.
+        time: (N,) increasing, within [0, duration] [s].
+    """
+    n, data = arm.n, mujoco.MjData(arm.model)
+    q0 = trajectory.position(np.zeros(1))[0]
+    qd0 = trajectory.velocity(np.zeros(1))[0]
+    held = arm.holding_torque(q0) / (servo.gain * servo.integral)
+
+    command = _Command(servo, trajectory)
+
+    def apply(t: float, state: Array) -> Array:
+        """Put state and torques into MuJoCo; returns the errors of the velocities (n,)."""
+        q, qd = state[:n], state[n : 2 * n]
+        error: Array = command(t) - servo.position * q - qd
+        data.qpos[:], data.qvel[:] = q, qd
+        data.qfrc_applied[:] = servo.gain * (error + servo.integral * state[2 * n :])
+        return error
+
+    def rate(t: float, state: Array) -> Array:
+        error = apply(t, state)
+        mujoco.mj_forwardSkip(arm.model, data, mujoco.mjtStage.mjSTAGE_NONE, True)
+        return np.concatenate([state[n : 2 * n], data.qacc, error])
+
+    states = _integrate(rate, np.concatenate([q0, qd0, held]), time, _STEP / servo.fastest)
+    torques, rows = np.empty((time.size, n)), []
+    for k, (t, state) in enumerate(zip(time, states, strict=True)):
+        apply(float(t), state)
+        mujoco.mj_forward(arm.model, data)
+        torques[k] = data.qfrc_applied
+        rows.append(arm.read(data))
+    return Driven(states[:, :n], states[:, n : 2 * n], torques, arm.reading(np.array(rows)))
+
+
+class _Command:
+    """Planned velocity plus the outer loop's share of the planned position, (n,) at any time."""
+
+    def __init__(self, servo: Servo, trajectory: JointTrajectory) -> None:
+        count = max(_DEGREE + 1, 1 + math.ceil(trajectory.duration * _SET_POINTS))
+        time = np.linspace(0.0, trajectory.duration, count)
+        planned = trajectory.velocity(time) + servo.position * trajectory.position(time)
+        spline = make_interp_spline(time, planned, k=_DEGREE)  # its knots are among these times
+        orders = range(_DEGREE, -1, -1)
+        self._step, self._last, self._powers = time[1], count - 2, np.arange(_DEGREE, -1, -1)
+        self._coefficients = np.stack([spline(time[:-1], nu=m) / math.factorial(m) for m in orders], axis=1)
+
+    def __call__(self, t: float) -> Array:
+        # by hand: it is asked for in every stage of every step, one time at a time
+        piece = min(int(t / self._step), self._last)
+        return np.asarray((t - piece * self._step) ** self._powers @ self._coefficients[piece])
+
+
+def _integrate(rate: Callable[[float, Array], Array], start: Array, time: Array, longest: float) -> Array:
+    """States (N, k) at increasing times of `dx/dt = rate(t, x)` from time 0."""
+    states = np.empty((time.size, start.size))
+    states[time == 0.0] = start
+    if time[-1] == 0.0:
+        return states
+    solver = DOP853(rate, 0.0, start, float(time[-1]), rtol=_TOLERANCE, atol=_TOLERANCE, max_step=longest)
+    while solver.status == "running":
+        message = solver.step()
+        if message is not None:
+            raise RuntimeError(f"the arm's motion could not be integrated: {message}")
+        inside = slice(*np.searchsorted(time, [solver.t_old, solver.t], side="right"))
+        if inside.stop > inside.start:
+            states[inside] = solver.dense_output()(time[inside]).T
+    return states

@@ -1,0 +1,69 @@
+"""Which columns of a log tell how an arm moved: joints by name, and its base (docs/formats.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.errors import InputError
+from truewrench.io.table import Table
+from truewrench.rig import Rig
+from truewrench.robot import robot_of
+
+__all__ = ["BASE_ATTITUDE", "BASE_TWIST", "check_attitude", "joint_groups"]
+
+BASE_TWIST = ("base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz")
+BASE_ATTITUDE = ("base_qw", "base_qx", "base_qy", "base_qz")
+
+_LENGTH = 1e-2  # by which that of a logged quaternion may differ from 1
+
+
+def joint_groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
+    """Columns of `position` and `velocity`, in the order of the chain, `base_twist` and `base_attitude`.
+
+    A group is there when one of its columns is, though others may be missing. Joints that do not move the
+    sensor (a gripper's) are passed over.
+
+    Raises:
+        InputError: the robot is at fault, or a stream is missing that the rig needs.
+    """
+    joints, motion = robot_of(rig).joints, rig.motion
+    present = set(table.names)
+    groups = {"position": tuple(f"q_{joint}" for joint in joints)}
+    groups["velocity"] = tuple(f"dq_{joint}" for joint in joints)
+    groups |= {"base_twist": BASE_TWIST, "base_attitude": BASE_ATTITUDE}
+    found = {group: names for group, names in groups.items() if present.intersection(names)}
+
+    def refuse(what: str, expected: str) -> InputError:
+        return InputError.at(table.path, "header", what, expected)
+
+    if "position" not in found and "velocity" not in found:
+        return {"position": groups["position"]}  # of which all are missing
+    if "position" not in found:
+        if motion.noise is None:
+            expected = "positions `q_*`, or the noise of velocities: `motion.noise` in the rig"
+            raise refuse("joint velocities alone", expected)
+        if motion.initial_position is None:
+            expected = "positions `q_*`, or where the joints start: `motion.initial_position` in the rig"
+            raise refuse("joint velocities alone", expected)
+    if "velocity" not in found and motion.position_noise is None:
+        expected = "velocities `dq_*`, or the noise of positions: `motion.position_noise` in the rig"
+        raise refuse("joint positions alone", expected)
+    if "base_twist" in found and "base_attitude" not in found and rig.in_gravity:
+        expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
+        raise refuse("`base_vx` ... `base_wz`, a base that moves", expected)
+    return found
+
+
+def check_attitude(attitude: npt.NDArray[np.float64], path: object, time_ns: npt.NDArray[np.int64]) -> None:
+    """Refuse quaternions (N, 4) that are none; rows with NaN are passed over.
+
+    Raises:
+        InputError: naming the first time stamp at which the length is not 1.
+    """
+    length = np.linalg.norm(attitude, axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1.0) > _LENGTH)
+    if len(wrong):
+        i = int(wrong[0])
+        place = f"columns `base_qw` ... `base_qz`, time {time_ns[i]} ns"
+        raise InputError.at(f"{path}", place, f"a quaternion of length {length[i]:.6g}", "length 1")

@@ -1,0 +1,107 @@
+"""Planned motions as tables, CSV or Parquet (docs/formats.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.errors import InputError
+from truewrench.io.cells import numbers
+from truewrench.io.table import ACCELERATION, TWIST
+from truewrench.io.tables import TimeReader, open_table, require
+from truewrench.trajectory import SplineTwist
+from truewrench.trajectory_joint import SplineJoints
+
+__all__ = ["joint_columns", "read_joint_plan", "read_plan"]
+
+Array = npt.NDArray[np.float64]
+
+_FEWEST_ROWS = 6  # what a quintic spline needs
+# of the largest: forgives a coarse table, not a wrong unit or the derivative in another frame
+_TOLERANCE = 0.02
+
+
+def read_plan(path: str | Path) -> SplineTwist:
+    """Read the planned twist of a PLAN table: vx ... wz and, checked, ax ... alz.
+
+    Raises:
+        InputError: for missing columns or numbers, time that does not increase, or accelerations that are
+            not the derivative of the twist.
+    """
+    stated = any(name in open_table(path).names for name in ACCELERATION)
+    time, data = _columns(path, TWIST + ACCELERATION if stated else TWIST)
+    trajectory = SplineTwist.through(time, data[:, :6])
+    if stated:
+        derivative = trajectory.acceleration(time - time[0])
+        _check_derivative(path, ACCELERATION, data[:, 6:], derivative, TWIST)
+    return trajectory
+
+
+def joint_columns(joints: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Names of the columns of positions, velocities and accelerations."""
+    positions, velocities, accelerations = (
+        tuple(f"{prefix}_{name}" for name in joints) for prefix in ("q", "dq", "ddq")
+    )
+    return positions, velocities, accelerations
+
+
+def read_joint_plan(path: str | Path, joints: Sequence[str]) -> SplineJoints:
+    """Read the planned joints of a PLAN table: q_NAME and, checked, dq_NAME and ddq_NAME.
+
+    Args:
+        path: the table.
+        joints: names in the order of the chain; further columns are not looked at.
+
+    Raises:
+        InputError: for missing columns or numbers, time that does not increase, or velocities and
+            accelerations that are not the derivatives of the positions.
+    """
+    positions, velocities, accelerations = joint_columns(joints)
+    present = set(open_table(path).names)
+    wanted = [positions, *(names for names in (velocities, accelerations) if present.intersection(names))]
+    time, data = _columns(path, [name for names in wanted for name in names])
+    blocks = dict(zip(wanted, np.hsplit(data, len(wanted)), strict=True))
+    velocity, acceleration = blocks.get(velocities), blocks.get(accelerations)
+    trajectory = SplineJoints.through(time, blocks[positions], velocity, acceleration)
+    at = time - time[0]
+    if velocity is not None:
+        _check_derivative(path, velocities, velocity, trajectory.velocity(at), positions)
+    if acceleration is not None:
+        _check_derivative(path, accelerations, acceleration, trajectory.acceleration(at), velocities)
+    return trajectory
+
+
+def _columns(path: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
+    """Time (N,) [s] and the columns (N, len(names)), a number in every cell."""
+    table = open_table(path)
+    require(table, names)
+    reader = TimeReader(table)
+    stamps, blocks = [], []
+    for chunk in table.chunks([reader.name, *names]):
+        stamps.append(reader.read(chunk))
+        blocks.append(np.column_stack([numbers(chunk.column(name))[0] for name in names]))
+    rows = sum(map(len, stamps))
+    if rows < _FEWEST_ROWS:
+        raise InputError.at(path, "", f"{rows} rows", f"at least {_FEWEST_ROWS}")
+    time = np.asarray(np.concatenate(stamps) * 1e-9, dtype=np.float64)
+    data = np.concatenate(blocks)
+    if np.isnan(data).any():
+        row, column = np.argwhere(np.isnan(data))[0]
+        raise InputError.at(
+            path, f"row {row + 1}, column `{names[column]}`", "no number", "a number in every row"
+        )
+    return time, data
+
+
+def _check_derivative(
+    path: str | Path, names: Sequence[str], stated: Array, derivative: Array, of: Sequence[str]
+) -> None:
+    excess = np.abs(derivative - stated) - _TOLERANCE * np.abs(stated).max(axis=0) - 1e-6
+    row, axis = map(int, np.unravel_index(np.argmax(excess), excess.shape))
+    if excess[row, axis] > 0.0:
+        place = f"row {row + 1}, column `{names[axis]}`"
+        expected = f"{derivative[row, axis]:.6g}, the derivative of {of[axis]}"
+        raise InputError.at(path, place, f"{stated[row, axis]:.6g}", expected)

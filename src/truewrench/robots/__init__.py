@@ -1,0 +1,24 @@
+"""Arms that come with the package: URDF files without meshes, and a rig for each (docs/robots.md)."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from truewrench.errors import InputError
+
+__all__ = ["NAMES", "path"]
+
+NAMES = ("ssrms", "spdm", "panda", "panda_ground", "ur10", "ur10_ground")
+
+
+def path(name: str) -> Path:
+    """The rig file of a packaged arm; its URDF lies beside it.
+
+    Raises:
+        InputError: there is no such arm; the nearest is named.
+    """
+    if name not in NAMES:
+        near = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.0)[0]
+        raise InputError(f"no packaged arm `{name}` (nearest: `{near}`), expected one of: {', '.join(NAMES)}")
+    return Path(__file__).parent / f"{name}.yaml"

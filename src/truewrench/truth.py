@@ -1,0 +1,227 @@
+"""What every simulated log shares: the truth behind it, its stamps, what the sensor reads, its files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.files import write_yaml
+from truewrench.io.table import GRAVITY, TWIST
+from truewrench.io.tables import write_table
+from truewrench.log import Log
+from truewrench.rig import PayloadSpec, Rig
+from truewrench.trajectory import Body
+
+__all__ = ["Stamps", "Truth", "begin", "draw_truth", "readings", "stamps_of", "stated", "write_run"]
+
+Array = NDArray[np.float64]
+Stamp = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a log was made with: gain (n, 6) and offset (n,) [raw units], clock offset [s], payloads."""
+
+    gain: Array
+    offset: Array
+    time_offset: float
+    payloads: dict[str, Body]
+    seed: int
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain numbers and lists, as LOG.truth.yaml holds them."""
+        return {
+            "gain": self.gain.tolist(),
+            "offset": self.offset.tolist(),
+            "time_offset": self.time_offset,
+            "payloads": {
+                name: {
+                    "mass": body.mass,
+                    "center_of_mass": body.center_of_mass.tolist(),
+                    "inertia": {
+                        key: float(body.inertia[i, j])
+                        for key, (i, j) in zip(
+                            ("xx", "yy", "zz", "xy", "xz", "yz"),
+                            ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)),
+                            strict=True,
+                        )
+                    },
+                }
+                for name, body in self.payloads.items()
+            },
+            "seed": self.seed,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """When the streams of a log have their samples.
+
+    Attributes:
+        time_ns: (N,) of the rows, both streams together [ns].
+        motion_ns: (K,) of the motion.
+        sensor_ns: (M,) of the sensor.
+        shown: (M,) motion time that the sensor's samples show, ``t_sensor + time_offset`` [s].
+    """
+
+    time_ns: Stamp
+    motion_ns: Stamp
+    sensor_ns: Stamp
+    shown: Array
+
+    @property
+    def time(self) -> Array:
+        """(N,) [s]."""
+        return _seconds(self.time_ns)
+
+    @property
+    def motion(self) -> Array:
+        """(K,) [s]."""
+        return _seconds(self.motion_ns)
+
+    def rows_of(self, stamps: Stamp, values: Array) -> Array:
+        """Values (K or M, ...) of one stream on all rows (N, ...), NaN where it has no sample."""
+        rows = np.full((self.time_ns.size, *values.shape[1:]), np.nan)
+        rows[np.searchsorted(self.time_ns, stamps)] = values
+        return rows
+
+
+def begin(rig: Rig, payload: str | None, seed: int | None) -> tuple[str, Truth]:
+    """The payload that is carried, the rig's first if none is named, and the truth of the run.
+
+    Raises:
+        UnsupportedError: for a sensor with a filter of its own.
+        InputError: for a payload that the rig does not have.
+    """
+    if rig.sensor.lowpass_hz is not None:
+        found = f"{rig.sensor.lowpass_hz}"
+        raise UnsupportedError.at(rig.path, "sensor.lowpass_hz", found, "null: the filter is not simulated")
+    name = next(iter(rig.payloads)) if payload is None else payload
+    if name not in rig.payloads:
+        raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
+    return name, draw_truth(rig, rig.simulate.seed if seed is None else seed)
+
+
+def stamps_of(rig: Rig, duration: float, time_offset: float) -> Stamps:
+    """The stamps of a motion that begins at time 0, at the rates of ``rig.simulate``.
+
+    Raises:
+        InputError: for a time offset that leaves the sensor nothing of the motion.
+    """
+    motion_ns = _stamps(duration, rig.simulate.rate)
+    sensor_ns = _stamps(duration, rig.simulate.sensor_rate)
+    shown = _seconds(sensor_ns) + time_offset
+    inside = (shown >= 0.0) & (shown <= duration)
+    if not inside.any():
+        expected = f"less than the {duration} s of motion"
+        raise InputError.at(rig.path, "simulate.time_offset", f"{time_offset:g} s", expected)
+    sensor_ns = sensor_ns[inside]
+    return Stamps(np.union1d(motion_ns, sensor_ns), motion_ns, sensor_ns, shown[inside])
+
+
+def readings(rig: Rig, truth: Truth, stamps: Stamps, wrench: Array, rng: np.random.Generator) -> Array:
+    """Raw channels (N, n) on all rows, from the wrench (M, 6) of the payload on the sensor at its samples."""
+    noise = rig.sensor.noise_array * rng.standard_normal((len(wrench), rig.sensor.n))
+    # the offset walks to what the truth says, which is its value at the end
+    steps = np.sqrt(np.diff(stamps.shown, append=stamps.shown[-1]))[:, None] * rig.sensor.offset_walk_array
+    steps = steps * np.random.default_rng([truth.seed, 3]).standard_normal(steps.shape)
+    offset = truth.offset - np.cumsum(steps[::-1], axis=0)[::-1]
+    return stamps.rows_of(stamps.sensor_ns, rig.sensor.sign * wrench @ truth.gain.T + offset + noise)
+
+
+def write_run(path: str | Path, log: Log, truth: Truth, joints: Sequence[str] = ()) -> tuple[Path, Path]:
+    """Write a log (CSV, or Parquet by its suffix) and PATH.truth.yaml beside it.
+
+    Args:
+        path: of the log.
+        log: what was simulated.
+        truth: what it was made with.
+        joints: their names, where the log has joints.
+
+    Returns:
+        Both paths.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    columns: dict[str, Stamp | Array] = {"time_ns": log.time_ns}
+    columns |= {f"raw_{i}": channel for i, channel in enumerate(log.raw.T)}
+    for names, block in (
+        (TWIST, log.twist),
+        (GRAVITY, log.gravity),
+        (tuple(f"q_{name}" for name in joints), log.position),
+        (tuple(f"dq_{name}" for name in joints), log.velocity),
+    ):
+        if block is not None:
+            columns |= dict(zip(names, block.T, strict=True))
+    write_table(target, columns)
+    truth_path = target.with_name(target.name + ".truth.yaml")
+    write_yaml(truth_path, truth.to_mapping())
+    return target, truth_path
+
+
+def _stamps(duration: float, rate: float) -> Stamp:
+    """Stamps k/rate of a stream in [0, duration) [ns]."""
+    count = int(np.ceil(duration * rate - 1e-6))
+    stamps: Stamp = np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
+    return stamps
+
+
+def _seconds(time_ns: Stamp) -> Array:
+    return np.asarray(time_ns * 1e-9, dtype=np.float64)
+
+
+def draw_truth(rig: Rig, seed: int) -> Truth:
+    """Gain, offset, clock and payloads by the options of ``rig.simulate``; the seed decides them all."""
+    sensor, options = rig.sensor, rig.simulate
+    rng = np.random.default_rng([seed, 0])
+    # drawn whether used or not, so that one option does not change what another draws
+    departure = sensor.gain_prior * rng.standard_normal((sensor.n, 6))
+    drawn_offset = sensor.offset_prior_array * rng.standard_normal(sensor.n)
+    gain = sensor.nominal_gain_array
+    if options.gain == "random":
+        gain = gain + departure * sensor.channel_scale[:, None] / sensor.range_array
+    elif options.gain != "nominal":
+        gain = np.array(options.gain)
+    if options.offset == "random":
+        offset = drawn_offset
+    elif isinstance(options.offset, tuple):
+        offset = np.array(options.offset)
+    else:
+        offset = np.zeros(sensor.n)
+    draw = options.payload == "random"
+    payloads = {
+        name: _draw_payload(spec, rng) if draw else stated(spec) for name, spec in rig.payloads.items()
+    }
+    time_offset = options.time_offset
+    if time_offset == "random":
+        time_offset = sensor.time_offset_prior * float(np.random.default_rng([seed, 2]).standard_normal())
+    return Truth(gain, offset, time_offset, payloads, seed)
+
+
+def stated(spec: PayloadSpec) -> Body:
+    """The payload as the rig states it."""
+    return Body(spec.mass, spec.center_of_mass_array, spec.inertia_matrix)
+
+
+def _draw_payload(spec: PayloadSpec, rng: np.random.Generator) -> Body:
+    """A payload from the stated uncertainty; inertias that no body can have are drawn again."""
+    sigma, nominal = spec.uncertainty, stated(spec)
+    diagonal = np.sqrt(np.diag(nominal.inertia))
+    for _ in range(1000):
+        mass = nominal.mass * (1.0 + sigma.mass * rng.standard_normal())
+        center = nominal.center_of_mass + sigma.center_of_mass * rng.standard_normal(3)
+        upper = np.triu(rng.standard_normal((3, 3)))
+        symmetric = upper + np.triu(upper, 1).T
+        inertia = nominal.inertia + sigma.inertia * symmetric * np.outer(diagonal, diagonal)
+        principal = np.linalg.eigvalsh(inertia)
+        if mass > 0.0 and principal[0] > 0.0 and principal[0] + principal[1] >= principal[2]:
+            return Body(float(mass), center, inertia)
+    raise InputError.at(
+        None, "payloads: uncertainty", f"{sigma}", "an uncertainty that leaves physical bodies likely"
+    )
