@@ -179,6 +179,8 @@ void bind_estimator(nb::module_& m) {
       .def_rw("max_levels", &KnotSettings::max_levels)
       .def_rw("false_disturbances", &KnotSettings::false_disturbances)
       .def_rw("disturbance_price", &KnotSettings::disturbance_price)
+      .def_rw("hopeless_sigma", &KnotSettings::hopeless_sigma)
+      .def_rw("hopeless_share", &KnotSettings::hopeless_share)
       .def_rw("most_disturbed", &KnotSettings::most_disturbed);
 
   nb::class_<EstimatorSettings>(m, "EstimatorSettings",

@@ -18,6 +18,7 @@ from scipy.linalg import cholesky, solve_triangular
 from truewrench import _core
 from truewrench.errors import InputError
 from truewrench.log import Log
+from truewrench.motion_noise import twist_noise
 from truewrench.payload import core_payload, payload_wrench
 from truewrench.rig import Rig
 from truewrench.smooth import segments, smooth_twist
@@ -83,13 +84,14 @@ def inertial_wrench(rig: Rig, log: Log, time_offset: float, lags: int) -> list[I
     moving = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
     sensed = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
     gravity = None if log.gravity is None else _gravity(log)
+    noise = twist_noise(rig, log)
     found = []
     for piece in _chunks(log.time[moving]):
         time, twist = log.time[moving[piece]], log.twist[moving[piece]]
         at = log.time[sensed] + time_offset
         inside = (at >= time[0]) & (at <= time[-1])
         if np.count_nonzero(inside) > max(_SHORTEST, 2 * lags):
-            found.append(_chunk(rig, log.payload, time, twist, sensed[inside], at[inside], gravity, lags))
+            found.append(_chunk(rig, log.payload, noise, time, twist, sensed[inside], at[inside], gravity, lags))
     return found
 
 
@@ -121,6 +123,7 @@ def _gravity(log: Log) -> PchipInterpolator:
 def _chunk(
     rig: Rig,
     payload: str,
+    noise: Array,
     time: Array,
     twist: Array,
     rows: NDArray[np.int64],
@@ -129,7 +132,6 @@ def _chunk(
     lags: int,
 ) -> InertialChunk:
     span = time[-1] - time[0]
-    noise = rig.motion.noise_array
     spacing = smooth_twist(time, twist, noise).spacing
     fits = [
         _Spline(time, values, sigma, _resolved(time, values, sigma, coarse))

@@ -9,9 +9,49 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Log"]
+__all__ = ["Log", "Reference", "Tracking"]
 
 FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """A motion of the sensor's origin close to the true one.
+
+    Attributes:
+        origin_ns: the time stamp that its times count from.
+        breakpoints: (K + 1,) of a quintic spline with clamped ends [s].
+        twist: (K + 5, 6) its coefficients, sensor axes [m/s, rad/s].
+        spacing: of the knots of the joints' fit behind it [s].
+        gravity_time: (M,) [s].
+        gravity: (M, 3) free fall at these times in sensor axes [m/s^2], None on orbit.
+    """
+
+    origin_ns: int
+    breakpoints: FloatArray
+    twist: FloatArray
+    spacing: float
+    gravity_time: FloatArray
+    gravity: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracking:
+    """What the n joints say of the sensor's motion, per row of the log; NaN where there is no sample.
+
+    Attributes:
+        jacobian: (N, 6, n) of the sensor's origin, sensor axes; at the reference, if there is one.
+        jacobian_rate: (N, 6, n) its derivative by time; None without a reference.
+        position_departure: (N, n) of the encoders from the reference [rad, m]; None without one.
+        velocity_departure: (N, n) of the tachometers; None without a reference, or without tachometers.
+        reference: None where positions are exact, and the twist is what was measured.
+    """
+
+    jacobian: FloatArray
+    jacobian_rate: FloatArray | None = None
+    position_departure: FloatArray | None = None
+    velocity_departure: FloatArray | None = None
+    reference: Reference | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +74,7 @@ class Log:
         specific_force: (N, 3) of the sensor origin, sensor axes [m/s^2], None likewise.
         temperature: (N,) [degC], None likewise.
         reference: (N, 6) wrench known from elsewhere, in the rig's sign [N, N m], None likewise.
+        tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
         dropped_rows: rows without any measurement, which are not among the N.
     """
@@ -53,6 +94,7 @@ class Log:
     velocity: FloatArray | None = None
     base_twist: FloatArray | None = None
     base_attitude: FloatArray | None = None
+    tracking: Tracking | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
 

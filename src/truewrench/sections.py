@@ -6,6 +6,7 @@ SI units; six-vectors [linear; angular]; sensor axes.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -248,6 +249,16 @@ class MotionSpec(Section):
     acceleration_noise: Positives | None = None
     robot: RobotSpec | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_joints(cls, data: Any) -> Any:
+        """What joints tell is the motion of the sensor frame."""
+        if not isinstance(data, Mapping) or data.get("source") != "joints":
+            return data
+        if "of" in data:
+            raise refuse("of", shown(data["of"]), "this key only with `source: twist`")
+        return {**data, "of": "sensor"}
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.acceleration_noise is not None and len(self.acceleration_noise) not in (3, 6):
@@ -266,8 +277,6 @@ class MotionSpec(Section):
             if len(self.noise) != 6:
                 raise refuse("noise", f"{len(self.noise)} entries", "6: of v [m/s] and of Omega [rad/s]")
             return self
-        if "of" in self.model_fields_set:
-            raise refuse("of", shown(self.of), "this key only with `source: twist`")
         if self.robot is None:
             raise refuse("robot", "nothing", "{urdf, sensor_frame}: required with `source: joints`")
         if self.noise is None and self.position_noise is None:

@@ -55,6 +55,15 @@ def rows_of(log: Log, rows: NDArray[np.bool_]) -> Log:
     def pick(values: Array | None) -> Array | None:
         return None if values is None else values[rows]
 
+    tracking = log.tracking
+    if tracking is not None:
+        tracking = replace(
+            tracking,
+            jacobian=tracking.jacobian[rows],
+            jacobian_rate=pick(tracking.jacobian_rate),
+            position_departure=pick(tracking.position_departure),
+            velocity_departure=pick(tracking.velocity_departure),
+        )
     return replace(
         log,
         time_ns=log.time_ns[rows],
@@ -69,4 +78,5 @@ def rows_of(log: Log, rows: NDArray[np.bool_]) -> Log:
         velocity=pick(log.velocity),
         base_twist=pick(log.base_twist),
         base_attitude=pick(log.base_attitude),
+        tracking=tracking,
     )

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
+from truewrench.motion_noise import twist_noise
 from truewrench.payload import payload_wrench
 from truewrench.rig import Rig
 from truewrench.smooth import segments, smooth_twist
@@ -130,7 +131,7 @@ def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array, A
         if t.size < _SHORTEST:
             continue
         if smooth == "spline":
-            fit = smooth_twist(t, nu, rig.motion.noise_array)
+            fit = smooth_twist(t, nu, twist_noise(rig, log))
             nu, a, inside = fit.twist, fit.acceleration, slice(None)
             spacing = np.maximum(spacing, fit.spacing)
         else:

@@ -20,6 +20,7 @@ from truewrench import _core
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.io.table import TWIST
+from truewrench.motion_noise import joint_noise
 from truewrench.rig import Rig
 
 __all__ = [
@@ -116,11 +117,13 @@ def estimate_with_noise(
 
 def noise_figures(rig: Rig, noise: Noise) -> dict[str, Any]:
     """1 sigma as given and as the residuals show it, and the colour, per channel and part of the twist."""
-    names = (*rig.sensor.channels, *TWIST)
-    estimated = [None if np.isnan(value) else float(value) for value in noise.estimated]
     return {
-        name: {"given": float(given), "estimated": found, "colour": float(colour)}
-        for name, given, found, colour in zip(names, noise.given, estimated, noise.colour, strict=True)
+        name: {
+            "given": float(given),
+            "estimated": None if np.isnan(found) else float(found),
+            "colour": float(colour),
+        }
+        for name, given, found, colour in _named(rig, noise)
     }
 
 
@@ -140,11 +143,13 @@ def hidden_delay(rig: Rig, noise: Noise, period: float) -> float:
 def noise_notes(rig: Rig, noise: Noise) -> list[str]:
     """What a person should know of the noise: where the stated one disagrees, and what colour cost."""
     notes = []
-    names = (*rig.sensor.channels, *TWIST)
-    ratio = noise.estimated / noise.given
-    off = [i for i in range(len(names)) if np.isfinite(ratio[i]) and not 0.8 < ratio[i] < 1.25]
+    off = [
+        f"{name} {found:.3g} and not {given:.3g}"
+        for name, given, found, _ in _named(rig, noise)
+        if np.isfinite(found) and not 0.8 < found / given < 1.25
+    ]
     if off:
-        listed = ", ".join(f"{names[i]} {noise.estimated[i]:.3g} and not {noise.given[i]:.3g}" for i in off)
+        listed = ", ".join(off)
         notes.append(f"the residuals show another noise than the rig states: {listed}")
     if noise.coloured:
         most = float(noise.colour.max())
@@ -153,6 +158,17 @@ def noise_notes(rig: Rig, noise: Noise) -> list[str]:
             f"has {most:.1f} times the density of white noise of its size, which sigma contains"
         )
     return notes
+
+
+def _named(rig: Rig, noise: Noise) -> list[tuple[str, float, float, float]]:
+    """Name, given, estimated and colour of every channel and component of the twist; joints in one."""
+    n = rig.sensor.n
+    rows = np.column_stack([noise.given, noise.estimated, noise.colour])
+    names = (*rig.sensor.channels, *TWIST)
+    if rig.motion.source == "joints":
+        joints = [noise.given[n], np.sqrt(np.mean(noise.estimated[n:] ** 2)), noise.colour[n:].max()]
+        rows, names = np.vstack([rows[:n], joints]), (*rig.sensor.channels, "joints")
+    return [(name, *row) for name, row in zip(names, rows.tolist(), strict=True)]
 
 
 def _slightly_larger(rig: Rig, windows: Sequence[_core.WindowReport]) -> Array:
@@ -251,15 +267,24 @@ def _all_fitted(estimate: WindowEstimate) -> bool:
 
 
 def _stated(rig: Rig) -> Array:
-    return np.concatenate([rig.sensor.noise_array, rig.motion.noise_array])
+    """(n + 6) 1 sigma of the channels and of the motion: of the twist, or of joints their RMS six times."""
+    motion = rig.motion.noise_array if rig.motion.source == "twist" else np.full(6, joint_noise(rig))
+    return np.concatenate([rig.sensor.noise_array, motion])
 
 
 def with_noise(rig: Rig, noise: Array) -> Rig:
     """The rig with other noise (n + 6)."""
-    n = rig.sensor.n
+    n, motion = rig.sensor.n, rig.motion
+    changed: dict[str, Any] = {"noise": tuple(noise[n:].tolist())}
+    if motion.source == "joints":  # whose residuals, as twists, tell of all joints together
+        factor = float(np.sqrt(np.mean(noise[n:] ** 2))) / joint_noise(rig)
+        changed = {
+            key: None if values is None else tuple(factor * value for value in values)
+            for key, values in (("noise", motion.noise), ("position_noise", motion.position_noise))
+        }
     return rig.model_copy(
         update={
             "sensor": rig.sensor.model_copy(update={"noise": tuple(noise[:n].tolist())}),
-            "motion": rig.motion.model_copy(update={"noise": tuple(noise[n:].tolist())}),
+            "motion": motion.model_copy(update=changed),
         }
     )

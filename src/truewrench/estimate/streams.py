@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.errors import InputError
+from truewrench.estimate.joints import add_tracked_motion
 from truewrench.log import Log
 from truewrench.payload import core_payload
 from truewrench.rig import Rig
@@ -108,13 +109,16 @@ def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]
     if rig.motion.of == "com":
         streams.point = spec.center_of_mass_array
     time = np.asarray((log.time_ns - part.origin_ns) * 1e-9, dtype=np.float64)
-    moving = np.isfinite(log.twist).any(axis=1)
-    streams.add_motion(0, time[moving], np.ascontiguousarray(log.twist[moving]), rig.motion.noise_array)
+    if log.tracking is not None:
+        add_tracked_motion(streams, rig, log, part.origin_ns, time)
+    else:
+        moving = np.isfinite(log.twist).any(axis=1)
+        streams.add_motion(0, time[moving], np.ascontiguousarray(log.twist[moving]), rig.motion.noise_array)
     noise = np.array(rig.motion.acceleration_noise or ())
     if log.acceleration is not None and noise.size == 6:
         known = np.isfinite(log.acceleration).any(axis=1)
         streams.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
-    if log.specific_force is not None and noise.size == 3:
+    if log.specific_force is not None and noise.size == 3 and log.tracking is None:
         _add_specific_force(streams, rig, log, time, noise)
     raw, delay = log.raw, 0.0
     if rig.sensor.lowpass_hz is not None:
@@ -125,7 +129,8 @@ def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]
         if np.count_nonzero(known) < 2:
             found = f"{np.count_nonzero(known)} complete rows"
             raise InputError.at(log.path, "gx gy gz", found, "at least 2")
-        streams.set_gravity(time[known], np.ascontiguousarray(log.gravity[known]))
+        if log.tracking is None or log.tracking.reference is None:
+            streams.set_gravity(time[known], np.ascontiguousarray(log.gravity[known]))
         # gravity is interpolated, never extrapolated
         first, last = time[known][[0, -1]]
         rows = rows[(time[rows] >= first) & (time[rows] <= last)]

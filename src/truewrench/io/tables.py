@@ -22,6 +22,7 @@ from truewrench.io.parquet_table import ParquetTable
 from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST, Chunk, Table
 from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.track import track
 
 __all__ = [
     "ACCELERATION",
@@ -190,7 +191,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         nan_counts={name: count for name, count in nan_counts.items() if count},
         dropped_rows=int((~kept).sum()),
     )
-    return log
+    return track(rig, log) if rig.motion.source == "joints" else log
 
 
 def _groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:

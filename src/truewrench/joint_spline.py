@@ -1,0 +1,145 @@
+"""Splines through joint positions and velocities together, on the coarsest knots that both accept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.linalg import solveh_banded
+from scipy.sparse import csr_array, diags_array
+
+__all__ = ["JointSpline", "fit_joints"]
+
+Array = NDArray[np.float64]
+
+_DEGREE = 5
+_SAMPLES_PER_COEFFICIENT = 3.0
+_FINER = 1.3  # from one spacing to the next
+_STIFFNESS = 1e-12  # of what no sample determines, relative to the largest element
+
+
+@dataclass(frozen=True, slots=True)
+class JointSpline:
+    """Quintic splines of n joints.
+
+    Attributes:
+        spline: positions (N, n) of times (N,) [s].
+        spacing: of its knots [s].
+    """
+
+    spline: BSpline
+    spacing: float
+
+    @property
+    def begin(self) -> float:
+        """First time [s]."""
+        return float(self.spline.t[0])
+
+    @property
+    def end(self) -> float:
+        """Last time [s]."""
+        return float(self.spline.t[-1])
+
+    def position(self, time: Array) -> Array:
+        """(N, n)."""
+        return np.asarray(self.spline(time))
+
+    def velocity(self, time: Array) -> Array:
+        """(N, n)."""
+        return np.asarray(self.spline(time, nu=1))
+
+    def acceleration(self, time: Array) -> Array:
+        """(N, n)."""
+        return np.asarray(self.spline(time, nu=2))
+
+
+def fit_joints(
+    positions: tuple[Array, Array, Array],
+    velocities: tuple[Array, Array],
+    sigma_position: Array,
+    sigma_velocity: Array,
+    wider: float = 1.0,
+) -> JointSpline:
+    """Fit positions and velocities, each at its own times and over its sigma.
+
+    Args:
+        positions: times (N,), values (N, n), weights (N,) of 1 over their share of sigma; N may be 0, and the
+            spline is then known but for a constant, and starts at zero.
+        velocities: times (M,), values (M, n); M may be 0.
+        sigma_position: (n,) 1 sigma of a position.
+        sigma_velocity: (n,) 1 sigma of a velocity.
+        wider: knots of the result, in units of the coarsest whose residuals the noise explains.
+    """
+    time_q, _, _ = positions
+    time_qd, _ = velocities
+    ends = [t[[0, -1]] for t in (time_q, time_qd) if t.size]
+    begin, end = float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
+    samples = max(time_q.size, time_qd.size)
+    finest = max(1, int(samples / _SAMPLES_PER_COEFFICIENT) - _DEGREE)
+    intervals = min(finest, max(1, int((end - begin) / 4.0)))
+    while True:
+        spline, accepted = _fit(positions, velocities, sigma_position, sigma_velocity, begin, end, intervals)
+        if accepted or intervals == finest:
+            break
+        intervals = min(finest, int(np.ceil(intervals * _FINER)))
+    if wider > 1.0 and intervals > 1:
+        intervals = max(1, round(intervals / wider))
+        spline, _ = _fit(positions, velocities, sigma_position, sigma_velocity, begin, end, intervals)
+    return JointSpline(spline, (end - begin) / intervals)
+
+
+def _fit(
+    positions: tuple[Array, Array, Array],
+    velocities: tuple[Array, Array],
+    sigma_position: Array,
+    sigma_velocity: Array,
+    begin: float,
+    end: float,
+    intervals: int,
+) -> tuple[BSpline, bool]:
+    """The spline on uniform knots, and whether its residuals are as large as their noise says."""
+    time_q, q, weight = positions
+    time_qd, qd = velocities
+    breakpoints = np.linspace(begin, end, intervals + 1)
+    knots = np.concatenate([np.full(_DEGREE, begin), breakpoints, np.full(_DEGREE, end)])
+    size, joints = intervals + _DEGREE, sigma_position.size
+    of_q = _values(time_q, knots)
+    of_qd = _slopes(time_qd, knots)
+    by_q, by_qd = of_q.T @ diags_array(weight**2) @ of_q, of_qd.T @ of_qd
+    coefficients = np.empty((size, joints))
+    for j in range(joints):
+        a, b = sigma_position[j] ** -2.0, sigma_velocity[j] ** -2.0
+        normal = a * by_q + b * by_qd
+        band = np.zeros((_DEGREE + 1, size))
+        for k in range(_DEGREE + 1):
+            band[k, : size - k] = normal.diagonal(-k)
+        band[0] += _STIFFNESS * band[0].max()
+        if time_q.size == 0:
+            band[0, 0] += band[0].max()
+        right = a * (of_q.T @ (weight**2 * q[:, j])) + b * (of_qd.T @ qd[:, j])
+        coefficients[:, j] = solveh_banded(band, right, lower=True)
+    squares = np.sum((weight[:, None] * (q - of_q @ coefficients) / sigma_position) ** 2, axis=0)
+    squares += np.sum(((qd - of_qd @ coefficients) / sigma_velocity) ** 2, axis=0)
+    freedom = max(1.0, float(np.count_nonzero(weight == 1.0) + time_qd.size - size))
+    accepted = bool(np.all(squares / freedom < 1.0 + 3.0 * np.sqrt(2.0 / freedom)))
+    return BSpline(knots, coefficients, _DEGREE), accepted
+
+
+def _values(time: Array, knots: Array) -> csr_array:
+    """(N, coefficients) of the basis functions."""
+    if time.size == 0:
+        return csr_array((0, knots.size - _DEGREE - 1))
+    return csr_array(BSpline.design_matrix(time, knots, _DEGREE))
+
+
+def _slopes(time: Array, knots: Array) -> csr_array:
+    """(N, coefficients) of their derivatives."""
+    size = knots.size - _DEGREE - 1
+    if time.size == 0:
+        return csr_array((0, size))
+    lower = csr_array(BSpline.design_matrix(time, knots[1:-1], _DEGREE - 1))
+    per_step = _DEGREE / (knots[_DEGREE + 1 : -1] - knots[1 : -_DEGREE - 1])
+    difference = diags_array([-per_step, per_step], offsets=[0, 1], shape=(size - 1, size))
+    return csr_array(lower @ difference)

@@ -1,0 +1,35 @@
+"""The noise of a log's twist, whatever it was measured with."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = ["joint_noise", "twist_noise"]
+
+Array = NDArray[np.float64]
+
+
+def joint_noise(rig: Rig) -> float:
+    """RMS over the joints of 1 sigma of what is followed: of positions [rad], or of velocities [rad/s]."""
+    return float(np.sqrt(np.mean(np.square(rig.motion.position_noise or rig.motion.noise or (1.0,)))))
+
+
+def twist_noise(rig: Rig, log: Log) -> Array:
+    """1 sigma (6,) of a sample of `log.twist` [m/s, rad/s]; of joints, its RMS over the log.
+
+    A twist that comes from positions alone has no noise of its own samples; it is given that of
+    differences over the spacing of its reference.
+    """
+    if log.tracking is None:
+        return rig.motion.noise_array
+    tracking = log.tracking
+    sigma = rig.motion.noise_array
+    if tracking.reference is not None and tracking.velocity_departure is None:
+        sigma = np.array(rig.motion.position_noise) / tracking.reference.spacing
+    rows = np.isfinite(tracking.jacobian).all(axis=(1, 2))
+    variance = np.mean(tracking.jacobian[rows] ** 2 @ sigma**2, axis=0)
+    return np.asarray(np.sqrt(variance + 1e-12 * variance.max()))

@@ -1,0 +1,236 @@
+"""Joint logs as motions of the sensor: a reference that the encoders follow, and how far they are from it.
+
+What joints measure is a pose, and the wrench needs its derivatives: nothing is differenced. A smooth reference
+is fitted to encoders and tachometers, and the estimators find the displacement of the sensor from it, together
+with the gain (docs/method.md, "Joints").
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+
+from truewrench.errors import InputError
+from truewrench.joint_spline import JointSpline, fit_joints
+from truewrench.log import Log, Reference, Tracking
+from truewrench.rig import Rig
+from truewrench.robot import BaseMotion, Robot, robot_of, rotation_of
+from truewrench.smooth import segments
+
+__all__ = ["track"]
+
+Array = NDArray[np.float64]
+
+_FEWEST = 16  # rows of a joint stream that a motion can be made of
+_WIDER = 2.0  # knots of the reference, in units of the coarsest that the encoders accept (docs/method.md)
+_SITES = 4.0  # knots of its twist in one of those
+_LOOSE = 100.0  # sigma of what is put into a gap, in units of the encoders'
+
+
+def track(rig: Rig, log: Log) -> Log:
+    """The log of a joint rig with the twist, the gravity and the tracking of its sensor.
+
+    With `motion.position_noise` encoders and tachometers are followed together; without it positions are exact,
+    and velocities alone are measurements.
+
+    Raises:
+        InputError: for streams that leave the motion undetermined.
+    """
+    if log.position is None and log.velocity is None:
+        return log
+    robot, base = robot_of(rig), _Base(log)
+    if rig.motion.position_noise is not None and log.position is not None:
+        return _about_reference(rig, robot, base, log)
+    return _exact_positions(rig, robot, base, log)
+
+
+def _about_reference(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
+    positions, velocities = _rows(log, log.position, "q_*"), None
+    sigma_q = np.array(rig.motion.position_noise)
+    if log.velocity is not None and rig.motion.noise is not None:
+        velocities = _rows(log, log.velocity, "dq_*")
+    time_q, q = _without_gaps(log.time[positions], _of(log.position, positions))
+    weight_q = np.where(np.isin(time_q, log.time[positions]), 1.0, 1.0 / _LOOSE)
+    rows_qd = np.zeros(0, dtype=np.int64) if velocities is None else velocities
+    rates = (log.time[rows_qd], _of(log.velocity, rows_qd) if rows_qd.size else np.zeros((0, robot.n)))
+    sigma_qd = rig.motion.noise_array if velocities is not None else np.ones(robot.n)
+    fit = fit_joints((time_q, q, weight_q), rates, sigma_q, sigma_qd, wider=_WIDER)
+    reference, gravity = _reference(rig, robot, base, log, fit)
+
+    rows = np.union1d(positions, rows_qd)
+    time = log.time[rows]
+    at, rate = fit.position(time), fit.velocity(time)
+    J, J_rate = robot.jacobian(at), robot.jacobian_rate(at, rate)
+    moved = np.full((len(log.time_ns), robot.n), np.nan)
+    moved[positions] = _of(log.position, positions) - fit.position(log.time[positions])
+    faster = np.full_like(moved, np.nan)
+    twist = np.full((len(moved), 6), np.nan)
+    twist[rows] = BSpline(*reference[:2], 5)(time)
+    if rows_qd.size:
+        faster[rows_qd] = rates[1] - fit.velocity(rates[0])
+        twist[rows] = np.nan
+        chosen = np.searchsorted(rows, rows_qd)
+        twist[rows_qd] = BSpline(*reference[:2], 5)(rates[0])
+        twist[rows_qd] += np.einsum("kij,kj->ki", J[chosen], faster[rows_qd])
+    return replace(
+        log,
+        twist=twist,
+        gravity=_on_rows(log, rows, _gravity(rig, robot, base, at, time)),
+        tracking=Tracking(
+            jacobian=_on_rows(log, rows, J),
+            jacobian_rate=_on_rows(log, rows, J_rate),
+            position_departure=moved,
+            velocity_departure=faster if rows_qd.size else None,
+            reference=Reference(
+                origin_ns=int(log.time_ns[0]),
+                breakpoints=reference[0][5:-5],
+                twist=reference[1],
+                spacing=fit.spacing,
+                gravity_time=gravity[0],
+                gravity=gravity[1],
+            ),
+        ),
+    )
+
+
+def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
+    if log.velocity is None:
+        raise InputError.at(
+            log.path, "header", "no column dq_*", "joint velocities, where position_noise is not given"
+        )
+    rows = _rows(log, log.velocity, "dq_*")
+    time, qd = log.time[rows], _of(log.velocity, rows)
+    if log.position is None:
+        start = np.array(rig.motion.initial_position)
+        nothing = (np.zeros(0), np.zeros((0, robot.n)), np.zeros(0))
+        fit = fit_joints(nothing, (time, qd), np.ones(robot.n), rig.motion.noise_array)
+        q = fit.position(time) - fit.position(time[:1]) + start
+    else:
+        known = _rows(log, log.position, "q_*")
+        q = _of(log.position, rows) if np.isin(rows, known).all() else None
+        if q is None:
+            spline = CubicSpline(log.time[known], _of(log.position, known), axis=0)
+            q = spline(np.clip(time, *log.time[known][[0, -1]]))
+    J = robot.jacobian(q)
+    twist = np.einsum("kij,kj->ki", J, qd) + base.at_sensor(robot, q, time)
+    return replace(
+        log,
+        twist=_on_rows(log, rows, twist),
+        gravity=_on_rows(log, rows, _gravity(rig, robot, base, q, time)),
+        tracking=Tracking(jacobian=_on_rows(log, rows, J)),
+    )
+
+
+def _reference(
+    rig: Rig, robot: Robot, base: _Base, log: Log, fit: JointSpline
+) -> tuple[tuple[Array, Array], tuple[Array, Array | None]]:
+    """Knots and coefficients of the reference's twist, and gravity at times in sensor axes."""
+    begin, end = fit.begin, fit.end
+    count = max(1, int(np.ceil((end - begin) / fit.spacing * _WIDER * _SITES)))
+    breakpoints = np.linspace(begin, end, count + 1)
+    knots = np.concatenate([np.full(5, begin), breakpoints, np.full(5, end)])
+    sites = np.array([knots[k + 1 : k + 6].mean() for k in range(count + 5)])  # Greville's
+    sites[[0, -1]] = begin, end
+    q = fit.position(sites)
+    moving = robot.motion(q, fit.velocity(sites), fit.acceleration(sites), base.motion(sites))
+    spline = make_interp_spline(sites, moving.twist, k=5, t=knots)
+    return (knots, np.ascontiguousarray(spline.c)), (sites, _gravity(rig, robot, base, q, sites))
+
+
+def _gravity(rig: Rig, robot: Robot, base: _Base, q: Array, time: Array) -> Array | None:
+    """Free fall (N, 3) in sensor axes; None on orbit."""
+    if not rig.in_gravity:
+        return None
+    in_root = np.einsum("kji,j->ki", base.attitude(time), rig.gravity_array)
+    R_root_sensor, _ = robot.pose(q)
+    return np.einsum("kji,kj->ki", R_root_sensor, in_root)
+
+
+class _Base:
+    """The motion of the robot's root at any time, as exact as it is logged; at rest where it is not."""
+
+    def __init__(self, log: Log) -> None:
+        self._twist = self._spline(log, log.base_twist, "base_v*, base_w*")
+        self._attitude = self._spline(log, _continuous(log.base_attitude), "base_q*")
+
+    def motion(self, time: Array) -> BaseMotion | None:
+        """Twist and its derivative at times (N,) of the log, None at rest."""
+        return None if self._twist is None else BaseMotion(self._twist(time), self._twist(time, 1))
+
+    def attitude(self, time: Array) -> Array:
+        """R_inertial_root (N, 3, 3)."""
+        if self._attitude is None:
+            return np.tile(np.eye(3), (len(time), 1, 1))
+        return rotation_of(np.asarray(self._attitude(time)))
+
+    def at_sensor(self, robot: Robot, q: Array, time: Array) -> Array:
+        """Twist (N, 6) of the sensor's origin, sensor axes, with the joints at rest."""
+        motion, still = self.motion(time), np.zeros_like(q)
+        return np.zeros((len(q), 6)) if motion is None else robot.motion(q, still, still, motion).twist
+
+    @staticmethod
+    def _spline(log: Log, values: Array | None, columns: str) -> CubicSpline | None:
+        if values is None:
+            return None
+        rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+        if rows.size < 4:
+            raise InputError.at(log.path, columns, f"{rows.size} complete rows", "at least 4")
+        return CubicSpline(log.time[rows], values[rows], axis=0)
+
+
+def _continuous(attitude: Array | None) -> Array | None:
+    """Quaternions (N, 4) of one sign: q and -q are the same attitude, and are not interpolated between."""
+    if attitude is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(attitude).all(axis=1))
+    out = attitude.copy()
+    signs = np.cumprod(np.where(np.sum(attitude[rows][1:] * attitude[rows][:-1], axis=1) < 0.0, -1.0, 1.0))
+    out[rows[1:]] *= signs[:, None]
+    return out
+
+
+def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:
+    """Rows with all joints of a stream."""
+    assert values is not None
+    finite = np.isfinite(values)
+    rows = np.flatnonzero(finite.all(axis=1))
+    partial = np.count_nonzero(finite.any(axis=1)) - rows.size
+    if rows.size < max(_FEWEST, partial):
+        found = f"{rows.size} rows with all joints, {partial} with some of them"
+        raise InputError.at(log.path, columns, found, f"at least {_FEWEST} rows with all joints, and most of them")
+    return rows
+
+
+def _of(values: Array | None, rows: NDArray[np.int64]) -> Array:
+    assert values is not None
+    return values[rows]
+
+
+def _on_rows(log: Log, rows: NDArray[np.int64], values: Array | None) -> Array | None:
+    """Values of some rows of a log, NaN in the others."""
+    if values is None:
+        return None
+    out = np.full((len(log.time_ns), *values.shape[1:]), np.nan)
+    out[rows] = values
+    return out
+
+
+def _without_gaps(time: Array, values: Array) -> tuple[Array, Array]:
+    """Samples with straight lines through the gaps, for a reference that is defined there, too."""
+    pieces = segments(time)
+    if len(pieces) == 1:
+        return time, values
+    period = float(np.median(np.diff(time)))
+    times, rows = [time], [values]
+    for before, after in pairwise(pieces):
+        a, b = before.stop - 1, after.start
+        inside = np.linspace(time[a], time[b], 1 + int((time[b] - time[a]) / period))[1:-1]
+        share = ((inside - time[a]) / (time[b] - time[a]))[:, None]
+        times.append(inside)
+        rows.append(values[a] + share * (values[b] - values[a]))
+    order = np.argsort(np.concatenate(times), kind="stable")
+    return np.concatenate(times)[order], np.concatenate(rows)[order]
