@@ -2,7 +2,7 @@
 
     python benchmarks/robot_accuracy.py
 
-Random positions, velocities and accelerations of the packaged arms with their payloads, in gravity: the sensor
+Random positions, velocities and accelerations of the packaged arms and their payloads, in gravity: the sensor
 frame's motion and gravity from Pinocchio and the wrench from the core, as calibrations use them, beside what
 ideal sensors in MuJoCo read. Relative to the length of the vector, sample by sample.
 """
