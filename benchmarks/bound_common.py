@@ -6,6 +6,7 @@ Gauss-Legendre integrals where a knot interval holds many samples: the cost does
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,6 @@ Array = NDArray[np.float64]
 
 DEGREE = 5
 ACTIVE = DEGREE + 1
-BLOCK = 6 * ACTIVE
 CHUNK = 512  # knot intervals at a time
 INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
@@ -56,6 +56,21 @@ class _Body:
         return newton_euler(mass, center, inertia, self.point, nu, a, g)
 
 
+@dataclass(frozen=True)
+class Linearised:
+    """What wrench and motion streams say about splines of d motion coordinates, near the truth.
+
+    Attributes:
+        precision: (3, d) of the measured coordinates, of their first and of their second derivatives: one
+            over the variance of a sample of the motion's stream, 0 where there is none.
+        at: normalised wrench (N, 6) with the rig's sign at times (N,), its derivatives by the coordinates and
+            by their first two derivatives (3, N, 6, d), by the payload (N, 6, 10) and by time (N, 6).
+    """
+
+    precision: Array
+    at: Callable[[Array], tuple[Array, Array, Array, Array]]
+
+
 def bound(
     rig: Rig, trajectory: Trajectory, gain: Array, spacing: float, *, time_offset: float = 0.0
 ) -> Array:
@@ -64,37 +79,50 @@ def bound(
     The payload is taken where it is stated: its departure changes the bound to second order only.
 
     Args:
-        rig: one payload; rates, noise, priors and uncertainties are its own.
+        rig: a twist rig with one payload; rates, noise, priors and uncertainties are its own.
         trajectory: the true motion of the logged point.
         gain: the true gain (n, 6), SI.
         spacing: of the knots that stand for the motion [s].
         time_offset: the true one.
     """
+    spec = next(iter(rig.payloads.values()))
+    body = _Body(spec, spec.center_of_mass_array if rig.motion.of == "com" else np.zeros(3))
+
+    def at(t: Array) -> tuple[Array, Array, Array, Array]:
+        w, by_nu, by_a, by_payload, by_time = _wrench(rig, body, trajectory, t)
+        return w, np.stack([by_nu, by_a, np.zeros_like(by_nu)]), by_payload, by_time
+
+    precision = np.zeros((3, 6))
+    precision[0] = rig.motion.noise_array**-2.0
+    return bound_of(rig, Linearised(precision, at), gain, trajectory.duration, spacing)
+
+
+def bound_of(rig: Rig, linear: Linearised, gain: Array, duration: float, spacing: float) -> Array:
+    """The same for any coordinates of the motion."""
     sensor = rig.sensor
     n, span, scale = sensor.n, sensor.range_array, sensor.channel_scale
     spec = next(iter(rig.payloads.values()))
-    body = _Body(spec, spec.center_of_mass_array if rig.motion.of == "com" else np.zeros(3))
-    intervals = max(1, round(trajectory.duration / spacing))
-    h = trajectory.duration / intervals
+    intervals = max(1, round(duration / spacing))
+    h = duration / intervals
+    d = linear.precision.shape[1]
+    width = d * ACTIVE
     offset = bool(sensor.offset_prior_array.any())
     clock, payload = sensor.time_offset_prior > 0.0, not spec.exact
     size = 6 * n + n + 10 + 1
-    band = np.zeros((BLOCK, 6 * (intervals + DEGREE)))
+    band = np.zeros((width, d * (intervals + DEGREE)))
     cross = np.zeros((band.shape[1], size))
     known = np.zeros((size, size))
     normalised = gain * span / scale[:, None]
     weight = normalised * (scale / sensor.noise_array)[:, None]
     for first in range(0, intervals, CHUNK):
         chunk = np.arange(first, min(first + CHUNK, intervals))
-        block = _twist_information(rig, h, len(chunk))
-        at, share, basis, slope = _nodes(chunk, h, rig.simulate.sensor_rate)
-        t = at.ravel()
-        w, by_nu, by_a, by_payload, by_time = _wrench(rig, body, trajectory, t)
-        by_x = np.einsum("qm,kqpc->kqpmc", basis, by_nu.reshape(*at.shape, 6, 6))
-        by_x += np.einsum("qm,kqpc->kqpmc", slope, by_a.reshape(*at.shape, 6, 6))
+        block = _motion_information(linear.precision, h, rig.simulate.rate, len(chunk))
+        at, share, bases = _nodes(chunk, h, rig.simulate.sensor_rate)
+        w, by_motion, by_payload, by_time = linear.at(at.ravel())
+        by_x = np.einsum("oqm,okqpc->kqpmc", bases, by_motion.reshape(3, *at.shape, 6, d))
         root = np.sqrt(share)[None, :, None, None]
-        J = root * np.einsum("ip,kqpb->kqib", weight, by_x.reshape(*at.shape, 6, BLOCK))
-        J = J.reshape(len(chunk), -1, BLOCK)
+        J = root * np.einsum("ip,kqpb->kqib", weight, by_x.reshape(*at.shape, 6, width))
+        J = J.reshape(len(chunk), -1, width)
         block = block + np.swapaxes(J, 1, 2) @ J
         T = np.zeros((*at.shape, n, size))
         for i in range(n):
@@ -105,13 +133,13 @@ def bound(
         T[..., 7 * n + 10] = np.einsum("ip,kqp->kqi", weight, by_time.reshape(*at.shape, 6))
         T = (root * T).reshape(len(chunk), -1, size)
         known += np.einsum("kra,krb->ab", T, T, optimize=True)
-        mixed = np.swapaxes(J, 1, 2) @ T  # (k, BLOCK, size)
+        mixed = np.swapaxes(J, 1, 2) @ T  # (k, width, size)
         for m in range(ACTIVE):
-            rows = (6 * (chunk[:, None] + m) + np.arange(6)).ravel()
-            cross[rows] += mixed[:, 6 * m : 6 * m + 6].reshape(-1, size)
-        for row in range(BLOCK):
+            rows = (d * (chunk[:, None] + m) + np.arange(d)).ravel()
+            cross[rows] += mixed[:, d * m : d * m + d].reshape(-1, size)
+        for row in range(width):
             for column in range(row + 1):
-                band[row - column, 6 * chunk + column] += block[:, row, column]
+                band[row - column, d * chunk + column] += block[:, row, column]
     factor = cholesky_banded(band, lower=True)
     information = known - cross.T @ cho_solve_banded((factor, True), cross)
     u = spec.uncertainty
@@ -137,22 +165,26 @@ def rms(covariance: Array) -> float:
     return float(np.sqrt(np.mean(np.diag(covariance))))
 
 
-def _nodes(chunk: NDArray[np.int64], h: float, rate: float) -> tuple[Array, Array, Array, Array]:
-    """Times (k, q), samples that each stands for (q,), the active splines and their slopes there (q, 6)."""
+def _nodes(chunk: NDArray[np.int64], h: float, rate: float) -> tuple[Array, Array, Array]:
+    """Times (k, q), samples that each stands for (q,), active splines and two derivatives there (3, q, 6)."""
     x, weights = np.polynomial.legendre.leggauss(ACTIVE)  # exact for products of two splines
     local = 0.5 * h * (x + 1.0)
     knots = h * np.arange(-DEGREE, DEGREE + 2)
-    basis, slope = np.empty((ACTIVE, ACTIVE)), np.empty((ACTIVE, ACTIVE))
+    bases = np.empty((3, ACTIVE, ACTIVE))
     for m in range(ACTIVE):
         piece = BSpline.basis_element(knots[m : m + DEGREE + 2], extrapolate=False)
-        basis[:, m], slope[:, m] = piece(local), piece(local, nu=1)
-    return chunk[:, None] * h + local, 0.5 * weights * h * rate, basis, slope
+        for order in range(3):
+            bases[order, :, m] = piece(local, nu=order)
+    return chunk[:, None] * h + local, 0.5 * weights * h * rate, bases
 
 
-def _twist_information(rig: Rig, h: float, count: int) -> Array:
-    _, share, basis, _ = _nodes(np.zeros(1, dtype=np.int64), h, rig.simulate.rate)
-    one = np.kron((basis * share[:, None]).T @ basis, np.diag(rig.motion.noise_array**-2.0))
-    return np.broadcast_to(one, (count, BLOCK, BLOCK))
+def _motion_information(precision: Array, h: float, rate: float, count: int) -> Array:
+    _, share, bases = _nodes(np.zeros(1, dtype=np.int64), h, rate)
+    one = sum(
+        np.kron((basis * share[:, None]).T @ basis, np.diag(of_order))
+        for basis, of_order in zip(bases, precision, strict=True)
+    )
+    return np.broadcast_to(np.asarray(one), (count, *np.shape(one)))
 
 
 def _wrench(
