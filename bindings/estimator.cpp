@@ -55,7 +55,8 @@ struct RecordedLog {
 
   void set_reference(const std::vector<double>& breakpoints, const Array2& twist, double spacing) {
     if (breakpoints.size() < 2 || twist.shape(0) != breakpoints.size() + kDegree - 1 || twist.shape(1) != 6)
-      throw nb::value_error("reference: 6 coefficients for each of K + 5 splines are expected on K intervals");
+      throw nb::value_error(
+          "reference: 6 coefficients for each of K + 5 splines are expected on K intervals");
     reference.emplace(
         breakpoints,
         Eigen::Map<const Coefficients>(twist.data(), static_cast<Eigen::Index>(twist.shape(0)), 6), spacing);
@@ -239,12 +240,15 @@ void bind_estimator(nb::module_& m) {
       .def("add_motion", &RecordedLog::add_motion, nb::arg("order"), nb::arg("time"), nb::arg("value"),
            nb::arg("sigma"), nb::arg("combination").none() = nb::none(),
            nb::arg("covariance").none() = nb::none(), nb::arg("coupling").none() = nb::none(),
-           "Measurements (N, 6) of the order-th derivative of the twist, or about a reference of the displacement, "
-           "or of a combination (6, 6) of its components; NaN where missing. `covariance` (N, 6, 6) instead of "
+           "Measurements (N, 6) of the order-th derivative of the twist, or about a reference of the "
+           "displacement, "
+           "or of a combination (6, 6) of its components; NaN where missing. `covariance` (N, 6, 6) instead "
+           "of "
            "sigma; `coupling` (N, 6, 6): plus so much of the derivative of the order below.")
       .def("set_reference", &RecordedLog::set_reference, nb::arg("breakpoints"), nb::arg("twist"),
            nb::arg("spacing"),
-           "The motion is then a displacement from this one: coefficients (K + 5, 6) of the quintic spline of the "
+           "The motion is then a displacement from this one: coefficients (K + 5, 6) of the quintic spline "
+           "of the "
            "logged point's twist, and the spacing of the knots of the fit behind it [s].")
       .def("set_wrench", &RecordedLog::set_wrench, nb::arg("time"), nb::arg("raw"),
            nb::arg("temperature").none() = nb::none(),

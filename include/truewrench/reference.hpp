@@ -38,7 +38,8 @@ struct ReferencePoint {
   // The motion displaced by p from the reference, whose gravity in sensor axes is g; first order in p.
   MotionState displaced(const Vector6& p, const Vector6& dp, const Vector6& ddp, const Vector3& g) const {
     const Matrix6 by_twist = twist_adjoint(nu);
-    return {nu + by_twist * p + dp, a + twist_adjoint(a) * p + by_twist * dp + ddp, g + g.cross(Vector3(p.tail<3>()))};
+    return {nu + by_twist * p + dp, a + twist_adjoint(a) * p + by_twist * dp + ddp,
+            g + g.cross(Vector3(p.tail<3>()))};
   }
 
   // Derivative of the displaced acceleration.

@@ -91,7 +91,9 @@ def inertial_wrench(rig: Rig, log: Log, time_offset: float, lags: int) -> list[I
         at = log.time[sensed] + time_offset
         inside = (at >= time[0]) & (at <= time[-1])
         if np.count_nonzero(inside) > max(_SHORTEST, 2 * lags):
-            found.append(_chunk(rig, log.payload, noise, time, twist, sensed[inside], at[inside], gravity, lags))
+            found.append(
+                _chunk(rig, log.payload, noise, time, twist, sensed[inside], at[inside], gravity, lags)
+            )
     return found
 
 

@@ -201,7 +201,9 @@ def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:
     partial = np.count_nonzero(finite.any(axis=1)) - rows.size
     if rows.size < max(_FEWEST, partial):
         found = f"{rows.size} rows with all joints, {partial} with some of them"
-        raise InputError.at(log.path, columns, found, f"at least {_FEWEST} rows with all joints, and most of them")
+        raise InputError.at(
+            log.path, columns, found, f"at least {_FEWEST} rows with all joints, and most of them"
+        )
     return rows
 
 

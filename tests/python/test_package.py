@@ -16,7 +16,18 @@ PACKAGE = ROOT / "src" / "truewrench"
 # The floors of the package, lowest first: imports run downward only, and sideways only between
 # the data types and what they stand on. "estimate" and "io" stand for the modules inside them.
 FLOORS = [
-    {"errors", "log", "smooth", "workers", "robots", "joint_spline", "trajectory", "trajectory_joint", "_core", "_cpu"},
+    {
+        "errors",
+        "log",
+        "smooth",
+        "workers",
+        "robots",
+        "joint_spline",
+        "trajectory",
+        "trajectory_joint",
+        "_core",
+        "_cpu",
+    },
     {
         "files",
         "strict",

@@ -16,9 +16,7 @@ Array = NDArray[np.float64]
 _EXACT = 1e-6  # variance of a direction that no joint moves, relative to the others'
 
 
-def add_tracked_motion(
-    streams: _core.RecordedLog, rig: Rig, log: Log, origin_ns: int, time: Array
-) -> None:
+def add_tracked_motion(streams: _core.RecordedLog, rig: Rig, log: Log, origin_ns: int, time: Array) -> None:
     """Add the motion of a joint log to its streams.
 
     Without a reference the twist J qd is a measurement with the covariance J Sigma J^T ([A00] 26). About one,
@@ -58,7 +56,9 @@ def add_tracked_motion(
     rows = np.isfinite(tracking.velocity_departure).all(axis=1)
     J = tracking.jacobian[rows]
     rate = np.einsum("kij,kj->ki", J, tracking.velocity_departure[rows])
-    _add(streams, 1, time[rows], rate, _covariance(J, rig.motion.noise_array), _coupling(tracking, rows, sigma))
+    _add(
+        streams, 1, time[rows], rate, _covariance(J, rig.motion.noise_array), _coupling(tracking, rows, sigma)
+    )
 
 
 def _add(
