@@ -38,6 +38,7 @@ FLOORS = [
         "payload_sources",
         "urdf",
         "robot",
+        "resolved_rate",
         "calibration",
         "signed_axes",
         "setup_hypotheses",

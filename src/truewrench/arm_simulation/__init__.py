@@ -1,6 +1,6 @@
 """The whole chain in independent physics: an arm in MuJoCo follows a plan, and its log is recorded.
 
-docs/method.md, section 16, says what is modelled and what is checked.
+What is modelled and what is checked: docs/method.md, "The simulated arm".
 """
 
 from truewrench.arm_simulation.run import ArmRun, simulate_arm, simulate_plan
