@@ -288,6 +288,38 @@ def simulate(
 
 
 @app.command()
+def follow(
+    rig: RigArgument,
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Table of the planned twist, vx ... wz.")],
+    output: OutputLogOption,
+    of: Annotated[
+        Literal["com", "sensor"], typer.Option(help="The point that the plan moves: mass or sensor.")
+    ] = "com",
+    payload: Annotated[str | None, typer.Option(help="Payload carried; the first of the rig.")] = None,
+    rate: Annotated[float, typer.Option(min=1.0, help="Commands a second [Hz].")] = 100.0,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Turn a planned twist into motions of an arm's joints, within their limits."""
+    from truewrench.follow import follow_plan
+    from truewrench.rig import load_rig
+
+    done = follow_plan(load_rig(rig), plan, of=of, payload=payload, rate=rate)
+    reasons = done.reasons
+    return Outcome(
+        outputs=done.write(output),
+        verdict={"usable": not reasons, "reasons": reasons},
+        figures={"linear_error": done.linear, "angular_error": done.angular},
+        words=lambda: iter(
+            [
+                f"the sensor follows to {done.motion.position_error.max():.1e} m",
+                *(f"not to be used as it stands: {reason}" for reason in reasons),
+            ]
+        ),
+    )
+
+
+@app.command()
 def campaign(
     rig: RigArgument,
     trials: Annotated[int, typer.Option(min=1, help="Simulated calibrations.")],

@@ -49,7 +49,7 @@ FLOORS = [
     },
     {"io"},
     {"truth"},
-    {"estimate", "simulate", "apply", "inspect_log", "bound", "figures", "inertial"},
+    {"estimate", "simulate", "follow", "apply", "inspect_log", "bound", "figures", "inertial"},
     {"setup_errors", "residuals", "advice", "arm_simulation"},
     {"verdict", "validation"},
     {"summary", "comparison"},

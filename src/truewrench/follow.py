@@ -1,0 +1,117 @@
+"""A planned twist as files for an arm in velocity mode, with a verdict on how closely it can follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.errors import InputError
+from truewrench.io.joint_trajectory import write_joint_trajectory
+from truewrench.io.plans import joint_columns, read_plan
+from truewrench.io.tables import write_table
+from truewrench.resolved_rate import FollowedTwist, follow_twist, limits_of
+from truewrench.rig import Rig
+from truewrench.robot import Robot, robot_of
+from truewrench.trajectory_joint import SplineJoints
+
+__all__ = ["FollowedPlan", "follow_plan"]
+
+Array = NDArray[np.float64]
+
+_CLOSE = (
+    0.01  # of the plan's largest linear and angular speed: what may be missing from a motion that follows
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowedPlan:
+    """How an arm follows a plan.
+
+    Attributes:
+        robot: the arm.
+        motion: commands and errors.
+        linear: largest linear error over the plan's largest linear speed.
+        angular: likewise.
+    """
+
+    robot: Robot
+    motion: FollowedTwist
+    linear: float
+    angular: float
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the motion is not the planned one, in words; none where it follows closely."""
+        missed = {"linear": self.linear, "angular": self.angular}
+        return tuple(
+            f"the joints' limits cost up to {100 * share:.2g}% of the plan's largest {kind} speed"
+            for kind, share in missed.items()
+            if share > _CLOSE
+        )
+
+    def write(self, output: str | Path) -> tuple[Path, Path]:
+        """Write the joints as a PLAN table (CSV or Parquet by its name) and as a message for ROS beside it.
+
+        The table is the smooth motion through the positions that the commands lead to.
+
+        Returns:
+            The table, and FILE.trajectory.yaml.
+        """
+        path, time = Path(output), self.motion.time
+        joints = SplineJoints.through(time, self.motion.position)
+        motion = [self.motion.position, joints.velocity(time), joints.acceleration(time)]
+        columns = {"time_s": time}
+        for names, values in zip(joint_columns(self.robot.joints), motion, strict=True):
+            columns |= dict(zip(names, values.T, strict=True))
+        message = path.with_name(f"{path.name}.trajectory.yaml")
+        write_joint_trajectory(message, self.robot.joints, time, *motion)
+        write_table(path, columns)
+        return path, message
+
+
+def follow_plan(
+    rig: Rig,
+    plan: str | Path,
+    *,
+    of: Literal["com", "sensor"] = "com",
+    payload: str | None = None,
+    rate: float = 100.0,
+) -> FollowedPlan:
+    """Let the rig's arm follow a planned twist, from the rig's `motion.initial_position`.
+
+    Args:
+        rig: with `motion.source: joints`.
+        plan: a PLAN table of `vx ... wz`.
+        of: the point whose twist it is: the payload's centre of mass, or the sensor's origin.
+        payload: which one; by default the rig's first.
+        rate: commands a second [Hz].
+
+    Raises:
+        InputError: for the robot, the plan, an unknown payload, or a start that is missing or outside its
+            limits.
+    """
+    robot = robot_of(rig)
+    if rig.motion.initial_position is None:
+        expected = "the joint positions that the motion starts from"
+        raise InputError.at(rig.path, "motion.initial_position", "nothing", expected)
+    name = next(iter(rig.payloads)) if payload is None else payload
+    if name not in rig.payloads:
+        raise InputError.at(
+            rig.path, "payloads", f"no payload `{name}`", f"one of: {', '.join(rig.payloads)}"
+        )
+    lever = rig.payloads[name].center_of_mass_array if of == "com" else None
+    trajectory = read_plan(plan)
+    start = np.array(rig.motion.initial_position)
+    motion = follow_twist(robot, trajectory, start, limits=limits_of(rig), rate=rate, lever=lever)
+    planned = motion.twist - motion.twist_error
+    halves = (slice(0, 3), slice(3, 6))
+    largest, missed = (
+        [float(np.linalg.norm(six[:, half], axis=1).max()) for half in halves]
+        for six in (planned, motion.twist_error)
+    )
+    linear, angular = (m / s if s > 0 else 0.0 for m, s in zip(missed, largest, strict=True))
+    return FollowedPlan(robot, motion, linear, angular)

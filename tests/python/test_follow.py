@@ -1,0 +1,71 @@
+"""A planned twist becomes files that an arm can be driven with, or a verdict that says why not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from truewrench import robots
+from truewrench.cli import main
+from truewrench.errors import InputError
+from truewrench.follow import follow_plan
+from truewrench.io.plans import read_joint_plan
+from truewrench.io.tables import write_table
+from truewrench.rig import load_rig
+from truewrench.robot import robot_of
+
+
+def plan(path: Path, size: float) -> Path:
+    """A twist table of 4 s that starts and ends at rest."""
+    time = np.linspace(0.0, 4.0, 161)
+    names = ("vx", "vy", "vz", "wx", "wy", "wz")
+    turns = (1, 2, 3, 2, 1, 3)
+    twist = {n: size * np.sin(2 * np.pi * k * time / 4.0) for n, k in zip(names, turns, strict=True)}
+    write_table(path, {"time_s": time, **twist})
+    return path
+
+
+def test_files_hold_the_joints_that_move_the_mass_as_planned(tmp_path: Path) -> None:
+    rig = load_rig(robots.path("panda"))
+    robot = robot_of(rig)
+    followed = follow_plan(rig, plan(tmp_path / "plan.csv", 0.1), rate=50.0)
+    assert followed.reasons == ()
+    table, message = followed.write(tmp_path / "joints.csv")
+    joints = read_joint_plan(table, robot.joints)  # whose derivatives it checks
+    t = np.linspace(0.3, 3.7, 50)
+    twist = np.einsum("kij,kj->ki", robot.jacobian(joints.position(t)), joints.velocity(t))
+    lever = rig.payloads["default"].center_of_mass_array
+    at_mass = twist[:, :3] + np.cross(twist[:, 3:], lever)
+    wanted = 0.1 * np.sin(2 * np.pi * np.outer(t, [1, 2, 3, 2, 1, 3]) / 4.0)
+    np.testing.assert_allclose(np.column_stack([at_mass, twist[:, 3:]]), wanted, atol=1e-3)
+    points = yaml.safe_load(message.read_text(encoding="utf-8"))["points"]
+    assert len(points) == 201
+    np.testing.assert_allclose(points[100]["positions"], joints.position(np.array([2.0]))[0], atol=1e-12)
+
+
+def test_a_plan_that_is_too_fast_is_written_with_a_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = plan(tmp_path / "plan.csv", 1.5)
+    output = tmp_path / "joints.parquet"
+    with pytest.raises(SystemExit) as left:
+        main(["follow", str(robots.path("panda")), str(table), "-o", str(output), "--rate", "50", "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert left.value.code == 3
+    assert "the joints' limits cost" in said["verdict"]["reasons"][0]
+    assert said["outputs"] == [str(output), f"{output}.trajectory.yaml"]
+    assert all(Path(name).exists() for name in said["outputs"])
+
+
+def test_what_following_needs_is_asked_for(tmp_path: Path) -> None:
+    rig = load_rig(robots.path("panda"))
+    table = plan(tmp_path / "plan.csv", 0.1)
+    with pytest.raises(InputError, match="no payload `tool`, expected one of: default"):
+        follow_plan(rig, table, payload="tool")
+    motion = rig.motion.model_copy(update={"initial_position": None})
+    with pytest.raises(InputError, match=r"motion\.initial_position: found nothing"):
+        follow_plan(rig.model_copy(update={"motion": motion}), table)
