@@ -40,13 +40,20 @@ def joint_settings(settings: dict[str, Any], tmp_path: Path) -> dict[str, Any]:
     return settings
 
 
+ROWS = 40
+
+
 @pytest.fixture
-def joint_cells(cells: Cells) -> Cells:
-    """Joints in an order of their own, a gripper between them."""
-    draw = np.random.default_rng(4)
-    names = ("dq_wrist", "q_elbow", "q_gripper", "q_wrist", "dq_elbow", "q_shoulder", "dq_shoulder")
-    kept = {name: column for name, column in cells.items() if not name.startswith(("v", "w"))}
-    return kept | {name: [repr(float(x)) for x in draw.normal(size=10)] for name in names}
+def joint_cells() -> Cells:
+    """Joints that swing, in an order of their own, a gripper between them."""
+    time = 0.01 * np.arange(ROWS)
+    columns: dict[str, np.ndarray] = {f"raw_{i}": np.cos(i + time) for i in range(6)}
+    for name in ("dq_wrist", "q_elbow", "q_gripper", "q_wrist", "dq_elbow", "q_shoulder", "dq_shoulder"):
+        prefix, _, joint = name.partition("_")
+        phase = float(len(joint))
+        columns[name] = np.sin(3 * time + phase) if prefix == "q" else 3 * np.cos(3 * time + phase)
+    cells = {"time_ns": [str(10_000_000 * k) for k in range(ROWS)]}
+    return cells | {name: [repr(float(x)) for x in values] for name, values in columns.items()}
 
 
 RigOf = Callable[[dict[str, Any]], Rig]
@@ -69,7 +76,7 @@ def test_joints_come_in_the_order_of_the_chain(
 
 
 def test_inspect_tells_joints_and_base(joint_cells: Cells, csv_of: CsvOf) -> None:
-    joint_cells["base_vx"] = ["0"] * 10
+    joint_cells["base_vx"] = ["0"] * ROWS
     content = inspect_log(csv_of(joint_cells))
     streams = {stream.name: [column.name for column in stream.columns] for stream in content.streams}
     assert set(streams["joint positions"]) == {"q_shoulder", "q_elbow", "q_wrist", "q_gripper"}
@@ -133,17 +140,17 @@ def test_lists_of_the_rig_are_held_against_the_joints_of_the_arm(
 
 
 def base(joint_cells: Cells) -> Cells:
-    still = {f"base_{name}": ["0.5"] * 10 for name in ("vx", "vy", "vz", "wx", "wy", "wz")}
-    return joint_cells | still | {f"base_q{name}": ["0.5"] * 10 for name in "wxyz"}
+    still = {f"base_{name}": ["0.5"] * ROWS for name in ("vx", "vy", "vz", "wx", "wy", "wz")}
+    return joint_cells | still | {f"base_q{name}": ["0.5"] * ROWS for name in "wxyz"}
 
 
 def test_a_base_that_moves_is_read_and_split_with_the_rest(
     joint_settings: dict[str, Any], joint_cells: Cells, csv_of: CsvOf, rig_of: RigOf
 ) -> None:
     log = read_log(csv_of(base(joint_cells)), rig_of(joint_settings))
-    np.testing.assert_array_equal(log.base_twist, np.full((10, 6), 0.5))
-    np.testing.assert_array_equal(log.base_attitude, np.full((10, 4), 0.5))
-    some = rows_of(log, np.arange(10) % 2 == 0)
+    np.testing.assert_array_equal(log.base_twist, np.full((ROWS, 6), 0.5))
+    np.testing.assert_array_equal(log.base_attitude, np.full((ROWS, 4), 0.5))
+    some = rows_of(log, np.arange(ROWS) % 2 == 0)
     for name in ("position", "velocity", "base_twist", "base_attitude"):
         np.testing.assert_array_equal(getattr(some, name), getattr(log, name)[::2])
     assert held_out([log])[0][0] is log  # too short to be split

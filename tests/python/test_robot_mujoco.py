@@ -85,13 +85,8 @@ def test_motion_gravity_and_wrench_are_those_that_mujoco_measures(name: str) -> 
     still = readings(name, q, 0 * qd, 0 * qdd, gravity)
     close(gravity_sensor, -still["specific force"])
 
-    lever = rig.payloads["default"].center_of_mass_array
-
-    def at_mass(six: Array) -> Array:
-        return np.column_stack([six[:, :3] + np.cross(six[:, 3:], lever), six[:, 3:]])
-
-    twist, acceleration = at_mass(motion.twist), at_mass(motion.acceleration)
-    wrench = payload_wrench(rig, "default", twist, acceleration, gravity_sensor)
+    assert rig.motion.of == "sensor"
+    wrench = payload_wrench(rig, "default", motion.twist, motion.acceleration, gravity_sensor)
     assert rig.sensor.feels == "payload_on_sensor"
     close(wrench[:, :3], -read["force"])
     close(wrench[:, 3:], -read["moment"])
