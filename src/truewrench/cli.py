@@ -91,17 +91,30 @@ def _root(
 @app.command()
 def demo(
     output: OutputFolderOption,
+    arm: Annotated[
+        str | None, typer.Option(metavar="ROBOT", help="A packaged arm, or a rig: plan, MuJoCo, calibrate.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of gain and noise.")] = 0,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
-    """Run the case of the paper, from motion to pictures."""
-    from truewrench.demo import run
-
+    """Run the case of the paper, or a whole arm, from motion to pictures."""
     _check_folder(output)
     with _progress() as update:
-        result = run(output, seed=seed, progress=lambda phase: update(phase, None))
-    return Outcome(outputs=result["outputs"], figures=result["figures"], words=lambda: iter([result["text"]]))
+        if arm is not None:
+            from truewrench.demo_arm import run_arm
+
+            result = run_arm(arm, output, seed=seed, progress=update)
+        else:
+            from truewrench.demo import run
+
+            result = run(output, seed=seed, progress=lambda phase: update(phase, None))
+    return Outcome(
+        outputs=result["outputs"],
+        figures=result["figures"],
+        verdict=result.get("verdict"),
+        words=lambda: iter([result["text"]]),
+    )
 
 
 @app.command()

@@ -50,13 +50,13 @@ FLOORS = [
     {"io"},
     {"truth"},
     {"estimate", "simulate", "follow", "apply", "inspect_log", "bound", "figures", "inertial"},
-    {"setup_errors", "residuals", "advice", "arm_simulation"},
+    {"setup_errors", "residuals", "advice", "arm_simulation", "figures_arm"},
     {"verdict", "validation"},
     {"summary", "comparison"},
     {"known_wrench"},
     {"pipeline", "campaign_statistics"},
     {"figures_campaign", "trial"},
-    {"demo", "campaign"},
+    {"demo", "demo_arm", "campaign"},
     {"cli"},
 ]
 SIDEWAYS = {0, 1}

@@ -1,0 +1,185 @@
+"""A whole arm from plan to verdict: plan -> MuJoCo -> calibrate -> validate, with pictures."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import robots
+from truewrench.arm_simulation import ArmRun, simulate_arm
+from truewrench.calibration import Calibration
+from truewrench.figures_arm import driven_figure, gain_figure
+from truewrench.files import write_yaml
+from truewrench.io.tables import read_log
+from truewrench.pipeline import calibrate
+from truewrench.rig import Rig, load_rig
+from truewrench.trial import nees
+from truewrench.validation import Validation, validate
+
+__all__ = ["run_arm"]
+
+Array = NDArray[np.float64]
+
+
+def run_arm(
+    arm: str, output: Path, seed: int = 0, progress: Callable[[str, float | None], None] | None = None
+) -> dict[str, Any]:
+    """Plan, simulate, calibrate and validate with an arm, and write every file and picture into a folder.
+
+    Args:
+        arm: name of a packaged arm, or path of a rig.
+        output: folder, made where there is none; rig and URDF are copied into it.
+        seed: of gain, offset and noise; another log of the same sensor validates.
+        progress: is told what is being done, and the share of it that is done.
+
+    Returns:
+        `outputs`: the files; `figures`: numbers by name; `verdict`: of calibration and validation; `text`:
+        for a person.
+
+    Raises:
+        InputError: for an arm that is neither packaged nor a rig.
+    """
+    tell = progress or (lambda phase, share: None)
+    rig = _copy(load_rig(arm if Path(arm).exists() else robots.path(arm)), output)
+    tell("motion", None)
+    run = simulate_arm(rig, seed=seed)
+    log_path, truth_path = run.write(output / "run.csv")
+    tell("calibration", None)
+    calibration = calibrate(rig, read_log(log_path, rig))
+    calibration_path = output / "calibration.yaml"
+    calibration.write_yaml(calibration_path)
+    tell("validation", None)
+    other = simulate_arm(_same_sensor(rig, run), seed=seed + 1)
+    other_path, other_truth = other.write(output / "validation.csv")
+    validation = validate(calibration, rig, read_log(other_path, rig))
+    validation_path = output / "validation.yaml"
+    validation.write_yaml(validation_path)
+    tell("figures", None)
+    figures = _figures(rig, run, calibration)
+    pictures = [output / "driven.png", output / "gain.png"]
+    _draw_driven(pictures[0], rig, run)
+    _draw_gain(pictures[1], rig, run, calibration, figures)
+    reasons = [*calibration.verdict.reasons, *validation.verdict.reasons]
+    files = [
+        output / "rig.yaml", log_path, truth_path, calibration_path, other_path, other_truth,
+        validation_path, *pictures,
+    ]  # fmt: skip
+    return {
+        "outputs": [str(file) for file in files],
+        "figures": figures | {"axes": {name: axis.ratio for name, axis in validation.axes.items()}},
+        "verdict": {
+            "usable": calibration.verdict.usable and validation.verdict.usable,
+            "reasons": list(dict.fromkeys(reasons)),
+        },
+        "text": _text(rig, run, calibration, validation, figures),
+    }
+
+
+def _copy(rig: Rig, output: Path) -> Rig:
+    """The rig from the folder of the results, so that every step can be repeated there."""
+    output.mkdir(parents=True, exist_ok=True)
+    settings, target = rig.to_mapping(), output / "rig.yaml"
+    if rig.urdf_path is not None:
+        urdf = output / rig.urdf_path.name
+        if not (urdf.exists() and urdf.samefile(rig.urdf_path)):
+            shutil.copyfile(rig.urdf_path, urdf)
+        settings["motion"]["robot"]["urdf"] = urdf.name
+    write_yaml(target, settings)
+    return load_rig(target)
+
+
+def _same_sensor(rig: Rig, run: ArmRun) -> Rig:
+    """The rig whose simulations have the sensor of a run."""
+    settings, truth = rig.to_mapping(), run.truth
+    settings["simulate"] |= {"gain": truth.gain.tolist(), "offset": truth.offset.tolist()}
+    return Rig.from_mapping(settings, rig.path)
+
+
+def _figures(rig: Rig, run: ArmRun, calibration: Calibration) -> dict[str, Any]:
+    error, covariance = _error(rig, run, calibration)
+    squared, freedom = nees(error, covariance)
+    bound = calibration.bound
+    return {
+        **run.figures(),
+        "rms_error": float(np.sqrt(np.mean(error**2))),
+        "rms_stated": float(np.sqrt(np.mean(np.diag(covariance)))),
+        "rms_bound": None if bound is None else bound.rms,
+        "rms_start": float(
+            np.sqrt(np.mean((_normalised(rig, run.truth.gain - rig.sensor.nominal_gain_array)) ** 2))
+        ),
+        "nees": squared / max(1, freedom),
+        "largest_share_of_range": float(np.max(np.abs(run.moved.wrench) / rig.sensor.range_array)),
+    }
+
+
+def _normalised(rig: Rig, gain: Array) -> Array:
+    return np.asarray(gain * rig.sensor.range_array / rig.sensor.channel_scale[:, None])
+
+
+def _error(rig: Rig, run: ArmRun, calibration: Calibration) -> tuple[Array, Array]:
+    """Error (6n,) of the normalised gains, and their covariance."""
+    unit = _normalised(rig, np.ones_like(run.truth.gain)).ravel()
+    covariance = calibration.covariance[: unit.size, : unit.size] * np.outer(unit, unit)
+    return (calibration.gain - run.truth.gain).ravel() * unit, covariance
+
+
+def _draw_driven(path: Path, rig: Rig, run: ArmRun) -> None:
+    joints, time = run.moved.joints, run.moved.stamps.motion
+    error = joints.velocity - run.trajectory.velocity(time)
+    share = run.moved.wrench / rig.sensor.range_array
+    caption = (
+        f"What the arm did in MuJoCo with {run.truth.payloads[run.log.payload].mass:.4g} kg: joint-velocity "
+        f"servos follow the plan to {1e3 * np.abs(error).max():.2g} mrad/s. The wrench stays within "
+        f"{100 * np.abs(share).max():.0f}% of the range, and agrees with Newton and Euler on the recorded "
+        f"motion to {run.moved.disagreement:.0e}. Conclusion: the log is not the plan, but a motion with a "
+        "wrench that belongs to it."
+    )
+    driven_figure(path, run.joints, time, joints.velocity, error, (run.moved.stamps.shown, share), caption)
+
+
+def _draw_gain(path: Path, rig: Rig, run: ArmRun, calibration: Calibration, figures: dict[str, Any]) -> None:
+    error, covariance = _error(rig, run, calibration)
+    shape = run.truth.gain.shape
+    sigma = np.sqrt(np.diag(covariance)).reshape(shape)
+    largest = float(np.abs(error.reshape(shape) / sigma).max())
+    caption = (
+        f"Sigma of the {error.size} normalised gains and the errors of this run. Before, the gains were off "
+        f"by {figures['rms_start']:.2g} (RMS), now by {figures['rms_error']:.2g}, with a stated sigma of "
+        f"{figures['rms_stated']:.2g}. The largest error is {largest:.1f} sigma, and all errors together are "
+        f"{figures['nees']:.2f} times as large (squared) as their covariance says. Conclusion: "
+        + ("the sigma can be believed." if figures["nees"] < 2.0 else "the sigma is too small.")
+    )
+    stated = [("sigma that the calibration states", sigma)]
+    gain_figure(path, rig.sensor.channels, stated, error.reshape(shape), caption)
+
+
+def _text(
+    rig: Rig, run: ArmRun, calibration: Calibration, validation: Validation, figures: dict[str, Any]
+) -> str:
+    body = rig.payloads[run.log.payload]
+    where = "in gravity" if rig.in_gravity else "on orbit"
+    lines = [
+        f"{len(run.joints)} joints, {body.mass:g} kg {where}, {run.trajectory.duration:g} s of motion",
+        f"servos: within {1e3 * figures['tracking_error_velocity']:.2g} mrad/s of the plan; "
+        f"wrench up to {100 * figures['largest_share_of_range']:.0f}% of range, "
+        f"Newton-Euler to {figures['newton_euler_disagreement']:.0e}",
+        f"gains (normalised, RMS): off by {figures['rms_start']:.4f} before, "
+        f"{figures['rms_error']:.5f} after; stated sigma {figures['rms_stated']:.5f}"
+        + ("" if figures["rms_bound"] is None else f", bound {figures['rms_bound']:.5f}")
+        + f"; NEES/{run.truth.gain.size} {figures['nees']:.2f}",
+        "",
+        "another motion, RMS residual with the nominal and the new gain:",
+    ]
+    lines += [
+        f"  {name}  {axis.nominal:9.4g} {axis.new:9.4g}   better: {axis.better}"
+        for name, axis in validation.axes.items()
+    ]
+    for what, verdict in (("calibration", calibration.verdict), ("validation", validation.verdict)):
+        lines += ["", f"{what}: {'usable' if verdict.usable else 'NOT TO BE USED AS IT STANDS'}"]
+        lines += [f"  - {reason}" for reason in verdict.reasons]
+    return "\n".join(lines) + "\n"
