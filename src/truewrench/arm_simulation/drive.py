@@ -27,10 +27,12 @@ __all__ = ["Driven", "Servo", "drive", "servo_for"]
 
 Array = NDArray[np.float64]
 
-_VELOCITY_BANDWIDTH = 100.0  # [rad/s]
-_POSITION_BANDWIDTH = 15.0  # [rad/s]
-_INTEGRAL = 25.0  # [1/s]
-_SET_POINTS = 250.0  # [Hz] of the planned motion, between which the drives interpolate smoothly
+_FASTER = 40.0  # velocity loop, in units of the motion's own frequency
+_BANDWIDTH = (5.0, 100.0)  # of the velocity loop, at least and at most [rad/s]
+_POSITION, _INTEGRAL = 0.15, 0.25  # outer loop and integral part, in units of the velocity loop
+_SET_POINTS = (
+    2.5  # [Hz] per rad/s of the velocity loop: of the plan, between which drives interpolate smoothly
+)
 # Inertia of the rotor behind the gear, relative to what the joint moves. URDFs do not tell it. Without it the
 # servos of near-parallel joints would be as stiff as the inertia matrix is near-singular.
 _ROTOR = 1.0
@@ -46,15 +48,17 @@ class Servo:
 
     Attributes:
         gain: (n,) [N m s/rad].
-        fastest: rate at which the stiffest combination of joints settles [1/s].
         position: of the outer loop [1/s].
         integral: [1/s].
+        set_points: [Hz] of the plan.
+        fastest: rate at which the stiffest combination of joints settles [1/s].
     """
 
     gain: Array
+    position: float
+    integral: float
+    set_points: float
     fastest: float
-    position: float = _POSITION_BANDWIDTH
-    integral: float = _INTEGRAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +83,7 @@ class Driven:
 
 
 def servo_for(arm: Arm, trajectory: JointTrajectory) -> Servo:
-    """A servo whose bandwidth is that of `_VELOCITY_BANDWIDTH` at the largest inertia along a motion.
+    """A servo that is fast enough for a motion, at the largest inertia that each joint sees along it.
 
     The rotors are set in the arm's model.
     """
@@ -88,9 +92,21 @@ def servo_for(arm: Arm, trajectory: JointTrajectory) -> Servo:
     inertias = np.array([arm.inertia(q) for q in trajectory.position(time)])
     rotors = _ROTOR * np.diagonal(inertias, axis1=1, axis2=2).max(axis=0)
     arm.model.dof_armature[:] = rotors
-    gain = _VELOCITY_BANDWIDTH * (1.0 + 1.0 / _ROTOR) * rotors
+    bandwidth = float(np.clip(_FASTER * _frequency(trajectory), *_BANDWIDTH))
+    gain = bandwidth * (1.0 + 1.0 / _ROTOR) * rotors
     fastest = max(float(eigh(np.diag(gain), m + np.diag(rotors), eigvals_only=True)[-1]) for m in inertias)
-    return Servo(gain, fastest)
+    return Servo(gain, _POSITION * bandwidth, _INTEGRAL * bandwidth, _SET_POINTS * bandwidth, fastest)
+
+
+def _frequency(trajectory: JointTrajectory) -> float:
+    """RMS acceleration over RMS velocity of the fastest joint [rad/s]; infinite when all are at rest."""
+    time = np.linspace(0.0, trajectory.duration, 1000)
+    velocity, acceleration = (
+        np.sqrt(np.mean(values**2, axis=0))
+        for values in (trajectory.velocity(time), trajectory.acceleration(time))
+    )
+    moving = velocity > 1e-3 * velocity.max(initial=1e-12)
+    return float(np.max(acceleration[moving] / velocity[moving])) if moving.any() else np.inf
 
 
 def drive(arm: Arm, servo: Servo, trajectory: JointTrajectory, time: Array) -> Driven:
@@ -136,7 +152,7 @@ class _Command:
     """Planned velocity plus the outer loop's share of the planned position, (n,) at any time."""
 
     def __init__(self, servo: Servo, trajectory: JointTrajectory) -> None:
-        count = max(_DEGREE + 1, 1 + math.ceil(trajectory.duration * _SET_POINTS))
+        count = max(_DEGREE + 1, 1 + math.ceil(trajectory.duration * servo.set_points))
         time = np.linspace(0.0, trajectory.duration, count)
         planned = trajectory.velocity(time) + servo.position * trajectory.position(time)
         spline = make_interp_spline(time, planned, k=_DEGREE)  # its knots are among these times

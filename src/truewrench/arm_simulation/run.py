@@ -17,6 +17,7 @@ from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.robot import Robot, robot_of
 from truewrench.simulate import wrench_on_sensor
+from truewrench.track import track
 from truewrench.trajectory import Body
 from truewrench.trajectory_joint import JointTrajectory
 from truewrench.truth import Stamps, Truth, begin, readings, stamps_of, stated, write_run
@@ -186,10 +187,11 @@ def record(rig: Rig, payload: str, truth: Truth, moved: Moved) -> Log:
     if motion.noise is not None:
         noisy = moved.joints.velocity + motion.noise_array * deviates[0]
         velocity = stamps.rows_of(stamps.motion_ns, noisy)
-    return Log(
+    log = Log(
         path=None, payload=payload, sha256="", time_ns=stamps.time_ns, raw=raw,
         position=position, velocity=velocity,
     )  # fmt: skip
+    return track(rig, log)
 
 
 def _stencils(shown: Array, duration: float) -> Array:
