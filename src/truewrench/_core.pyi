@@ -335,6 +335,18 @@ class KnotSettings:
     def disturbance_price(self, arg: float, /) -> None: ...
 
     @property
+    def hopeless_sigma(self) -> float: ...
+
+    @hopeless_sigma.setter
+    def hopeless_sigma(self, arg: float, /) -> None: ...
+
+    @property
+    def hopeless_share(self) -> float: ...
+
+    @hopeless_share.setter
+    def hopeless_share(self, arg: float, /) -> None: ...
+
+    @property
     def most_disturbed(self) -> float: ...
 
     @most_disturbed.setter
@@ -557,9 +569,14 @@ class RecordedLog:
     @gravity_constant.setter
     def gravity_constant(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], /) -> None: ...
 
-    def add_motion(self, order: int, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], value: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], sigma: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], combination: Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')] | None = None) -> None:
+    def add_motion(self, order: int, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], value: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], sigma: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], combination: Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')] | None = None, covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None = None, coupling: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None = None) -> None:
         """
-        Measurements (N, 6) of the order-th derivative of the twist, or of a combination (6, 6) of its components, NaN where missing.
+        Measurements (N, 6) of the order-th derivative of the twist, or about a reference of the displacement, or of a combination (6, 6) of its components; NaN where missing. `covariance` (N, 6, 6) instead of sigma; `coupling` (N, 6, 6): plus so much of the derivative of the order below.
+        """
+
+    def set_reference(self, breakpoints: Sequence[float], twist: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], spacing: float) -> None:
+        """
+        The motion is then a displacement from this one: coefficients (K + 5, 6) of the quintic spline of the logged point's twist, and the spacing of the knots of the fit behind it [s].
         """
 
     def set_wrench(self, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], temperature: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None:

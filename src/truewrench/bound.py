@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_lsq_spline
+from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from truewrench.calibration import Bound
 from truewrench.errors import InputError
-from truewrench.log import Log
+from truewrench.log import Log, Reference
+from truewrench.motion_noise import twist_noise
 from truewrench.payload import payload_wrench
 from truewrench.rig import Rig
 from truewrench.smooth import segments, smooth_twist
+from truewrench.track import tracked_streams
 
 __all__ = ["bound", "oracle_rms"]
 
@@ -85,48 +88,114 @@ def _rms(rig: Rig, information: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.diag(covariance)[: 6 * n])))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """Measurements of the order-th derivative of the coordinates, whitened.
+
+    Attributes:
+        time: (N,) [s].
+        order: 0, 1, ...
+        rows: (N, 6, 6) or (6, 6), by the derivative.
+        lower: (N, 6, 6) by the derivative of the order below, or None.
+    """
+
+    time: Array
+    order: int
+    rows: Array
+    lower: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linear:
+    """The wrench at the sensor's samples, and by what.
+
+    Attributes:
+        wrench: (M, 6) normalised.
+        terms: derivatives (M, 6, 6) by derivatives of the coordinates, the lowest first.
+    """
+
+    wrench: Array
+    terms: list[Array]
+
+
 def _information(rig: Rig, log: Log, gain: Array) -> list[tuple[Array, Array]]:
     """Of every unbroken piece: information on the rows of [gain, offset], and the wrench (N, 6)."""
     if log.twist is None:
         raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
     moving, sensing = np.isfinite(log.twist).all(axis=1), np.isfinite(log.raw).all(axis=1)
-    time, twist, stamps = log.time[moving], log.twist[moving], log.time[sensing]
+    stamps, streams = log.time[sensing], _motion_streams(rig, log)
     pieces = []
-    for piece in segments(time):
-        t = time[piece]
+    for piece in segments(log.time[moving]):
+        rows = np.flatnonzero(moving)[piece]
+        t = log.time[rows]
         inside = stamps[(stamps >= t[0]) & (stamps <= t[-1])]
-        if t.size >= _SHORTEST and inside.size:
-            spacing = smooth_twist(t, twist[piece], rig.motion.noise_array).spacing.min()
-            pieces.append(_piece_information(rig, log, gain, t, twist[piece], inside, float(spacing)))
+        if t.size < _SHORTEST or not inside.size:
+            continue
+        tracking = log.tracking
+        if tracking is not None and tracking.reference is not None:
+            knots = _uniform(t, 0.5 * tracking.reference.spacing)
+            linear = _about_reference(rig, log, tracking.reference, inside)
+        else:
+            spacing = smooth_twist(t, log.twist[rows], twist_noise(rig, log)).spacing.min()
+            knots = _uniform(t, float(spacing))
+            spline = make_lsq_spline(t, log.twist[rows], knots, k=_DEGREE)
+            linear = _linear(rig, log, spline(inside), spline(inside, nu=1), _gravity(log, inside))
+            linear.terms.pop()
+        within = [_cut(s, t[0], t[-1]) for s in streams]
+        information = _piece_information(rig, gain, knots, within, inside, linear)
+        pieces.append((information, linear.wrench * rig.sensor.range_array))
     return pieces
 
 
+def _motion_streams(rig: Rig, log: Log) -> list[_Stream]:
+    """What was measured of the coordinates: of the twist, or of the displacement from the reference."""
+    if log.tracking is None:
+        assert log.twist is not None
+        moving = np.isfinite(log.twist).all(axis=1)
+        return [_Stream(log.time[moving], 0, np.diag(1.0 / rig.motion.noise_array))]
+    streams = []
+    for found in tracked_streams(rig, log):
+        white = np.linalg.inv(np.linalg.cholesky(found.covariance))
+        lower = None if found.coupling is None else white @ found.coupling
+        streams.append(_Stream(log.time[found.rows], found.order, white, lower))
+    return streams
+
+
+def _cut(stream: _Stream, begin: float, end: float) -> _Stream:
+    chosen = (stream.time >= begin) & (stream.time <= end)
+    rows = stream.rows if stream.rows.ndim == 2 else stream.rows[chosen]
+    return _Stream(
+        stream.time[chosen], stream.order, rows, None if stream.lower is None else stream.lower[chosen]
+    )
+
+
+def _uniform(time: Array, spacing: float) -> Array:
+    intervals = max(1, round((time[-1] - time[0]) / spacing))
+    return np.asarray(
+        time[0] + (time[-1] - time[0]) / intervals * np.arange(-_DEGREE, intervals + _DEGREE + 1)
+    )
+
+
 def _piece_information(
-    rig: Rig, log: Log, gain: Array, time: Array, twist: Array, stamps: Array, spacing: float
-) -> tuple[Array, Array]:
+    rig: Rig, gain: Array, knots: Array, streams: Sequence[_Stream], stamps: Array, linear: _Linear
+) -> Array:
     n, sensor = rig.sensor.n, rig.sensor
     noise = sensor.noise_array / sensor.channel_scale
-    intervals = max(1, round((time[-1] - time[0]) / spacing))
-    knots = time[0] + (time[-1] - time[0]) / intervals * np.arange(-_DEGREE, intervals + _DEGREE + 1)
-    basis, _ = _pieces_of(knots, time)
-    at_stamps, slopes = _pieces_of(knots, stamps)
-    spline = make_lsq_spline(time, twist, knots, k=_DEGREE)
-    wrench, by_twist, by_acceleration = _wrench_and_jacobians(rig, log, stamps, spline)
-    columns = np.column_stack([wrench, np.ones(stamps.size)])
-
+    intervals = knots.size - 2 * _DEGREE - 1
+    columns = np.column_stack([linear.wrench, np.ones(stamps.size)])
     weight = gain / noise[:, None]
+    at_stamps = [_basis(knots, stamps, order) for order in range(len(linear.terms))]
     band = np.zeros((_BLOCK, 6 * (intervals + _DEGREE)))
     cross = np.zeros((band.shape[1], n, 7))
     rows, cols = np.tril_indices(_BLOCK)
     edges = knots[_DEGREE : _DEGREE + intervals]
-    twist_starts = np.append(np.searchsorted(time, edges), time.size)
     wrench_starts = np.append(np.searchsorted(stamps, edges), stamps.size)
-    for i, ((a0, a1), (b0, b1)) in enumerate(
-        zip(pairwise(twist_starts), pairwise(wrench_starts), strict=True)
-    ):
-        block = np.kron(basis[a0:a1].T @ basis[a0:a1], np.diag(rig.motion.noise_array**-2.0))
-        by_coefficients = np.einsum("km,kpc->kpmc", at_stamps[b0:b1], by_twist[b0:b1])
-        by_coefficients += np.einsum("km,kpc->kpmc", slopes[b0:b1], by_acceleration[b0:b1])
+    of_motion = [_motion_blocks(s, knots, edges) for s in streams]
+    for i, (b0, b1) in enumerate(pairwise(wrench_starts)):
+        block = np.sum([blocks[i] for blocks in of_motion], axis=0)
+        by_coefficients = np.zeros((b1 - b0, 6, _ACTIVE, 6))
+        for values, jacobian in zip(at_stamps, linear.terms, strict=True):
+            by_coefficients += np.einsum("km,kpc->kpmc", values[b0:b1], jacobian[b0:b1])
         j = weight @ by_coefficients.reshape(b1 - b0, 6, _BLOCK)
         flat = j.reshape(-1, _BLOCK)
         block += flat.T @ flat
@@ -135,32 +204,89 @@ def _piece_information(
         cross[6 * i : 6 * i + _BLOCK] += part.reshape(n, _BLOCK, 7).transpose(1, 0, 2)
     cross_flat = (cross / noise[None, :, None]).reshape(len(cross), 7 * n)
     factor = cholesky_banded(band, lower=True)
-    inferred = _known(rig, columns) - cross_flat.T @ cho_solve_banded((factor, True), cross_flat)
-    return np.asarray(inferred), wrench * sensor.range_array
+    return np.asarray(_known(rig, columns) - cross_flat.T @ cho_solve_banded((factor, True), cross_flat))
 
 
-def _pieces_of(knots: Array, at: Array) -> tuple[Array, Array]:
-    """Values (N, 6) of the six quintic B-splines that are not zero at each time, and their slopes (N, 6)."""
-    step = knots[1] - knots[0]
-    values = BSpline.design_matrix(at, knots, _DEGREE).data.reshape(-1, _ACTIVE)
-    lower = BSpline.design_matrix(at, knots[1:-1], _DEGREE - 1).data.reshape(-1, _DEGREE)
-    slopes = (np.pad(lower, ((0, 0), (1, 0))) - np.pad(lower, ((0, 0), (0, 1)))) / step
-    return values, slopes
+def _motion_blocks(stream: _Stream, knots: Array, edges: Array) -> Array:
+    """(intervals, _BLOCK, _BLOCK) of J^T J on every interval."""
+    basis = _basis(knots, stream.time, stream.order)
+    starts = np.append(np.searchsorted(stream.time, edges), stream.time.size)
+    blocks = np.zeros((edges.size, _BLOCK, _BLOCK))
+    lower = None if stream.lower is None else _basis(knots, stream.time, stream.order - 1)
+    for i, (a, b) in enumerate(pairwise(starts)):
+        if stream.rows.ndim == 2:
+            blocks[i] = np.kron(basis[a:b].T @ basis[a:b], stream.rows.T @ stream.rows)
+            continue
+        j = np.einsum("km,kpc->kpmc", basis[a:b], stream.rows[a:b])
+        if lower is not None and stream.lower is not None:
+            j += np.einsum("km,kpc->kpmc", lower[a:b], stream.lower[a:b])
+        flat = j.reshape(-1, _BLOCK)
+        blocks[i] = flat.T @ flat
+    return blocks
 
 
-def _wrench_and_jacobians(rig: Rig, log: Log, stamps: Array, spline: BSpline) -> tuple[Array, Array, Array]:
-    """Normalised wrench (N, 6) and its Jacobians by twist and acceleration (N, 6, 6)."""
-    gravity = np.zeros((stamps.size, 3))
-    if log.gravity is not None:
-        rows = np.isfinite(log.gravity).all(axis=1)
-        gravity = np.column_stack([np.interp(stamps, log.time[rows], g) for g in log.gravity[rows].T])
+def _basis(knots: Array, at: Array, derivative: int) -> Array:
+    """Derivatives (N, 6) of the six quintic B-splines on uniform knots that are not zero at each time."""
+    step, degree = knots[1] - knots[0], _DEGREE - derivative
+    inner = knots[derivative : knots.size - derivative]
+    values = BSpline.design_matrix(at, inner, degree).data.reshape(-1, degree + 1)
+    for _ in range(derivative):
+        values = (np.pad(values, ((0, 0), (1, 0))) - np.pad(values, ((0, 0), (0, 1)))) / step
+    return np.asarray(values)
 
-    def wrench(nu: Array, a: Array) -> Array:
-        return payload_wrench(rig, log.payload, nu, a, gravity) / rig.sensor.range_array
 
-    nu, a = spline(stamps), spline(stamps, nu=1)
-    by_twist, by_acceleration = np.empty((stamps.size, 6, 6)), np.empty((stamps.size, 6, 6))
-    for c, step in enumerate(np.eye(6)):  # quadratic in nu, linear in a: central differences are exact
-        by_twist[:, :, c] = 0.5 * (wrench(nu + step, a) - wrench(nu - step, a))
-        by_acceleration[:, :, c] = 0.5 * (wrench(nu, a + step) - wrench(nu, a - step))
-    return wrench(nu, a), by_twist, by_acceleration
+def _gravity(log: Log, at: Array) -> Array:
+    if log.gravity is None:
+        return np.zeros((at.size, 3))
+    rows = np.isfinite(log.gravity).all(axis=1)
+    return np.column_stack([np.interp(at, log.time[rows], g) for g in log.gravity[rows].T])
+
+
+def _about_reference(rig: Rig, log: Log, reference: Reference, at: Array) -> _Linear:
+    """At the reference, by displacements p from it: nu = nu0 + ad(nu0) p + dp/dt, a its derivative."""
+    ends = np.repeat(reference.breakpoints[[0, -1]], _DEGREE).reshape(2, -1)
+    spline = BSpline(np.concatenate([ends[0], reference.breakpoints, ends[1]]), reference.twist, _DEGREE)
+    t = at + 1e-9 * float(log.time_ns[0] - reference.origin_ns)
+    nu, a, gravity = spline(t), spline(t, nu=1), np.zeros((at.size, 3))
+    if reference.gravity is not None:
+        gravity = CubicSpline(reference.gravity_time, reference.gravity)(t)
+    linear = _linear(rig, log, nu, a, gravity)
+    by_twist, by_acceleration, by_gravity = linear.terms
+    turned = np.zeros_like(by_twist)
+    turned[:, :, 3:] = by_gravity[:, :, :3] @ _cross_matrix(gravity)
+    lowest = by_twist @ _adjoint(nu) + by_acceleration @ _adjoint(a) + turned
+    return _Linear(linear.wrench, [lowest, by_twist + by_acceleration @ _adjoint(nu), by_acceleration])
+
+
+def _linear(rig: Rig, log: Log, nu: Array, a: Array, gravity: Array) -> _Linear:
+    """By twist, acceleration, and (in three of six columns) gravity."""
+
+    def wrench(nu: Array, a: Array, g: Array) -> Array:
+        return payload_wrench(rig, log.payload, nu, a, g) / rig.sensor.range_array
+
+    terms = [np.zeros((len(nu), 6, 6)) for _ in range(3)]
+    none = np.zeros(6)
+    for c, e in enumerate(np.eye(6)):  # quadratic in nu, linear in a and g: central differences are exact
+        for term, (dn, da, dg) in zip(
+            terms, ((e, none, none), (none, e, none), (none, none, e)), strict=True
+        ):
+            if c < 3 or not dg.any():
+                ahead, back = (wrench(nu + s * dn, a + s * da, gravity + s * dg[:3]) for s in (1.0, -1.0))
+                term[:, :, c] = 0.5 * (ahead - back)
+    return _Linear(wrench(nu, a, gravity), terms)
+
+
+def _cross_matrix(x: Array) -> Array:
+    """(N, 3, 3) with [x] y = x cross y."""
+    out = np.zeros((len(x), 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, k, j], out[:, j, k] = x[:, i], -x[:, i]
+    return out
+
+
+def _adjoint(nu: Array) -> Array:
+    """Of twists (N, 6): ad(nu) (N, 6, 6)."""
+    out = np.zeros((len(nu), 6, 6))
+    out[:, :3, :3] = out[:, 3:, 3:] = _cross_matrix(nu[:, 3:])
+    out[:, :3, 3:] = _cross_matrix(nu[:, :3])
+    return out

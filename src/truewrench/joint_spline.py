@@ -141,5 +141,5 @@ def _slopes(time: Array, knots: Array) -> csr_array:
         return csr_array((0, size))
     lower = csr_array(BSpline.design_matrix(time, knots[1:-1], _DEGREE - 1))
     per_step = _DEGREE / (knots[_DEGREE + 1 : -1] - knots[1 : -_DEGREE - 1])
-    difference = diags_array([-per_step, per_step], offsets=[0, 1], shape=(size - 1, size))
+    difference = diags_array(np.array([-per_step, per_step]), offsets=[0, 1], shape=(size - 1, size))
     return csr_array(lower @ difference)

@@ -1,13 +1,13 @@
 """Joint logs as motions of the sensor: a reference that the encoders follow, and how far they are from it.
 
-What joints measure is a pose, and the wrench needs its derivatives: nothing is differenced. A smooth reference
-is fitted to encoders and tachometers, and the estimators find the displacement of the sensor from it, together
-with the gain (docs/method.md, "Joints").
+What joints measure is a pose, and the wrench needs its derivatives: nothing is differenced. A smooth
+reference is fitted to encoders and tachometers, and the estimators find the displacement of the sensor from
+it, together with the gain (docs/method.md, "Joints").
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,21 +21,22 @@ from truewrench.rig import Rig
 from truewrench.robot import BaseMotion, Robot, robot_of, rotation_of
 from truewrench.smooth import segments
 
-__all__ = ["track"]
+__all__ = ["TrackedStream", "track", "tracked_streams"]
 
 Array = NDArray[np.float64]
 
 _FEWEST = 16  # rows of a joint stream that a motion can be made of
 _WIDER = 2.0  # knots of the reference, in units of the coarsest that the encoders accept (docs/method.md)
 _SITES = 4.0  # knots of its twist in one of those
+_EXACT = 1e-6  # variance of a direction that no joint moves, relative to the others'
 _LOOSE = 100.0  # sigma of what is put into a gap, in units of the encoders'
 
 
 def track(rig: Rig, log: Log) -> Log:
     """The log of a joint rig with the twist, the gravity and the tracking of its sensor.
 
-    With `motion.position_noise` encoders and tachometers are followed together; without it positions are exact,
-    and velocities alone are measurements.
+    With `motion.position_noise` encoders and tachometers are followed together; without it positions are
+    exact, and velocities alone are measurements.
 
     Raises:
         InputError: for streams that leave the motion undetermined.
@@ -65,6 +66,7 @@ def _about_reference(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     time = log.time[rows]
     at, rate = fit.position(time), fit.velocity(time)
     J, J_rate = robot.jacobian(at), robot.jacobian_rate(at, rate)
+    fall = _gravity(rig, robot, base, at, time)
     moved = np.full((len(log.time_ns), robot.n), np.nan)
     moved[positions] = _of(log.position, positions) - fit.position(log.time[positions])
     faster = np.full_like(moved, np.nan)
@@ -79,7 +81,7 @@ def _about_reference(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     return replace(
         log,
         twist=twist,
-        gravity=_on_rows(log, rows, _gravity(rig, robot, base, at, time)),
+        gravity=None if fall is None else _on_rows(log, rows, fall),
         tracking=Tracking(
             jacobian=_on_rows(log, rows, J),
             jacobian_rate=_on_rows(log, rows, J_rate),
@@ -116,11 +118,12 @@ def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
             spline = CubicSpline(log.time[known], _of(log.position, known), axis=0)
             q = spline(np.clip(time, *log.time[known][[0, -1]]))
     J = robot.jacobian(q)
+    fall = _gravity(rig, robot, base, q, time)
     twist = np.einsum("kij,kj->ki", J, qd) + base.at_sensor(robot, q, time)
     return replace(
         log,
         twist=_on_rows(log, rows, twist),
-        gravity=_on_rows(log, rows, _gravity(rig, robot, base, q, time)),
+        gravity=None if fall is None else _on_rows(log, rows, fall),
         tracking=Tracking(jacobian=_on_rows(log, rows, J)),
     )
 
@@ -147,7 +150,7 @@ def _gravity(rig: Rig, robot: Robot, base: _Base, q: Array, time: Array) -> Arra
         return None
     in_root = np.einsum("kji,j->ki", base.attitude(time), rig.gravity_array)
     R_root_sensor, _ = robot.pose(q)
-    return np.einsum("kji,kj->ki", R_root_sensor, in_root)
+    return np.asarray(np.einsum("kji,kj->ki", R_root_sensor, in_root))
 
 
 class _Base:
@@ -187,7 +190,7 @@ def _continuous(attitude: Array | None) -> Array | None:
     if attitude is None:
         return None
     rows = np.flatnonzero(np.isfinite(attitude).all(axis=1))
-    out = attitude.copy()
+    out: Array = attitude.copy()
     signs = np.cumprod(np.where(np.sum(attitude[rows][1:] * attitude[rows][:-1], axis=1) < 0.0, -1.0, 1.0))
     out[rows[1:]] *= signs[:, None]
     return out
@@ -198,7 +201,7 @@ def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:
     assert values is not None
     finite = np.isfinite(values)
     rows = np.flatnonzero(finite.all(axis=1))
-    partial = np.count_nonzero(finite.any(axis=1)) - rows.size
+    partial = int(np.count_nonzero(finite.any(axis=1))) - rows.size
     if rows.size < max(_FEWEST, partial):
         found = f"{rows.size} rows with all joints, {partial} with some of them"
         raise InputError.at(
@@ -212,11 +215,9 @@ def _of(values: Array | None, rows: NDArray[np.int64]) -> Array:
     return values[rows]
 
 
-def _on_rows(log: Log, rows: NDArray[np.int64], values: Array | None) -> Array | None:
+def _on_rows(log: Log, rows: NDArray[np.int64], values: Array) -> Array:
     """Values of some rows of a log, NaN in the others."""
-    if values is None:
-        return None
-    out = np.full((len(log.time_ns), *values.shape[1:]), np.nan)
+    out: Array = np.full((len(log.time_ns), *values.shape[1:]), np.nan)
     out[rows] = values
     return out
 
@@ -236,3 +237,62 @@ def _without_gaps(time: Array, values: Array) -> tuple[Array, Array]:
         rows.append(values[a] + share * (values[b] - values[a]))
     order = np.argsort(np.concatenate(times), kind="stable")
     return np.concatenate(times)[order], np.concatenate(rows)[order]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedStream:
+    """What joints measured of the sensor's motion.
+
+    Attributes:
+        order: which derivative of the coordinates: of the twist, or of the displacement from the reference.
+        rows: (M,) of the log.
+        value: (M, 6).
+        covariance: (M, 6, 6).
+        coupling: (M, 6, 6) of the derivative of the order below, which is added; None for zero.
+    """
+
+    order: int
+    rows: NDArray[np.int64]
+    value: Array
+    covariance: Array
+    coupling: Array | None = None
+
+
+def tracked_streams(rig: Rig, log: Log) -> list[TrackedStream]:
+    """The measurements of a log with tracking, with the noise that a rig states.
+
+    Without a reference the twist J qd is a measurement with the covariance J Sigma J^T ([A00] 26). About one,
+    encoders measure the displacement xi = J (q - q_ref), and tachometers
+
+        J (qd - qd_ref) = dxi/dt - Jdot (q - q_ref) = dxi/dt - Jdot J^# xi,
+
+    J^# being the inverse that the noise of the encoders weighs: what of q moves no sensor is not seen.
+    """
+    tracking, sigma = log.tracking, rig.motion.noise_array
+    assert tracking is not None
+    assert log.twist is not None
+    if tracking.reference is None:
+        rows = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
+        return [TrackedStream(0, rows, log.twist[rows], _covariance(tracking.jacobian[rows], sigma))]
+    assert tracking.position_departure is not None
+    assert tracking.jacobian_rate is not None
+    sigma_q = np.array(rig.motion.position_noise)
+    rows = np.flatnonzero(np.isfinite(tracking.position_departure).all(axis=1))
+    J = tracking.jacobian[rows]
+    moved = np.einsum("kij,kj->ki", J, tracking.position_departure[rows])
+    streams = [TrackedStream(0, rows, moved, _covariance(J, sigma_q))]
+    if tracking.velocity_departure is not None:
+        rows = np.flatnonzero(np.isfinite(tracking.velocity_departure).all(axis=1))
+        J = tracking.jacobian[rows]
+        faster = np.einsum("kij,kj->ki", J, tracking.velocity_departure[rows])
+        weighted = np.einsum("j,kij->kji", sigma_q**2, J)  # Sigma J^T
+        coupling = -tracking.jacobian_rate[rows] @ weighted @ np.linalg.inv(_covariance(J, sigma_q))
+        streams.append(TrackedStream(1, rows, faster, _covariance(J, sigma), np.ascontiguousarray(coupling)))
+    return streams
+
+
+def _covariance(J: Array, sigma: Array) -> Array:
+    """J Sigma J^T (N, 6, 6), of full rank also where the joints cannot move the sensor in some direction."""
+    covariance = np.einsum("kij,j,klj->kil", J, sigma**2, J)
+    floor = _EXACT * np.trace(covariance, axis1=1, axis2=2) / 6.0
+    return np.ascontiguousarray(covariance + floor[:, None, None] * np.eye(6))

@@ -152,8 +152,8 @@ def write_run(path: str | Path, log: Log, truth: Truth, joints: Sequence[str] = 
     columns: dict[str, Stamp | Array] = {"time_ns": log.time_ns}
     columns |= {f"raw_{i}": channel for i, channel in enumerate(log.raw.T)}
     for names, block in (
-        (TWIST, log.twist),
-        (GRAVITY, log.gravity),
+        (TWIST, log.twist if log.tracking is None else None),  # which the joints tell
+        (GRAVITY, log.gravity if log.tracking is None else None),
         (tuple(f"q_{name}" for name in joints), log.position),
         (tuple(f"dq_{name}" for name in joints), log.velocity),
     ):
