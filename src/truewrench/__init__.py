@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from truewrench.io.tables import read_log
     from truewrench.log import Log
     from truewrench.pipeline import calibrate
+    from truewrench.planning.planner import plan
+    from truewrench.planning.result import Plan
     from truewrench.rig import Rig, load_rig
     from truewrench.validation import Validation, validate
 
@@ -28,6 +30,7 @@ _HOMES = {
     "Calibration": "calibration",
     "InputError": "errors",
     "Log": "log",
+    "Plan": "planning.result",
     "Rig": "rig",
     "TruewrenchError": "errors",
     "UnsupportedError": "errors",
@@ -36,6 +39,7 @@ _HOMES = {
     "calibrate": "pipeline",
     "load_calibration": "calibration",
     "load_rig": "rig",
+    "plan": "planning.planner",
     "read_log": "io.tables",
     "validate": "validation",
 }
@@ -44,6 +48,7 @@ __all__ = [
     "Calibration",
     "InputError",
     "Log",
+    "Plan",
     "Rig",
     "TruewrenchError",
     "UnsupportedError",
@@ -53,6 +58,7 @@ __all__ = [
     "calibrate",
     "load_calibration",
     "load_rig",
+    "plan",
     "read_log",
     "validate",
 ]

@@ -268,6 +268,39 @@ def inspect(
 
 
 @app.command()
+def plan(
+    rig: RigArgument,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="PLAN", help="CSV, or Parquet by its name.")
+    ],
+    method: Annotated[
+        Literal["optimal", "wrench"], typer.Option(help="wrench: sinusoidal forces and moments.")
+    ] = "optimal",
+    criterion: Annotated[
+        Literal["A", "D"], typer.Option(help="A: RMS sigma of the gains; D: volume of their region.")
+    ] = "A",
+    payload: Annotated[str | None, typer.Option(help="Payload carried; the first of the rig.")] = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Plan a motion that calibrates well within the rig's limits, and say what it promises."""
+    from truewrench.planning.planner import plan as run
+    from truewrench.planning.words import plan_words
+    from truewrench.rig import load_rig
+
+    settings = load_rig(rig)
+    with _progress() as update:
+        planned = run(settings, method, criterion=criterion, payload=payload, progress=update)
+    figures = planned.to_mapping()
+    return Outcome(
+        outputs=planned.write(output),
+        verdict=figures.pop("verdict"),
+        figures=figures,
+        words=lambda: plan_words(planned),
+    )
+
+
+@app.command()
 def simulate(
     rig: RigArgument,
     output: OutputLogOption,

@@ -1,0 +1,138 @@
+"""IPOPT, through CasADi, on derivatives that are computed outside of CasADi's expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Programme", "minimise"]
+
+Array = NDArray[np.float64]
+
+
+class Programme(Protocol):
+    """What is minimised, and under which constraints."""
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        ...
+
+    @property
+    def pattern(self) -> NDArray[np.bool_]:
+        """(G, size) where the Jacobian of the constraints may be other than zero."""
+        ...
+
+    def value(self, x: Array) -> float:
+        """What is minimised."""
+        ...
+
+    def constraints(self, x: Array) -> Array:
+        """Constraints (G,)."""
+        ...
+
+    def gradient(self, x: Array) -> tuple[float, Array]:
+        """Value and gradient (size,)."""
+        ...
+
+    def constraint_jacobian(self, x: Array) -> tuple[Array, Array]:
+        """Constraints (G,) and their Jacobian (G, size)."""
+        ...
+
+    def hessian(self, x: Array, of_value: float, of_constraints: Array) -> Array:
+        """Hessian (size, size) of the Lagrangian."""
+        ...
+
+
+class _Call(ca.Callback):
+    """A function of NumPy arrays as CasADi calls it."""
+
+    def __init__(
+        self, name: str, inputs: Sequence[Any], outputs: Sequence[Any], call: Callable[..., Sequence[Any]]
+    ) -> None:
+        super().__init__()
+        self._inputs, self._outputs, self._call = inputs, outputs, call
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self._inputs)
+
+    def get_n_out(self) -> int:
+        return len(self._outputs)
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return self._inputs[i]
+
+    def get_sparsity_out(self, i: int) -> Any:
+        return self._outputs[i]
+
+    def eval(self, arguments: Sequence[Any]) -> list[Any]:
+        found = self._call(*(np.asarray(argument).ravel() for argument in arguments))
+        return [ca.DM(sparsity, value) for sparsity, value in zip(self._outputs, found, strict=True)]
+
+
+def minimise(
+    programme: Programme, x: Array, lower: Array, upper: Array, *, iterations: int, warm: bool
+) -> tuple[Array, str, int]:
+    """A local minimum, what IPOPT says of it, and the iterations it took.
+
+    Args:
+        programme: value, constraints and derivatives.
+        x: where to begin (size,).
+        lower: of the constraints (G,).
+        upper: (G,).
+        iterations: at most.
+        warm: whether x is nearly optimal already.
+    """
+    size, pattern = programme.size, programme.pattern
+    vector, parameters, scalar = ca.Sparsity.dense(size, 1), ca.Sparsity(0, 0), ca.Sparsity.dense(1, 1)
+    values = ca.Sparsity.dense(len(lower), 1)
+    row, column = np.nonzero(pattern.T)[::-1]  # column by column, as CasADi stores them
+    jacobian = ca.Sparsity.triplet(len(lower), size, row.tolist(), column.tolist())
+    upper_part = ca.Sparsity.upper(size)
+    i, j = np.array(upper_part.row()), np.repeat(np.arange(size), np.diff(upper_part.colind()))
+
+    def with_jacobian(at: Array, _: Array) -> Sequence[Any]:
+        found, rows = programme.constraint_jacobian(at)
+        return found, rows[row, column]
+
+    def hessian(at: Array, _: Array, of_value: Array, of_constraints: Array) -> Sequence[Any]:
+        return (programme.hessian(at, float(of_value[0]), of_constraints)[i, j],)
+
+    evaluate = _Call(
+        "programme", [vector], [scalar, values], lambda at: (programme.value(at), programme.constraints(at))
+    )
+    calls = {
+        "grad_f": _Call(
+            "gradient", [vector, parameters], [scalar, vector], lambda at, _: programme.gradient(at)
+        ),
+        "jac_g": _Call("jacobian", [vector, parameters], [values, jacobian], with_jacobian),
+        "hess_lag": _Call("hessian", [vector, parameters, scalar, values], [upper_part], hessian),
+    }
+    options: dict[str, Any] = {
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.max_iter": iterations,
+        "ipopt.tol": 1e-5,  # of the logarithm of a sigma
+        "ipopt.acceptable_tol": 1e-3,
+        "ipopt.acceptable_iter": 5,
+        "ipopt.acceptable_obj_change_tol": 1e-5,
+        "ipopt.constr_viol_tol": 1e-9,
+        "ipopt.acceptable_constr_viol_tol": 1e-9,
+        "print_time": False,
+        "show_eval_warnings": False,
+        "no_nlp_grad": True,  # which would differentiate the calls
+    }
+    if warm:
+        near = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+        options |= {"ipopt.mu_init": 1e-4} | {f"ipopt.{name}": 1e-4 for name in near}
+    unknown = ca.MX.sym("x", size)
+    f, g = evaluate(unknown)
+    solver = ca.nlpsol("solver", "ipopt", {"x": unknown, "f": f, "g": g}, options | calls)
+    found = solver(x0=x, lbg=lower, ubg=upper)
+    stats = solver.stats()
+    return np.array(found["x"]).ravel(), str(stats["return_status"]), int(stats["iter_count"])

@@ -1,0 +1,61 @@
+"""How long one period of a planned motion is, and how fast it typically gets."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.errors import InputError
+from truewrench.planning.limits import Limits
+from truewrench.planning.series import SeriesBasis
+from truewrench.rig import Rig
+
+__all__ = ["check_harmonics", "cycles_of", "typical_velocity"]
+
+Array = NDArray[np.float64]
+
+_SPEED = 1.0  # [m/s, rad/s] where nothing is said
+_ROWS = 20.0  # of the table per period of the highest harmonic: a quintic spline then follows it to 1e-6
+
+
+def check_harmonics(rig: Rig) -> None:
+    """Refuse series that cannot rest at both ends, and tables too coarse for them.
+
+    Raises:
+        InputError: naming the key.
+    """
+    plan = rig.plan
+    if plan.rest_to_rest and plan.harmonics < 2:
+        raise InputError.at(rig.path, "plan.harmonics", "1", "at least 2, to start and end at rest")
+    highest = plan.harmonics / plan.duration
+    if plan.rate < _ROWS * highest:
+        expected = f"at least {_ROWS * highest:.4g} Hz: {_ROWS:g} rows per period of the highest harmonic"
+        raise InputError.at(rig.path, "plan.rate", f"{plan.rate:g}", expected)
+
+
+def cycles_of(rig: Rig, limits: Limits) -> int:
+    """How often a motion repeats itself in its duration.
+
+    The highest harmonic is to have the frequency at which a sinusoid reaches the limits of velocity and
+    acceleration, or of acceleration and jerk, together: below it acceleration is given away, and above it
+    velocity. A plan of an hour is then a motion of seconds, many times.
+    """
+    plan = rig.plan
+    with np.errstate(invalid="ignore"):
+        corners = np.minimum(limits.acceleration / limits.velocity, limits.jerk / limits.acceleration) / (
+            2.0 * np.pi
+        )
+    known = corners[np.isfinite(corners) & (corners > 0.0)]
+    if not known.size:
+        return 1
+    highest = min(float(np.median(known)), plan.rate / _ROWS)
+    return max(1, int(np.floor(plan.duration * highest / plan.harmonics + 0.5)))
+
+
+def typical_velocity(limits: Limits, basis: SeriesBasis) -> Array:
+    """(n,) what the limits leave of the velocity at the middle of the spectrum."""
+    rate = np.pi * basis.harmonics / basis.period
+    room = 0.5 * (limits.upper - limits.lower)
+    bounds = [limits.velocity, limits.acceleration / rate, limits.jerk / rate**2, room * rate]
+    smallest = np.min([*bounds, np.full(limits.velocity.size, _SPEED)], axis=0)
+    return np.asarray(smallest / np.sqrt(basis.harmonics))

@@ -1,0 +1,73 @@
+"""From a rig to a planned motion: design it, look at it 1000 times a second, say what it promises."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from truewrench.errors import InputError
+from truewrench.log import Log
+from truewrench.planning.period import check_harmonics
+from truewrench.planning.prediction import HEAVIER, Prediction, predict
+from truewrench.planning.result import Design, Plan
+from truewrench.planning.search import Progress
+from truewrench.planning.twist_plan import design_twist
+from truewrench.rig import Rig
+from truewrench.simulate import simulate
+from truewrench.trajectory import SplineTwist
+
+__all__ = ["plan"]
+
+_SIMULATED = 60.0  # [s] of a motion that repeats itself: the rest is more of the same
+
+
+def plan(
+    rig: Rig,
+    method: Literal["optimal", "wrench"] = "optimal",
+    *,
+    criterion: Literal["A", "D"] = "A",
+    payload: str | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan the motion of a rig by its sections `plan` and `limits`.
+
+    Args:
+        rig: sensor, payloads, motion, limits.
+        method: `optimal`, or the sinusoidal wrenches of [A00] 13-17.
+        criterion: `A`, RMS sigma of the normalised gains; `D`, volume of their confidence region.
+        payload: name of the payload that is carried; the first of the rig if left out.
+        progress: is told what is being done, and the share of it that is done.
+
+    Raises:
+        InputError: for a payload that the rig does not have, or settings that no motion can have.
+        UnsupportedError: for a combination that is not supported.
+    """
+    started = time.perf_counter()
+    name = next(iter(rig.payloads)) if payload is None else payload
+    if name not in rig.payloads:
+        raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
+    tell = progress or (lambda phase, share: None)
+    if method == "optimal":
+        check_harmonics(rig)
+    design = design_twist(rig, name, criterion, tell)
+    tell("prediction", None)
+    moves = not design.obstacles and bool(np.abs(design.preview.twist).max() > 0.0)
+    prediction = _predict(rig, name, design) if moves else None
+    return Plan(rig, name, method, criterion, design, prediction, time.perf_counter() - started)
+
+
+def _predict(rig: Rig, payload: str, design: Design) -> Prediction:
+    duration = design.motion.duration
+    span = min(duration, max(1, round(_SIMULATED / design.period)) * design.period)
+    motion = design.motion
+    assert isinstance(motion, SplineTwist)
+    part = replace(motion, duration=span)
+
+    def simulated(nominal: Rig) -> Log:
+        return simulate(nominal, part, payload=payload).log
+
+    used = max(use.share for use in design.preview.usage if use.limit == "wrench")
+    return predict(rig, payload, simulated, span / duration, HEAVIER * used)

@@ -1,0 +1,187 @@
+"""A planned motion with its verdict and its promise, and the files that hold them (docs/formats.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.calibration import Verdict
+from truewrench.files import write_yaml
+from truewrench.io.tables import write_table
+from truewrench.planning.check import Preview
+from truewrench.planning.limits import Usage, violations
+from truewrench.planning.prediction import Prediction, figures
+from truewrench.rig import Rig
+from truewrench.trajectory import Trajectory, excitation_alpha
+from truewrench.trajectory_joint import JointTrajectory
+
+__all__ = ["Design", "Plan"]
+
+Array = NDArray[np.float64]
+
+FORMAT = "truewrench-plan/1"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """A motion before anything is promised of it.
+
+    Attributes:
+        motion: twist of the rig's point, or joints.
+        columns: of the table: names and values (N,).
+        preview: at 1 kHz.
+        period: after which the motion repeats itself [s].
+        notes: what is worth a look.
+        facts: how it was found.
+        obstacles: why no motion is possible at all, in words.
+    """
+
+    motion: Trajectory | JointTrajectory
+    columns: Mapping[str, Array]
+    preview: Preview
+    period: float
+    notes: tuple[str, ...] = ()
+    facts: Mapping[str, Any] | None = None
+    obstacles: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """A motion that calibrates.
+
+    Attributes:
+        rig: it is made for.
+        payload: that is carried.
+        method: `optimal` or `wrench`.
+        criterion: `A` or `D`.
+        design: motion, table and preview.
+        prediction: what a calibration with it promises; None where nothing moves.
+        seconds: that planning took.
+    """
+
+    rig: Rig
+    payload: str
+    method: str
+    criterion: str
+    design: Design
+    prediction: Prediction | None
+    seconds: float
+
+    @property
+    def trajectory(self) -> Trajectory | JointTrajectory:
+        """The motion as a function of time."""
+        return self.design.motion
+
+    @property
+    def usage(self) -> Sequence[Usage]:
+        """Use of every limit."""
+        return self.design.preview.usage
+
+    @property
+    def violations(self) -> tuple[str, ...]:
+        """Limits that are exceeded, the earliest first, in words."""
+        return (*self.design.obstacles, *(use.words() for use in violations(self.usage)))
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every limit holds at all times."""
+        return not self.violations
+
+    @property
+    def predicted_gain_std(self) -> Array | None:
+        """(n, 6) 1 sigma of the gain after a calibration, raw units per N or N m."""
+        return None if self.prediction is None else self.prediction.gain_std
+
+    @property
+    def predicted_rms(self) -> float:
+        """RMS of the predicted sigma over the normalised gains; that of the prior where nothing moves."""
+        return self.rig.sensor.gain_prior if self.prediction is None else self.prediction.rms
+
+    @property
+    def alpha(self) -> dict[str, float]:
+        """Smallest eigenvalue of the integral of w w^T ([A00] 12): of w over range [s], and of w in SI."""
+        preview = self.design.preview
+        times = self.design.motion.duration / preview.time[-1]
+        return {
+            "normalised": times
+            * excitation_alpha(preview.time, preview.wrench / self.rig.sensor.range_array),
+            "published": times * excitation_alpha(preview.time, preview.wrench),
+        }
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether to move like this, and every reason why not."""
+        reasons = list(self.violations)
+        undetermined = () if self.prediction is None else self.prediction.undetermined
+        if undetermined:
+            words = dict.fromkeys(direction.words for direction in undetermined)
+            reasons.append("the motion would not determine: " + "; ".join(words))
+        return Verdict(not reasons, tuple(reasons), undetermined)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is no fault, but worth a look."""
+        notes, found = list(self.design.notes), self.prediction
+        if found is not None and not found.undetermined:
+            largest = float(found.std.max())
+            if largest > self.rig.required:
+                channel, axis = np.unravel_index(int(np.argmax(found.std)), found.std.shape)
+                notes.append(
+                    f"the largest sigma, {largest:.3g} of the gain of "
+                    f"{self.rig.sensor.channels[channel]} to {_AXES[axis]}, would exceed `required` "
+                    f"({self.rig.required:g}): one record of this motion is not enough"
+                )
+        if found is not None and found.doubtful:
+            notes.append(
+                f"only {100 * found.fitted:.0f} % of a simulated log fits: the rates of `simulate` are too "
+                "low for this motion, or the noise stated is too small; the prediction is doubtful"
+            )
+        return tuple(notes)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As PLAN.plan.yaml holds it."""
+        found, verdict = self.prediction, self.verdict
+        return {
+            "format": FORMAT,
+            "method": self.method,
+            "criterion": self.criterion,
+            "payload": self.payload,
+            "duration": float(self.design.motion.duration),
+            "period": self.design.period,
+            "feasible": self.feasible,
+            "violations": list(self.violations),
+            "verdict": {
+                "usable": verdict.usable,
+                "reasons": list(verdict.reasons),
+                "undetermined": [
+                    {"direction": u.direction.tolist(), "words": u.words} for u in verdict.undetermined
+                ],
+            },
+            "predicted_rms": self.predicted_rms,
+            "predicted_gain_std": None if found is None else found.gain_std.tolist(),
+            "predicted_normalised_gain_std": None if found is None else found.std.tolist(),
+            **({} if found is None else figures(found)),
+            "alpha": self.alpha,
+            "limits_used": [use.to_mapping() for use in self.usage],
+            "rates": {"motion": self.rig.simulate.rate, "sensor": self.rig.simulate.sensor_rate},
+            "notes": list(self.notes),
+            "search": dict(self.design.facts or {}),
+            "seconds": self.seconds,
+        }
+
+    def write(self, path: str | Path) -> tuple[Path, Path]:
+        """Write the table (CSV, or Parquet by its suffix) and PATH.plan.yaml beside it; return both paths."""
+        target = Path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_table(target, dict(self.design.columns))
+        beside = target.with_name(target.name + ".plan.yaml")
+        write_yaml(beside, self.to_mapping())
+        return target, beside
+
+
+_AXES = ("fx", "fy", "fz", "mx", "my", "mz")

@@ -1,0 +1,44 @@
+"""Newton-Euler as CasADi expressions, so that IPOPT gets exact derivatives ([A00] 5-8)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.rig import Rig
+
+__all__ = ["at_center_of_mass", "total_derivative", "wrench_over_range"]
+
+Array = NDArray[np.float64]
+
+
+def wrench_over_range(rig: Rig, payload: str, twist: Any, acceleration: Any, gravity: Any) -> Any:
+    """Wrench (6,) as the sensor feels it, over its range, from the motion of the centre of mass.
+
+    Args:
+        rig: the rig.
+        payload: name of the payload that is carried.
+        twist: of the centre of mass (6,), sensor axes.
+        acceleration: its component-wise derivative (6,).
+        gravity: in sensor axes (3,).
+    """
+    body = rig.payloads[payload]
+    v, omega = twist[:3], twist[3:]
+    inertia = ca.DM(body.inertia_matrix)
+    force = body.mass * (acceleration[:3] + ca.cross(omega, v) - gravity)
+    moment = ca.mtimes(inertia, acceleration[3:]) + ca.cross(omega, ca.mtimes(inertia, omega))
+    reaction = -ca.vertcat(force, ca.cross(ca.DM(body.center_of_mass_array), force) + moment)
+    return rig.sensor.sign * reaction / ca.DM(rig.sensor.range_array)
+
+
+def at_center_of_mass(six: Any, lever: Array) -> Any:
+    """Twist of the centre of mass, or its derivative, from that of a point that sees it at `lever`."""
+    return ca.vertcat(six[:3] + ca.cross(six[3:], ca.DM(lever)), six[3:])
+
+
+def total_derivative(expression: Any, z: Any, velocity: Any, acceleration: Any) -> Any:
+    """Derivative by time of an expression in coordinates and their velocities."""
+    return ca.jtimes(expression, z, velocity) + ca.jtimes(expression, velocity, acceleration)
