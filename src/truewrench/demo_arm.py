@@ -64,7 +64,7 @@ def run_arm(
     pictures = [output / "driven.png", output / "gain.png"]
     _draw_driven(pictures[0], rig, run)
     _draw_gain(pictures[1], rig, run, calibration, figures)
-    reasons = [*calibration.verdict.reasons, *validation.verdict.reasons]
+    reasons = [*calibration.verdict.reasons, *_own_reasons(calibration, validation)]
     files = [
         output / "rig.yaml", log_path, truth_path, calibration_path, other_path, other_truth,
         validation_path, *pictures,
@@ -74,7 +74,7 @@ def run_arm(
         "figures": figures | {"axes": {name: axis.ratio for name, axis in validation.axes.items()}},
         "verdict": {
             "usable": calibration.verdict.usable and validation.verdict.usable,
-            "reasons": list(dict.fromkeys(reasons)),
+            "reasons": reasons,
         },
         "text": _text(rig, run, calibration, validation, figures),
     }
@@ -152,10 +152,15 @@ def _draw_gain(path: Path, rig: Rig, run: ArmRun, calibration: Calibration, figu
         f"by {figures['rms_start']:.2g} (RMS), now by {figures['rms_error']:.2g}, with a stated sigma of "
         f"{figures['rms_stated']:.2g}. The largest error is {largest:.1f} sigma, and all errors together are "
         f"{figures['nees']:.2f} times as large (squared) as their covariance says. Conclusion: "
-        + ("the sigma can be believed." if figures["nees"] < 2.0 else "the sigma is too small.")
+        + ("nothing in this run speaks against sigma." if figures["nees"] < 2.0 else "sigma is too small.")
     )
     stated = [("sigma that the calibration states", sigma)]
     gain_figure(path, rig.sensor.channels, stated, error.reshape(shape), caption)
+
+
+def _own_reasons(calibration: Calibration, validation: Validation) -> tuple[str, ...]:
+    """What the other motion says against the calibration, but not what that says of itself (the first)."""
+    return validation.verdict.reasons[0 if calibration.verdict.usable else 1 :]
 
 
 def _text(
@@ -179,7 +184,11 @@ def _text(
         f"  {name}  {axis.nominal:9.4g} {axis.new:9.4g}   better: {axis.better}"
         for name, axis in validation.axes.items()
     ]
-    for what, verdict in (("calibration", calibration.verdict), ("validation", validation.verdict)):
-        lines += ["", f"{what}: {'usable' if verdict.usable else 'NOT TO BE USED AS IT STANDS'}"]
-        lines += [f"  - {reason}" for reason in verdict.reasons]
+    against = _own_reasons(calibration, validation)
+    for what, usable, reasons in (
+        ("calibration", calibration.verdict.usable, calibration.verdict.reasons),
+        ("validation", not against, against),
+    ):
+        lines += ["", f"{what}: {'usable' if usable else 'NOT TO BE USED AS IT STANDS'}"]
+        lines += [f"  - {reason}" for reason in reasons]
     return "\n".join(lines) + "\n"

@@ -103,7 +103,7 @@ def gain_figure(
     deviation = error / sigma[-1][1]
     largest = max(3.0, float(np.abs(deviation).max()))
     picture = _heat_map(
-        axes[-1], channels, deviation, "{:+.1f}", norm=Normalize(-largest, largest), cmap="RdBu_r"
+        axes[-1], channels, deviation, "{:+z.1f}", norm=Normalize(-largest, largest), cmap="RdBu_r"
     )
     axes[-1].set_title("error of this run over its sigma")
     _bar(figure, axes[-1], picture, "error / sigma [1]")
