@@ -24,7 +24,7 @@ help:
 	@echo "make demo     the case of the paper, from motion to pictures, in out/demo"
 	@echo "make test     all tests, C++ and Python"
 	@echo "make bench    time per sample beside other filters, accuracy over a few seeds"
-	@echo "make campaigns  random rigs in search of failures, RUNS=$(RUNS) of each; goes on where it stood"
+	@echo "make campaigns  random rigs and whole arms in search of failures, RUNS=$(RUNS) of each; goes on where it stood"
 	@echo "make lint     format, types and static checks; make format repairs what can be repaired"
 	@echo "make tidy     clang-tidy over every C++ test, some minutes"
 	@echo "make stubs    type stubs of the compiled modules, after a change of bindings/"
@@ -76,7 +76,7 @@ bench: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/python benchmarks/efficiency.py --seeds $(SEEDS)
 
 campaigns: $(VENV)/.built $(VENV)/.dev
-	for name in grid coverage confident rates; do \
+	for name in grid coverage confident rates chain; do \
 	  $(BIN)/python benchmarks/$$name.py --runs $(RUNS) --workers $(WORKERS) --out out/campaigns/$$name || exit 1; done
 	$(BIN)/python benchmarks/setup_sweep.py --runs $(RUNS) --healthy $(RUNS) --end-to-end $(RUNS) \
 	  --workers $(WORKERS) --out out/campaigns/setup_sweep
