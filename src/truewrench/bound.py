@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
+from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from truewrench.calibration import Bound
@@ -18,6 +18,7 @@ from truewrench.motion_noise import twist_noise
 from truewrench.payload import payload_wrench
 from truewrench.rig import Rig
 from truewrench.smooth import segments, smooth_twist
+from truewrench.spatial import cross_matrix, twist_adjoint
 from truewrench.track import tracked_streams
 
 __all__ = ["bound", "oracle_rms"]
@@ -244,18 +245,13 @@ def _gravity(log: Log, at: Array) -> Array:
 
 def _about_reference(rig: Rig, log: Log, reference: Reference, at: Array) -> _Linear:
     """At the reference, by displacements p from it: nu = nu0 + ad(nu0) p + dp/dt, a its derivative."""
-    ends = np.repeat(reference.breakpoints[[0, -1]], _DEGREE).reshape(2, -1)
-    spline = BSpline(np.concatenate([ends[0], reference.breakpoints, ends[1]]), reference.twist, _DEGREE)
-    t = at + 1e-9 * float(log.time_ns[0] - reference.origin_ns)
-    nu, a, gravity = spline(t), spline(t, nu=1), np.zeros((at.size, 3))
-    if reference.gravity is not None:
-        gravity = CubicSpline(reference.gravity_time, reference.gravity)(t)
+    nu, a, gravity = reference.motion(at + 1e-9 * float(log.time_ns[0] - reference.origin_ns))
     linear = _linear(rig, log, nu, a, gravity)
     by_twist, by_acceleration, by_gravity = linear.terms
     turned = np.zeros_like(by_twist)
-    turned[:, :, 3:] = by_gravity[:, :, :3] @ _cross_matrix(gravity)
-    lowest = by_twist @ _adjoint(nu) + by_acceleration @ _adjoint(a) + turned
-    return _Linear(linear.wrench, [lowest, by_twist + by_acceleration @ _adjoint(nu), by_acceleration])
+    turned[:, :, 3:] = by_gravity[:, :, :3] @ cross_matrix(gravity)
+    lowest = by_twist @ twist_adjoint(nu) + by_acceleration @ twist_adjoint(a) + turned
+    return _Linear(linear.wrench, [lowest, by_twist + by_acceleration @ twist_adjoint(nu), by_acceleration])
 
 
 def _linear(rig: Rig, log: Log, nu: Array, a: Array, gravity: Array) -> _Linear:
@@ -274,19 +270,3 @@ def _linear(rig: Rig, log: Log, nu: Array, a: Array, gravity: Array) -> _Linear:
                 ahead, back = (wrench(nu + s * dn, a + s * da, gravity + s * dg[:3]) for s in (1.0, -1.0))
                 term[:, :, c] = 0.5 * (ahead - back)
     return _Linear(wrench(nu, a, gravity), terms)
-
-
-def _cross_matrix(x: Array) -> Array:
-    """(N, 3, 3) with [x] y = x cross y."""
-    out = np.zeros((len(x), 3, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[:, k, j], out[:, j, k] = x[:, i], -x[:, i]
-    return out
-
-
-def _adjoint(nu: Array) -> Array:
-    """Of twists (N, 6): ad(nu) (N, 6, 6)."""
-    out = np.zeros((len(nu), 6, 6))
-    out[:, :3, :3] = out[:, 3:, 3:] = _cross_matrix(nu[:, 3:])
-    out[:, :3, 3:] = _cross_matrix(nu[:, :3])
-    return out

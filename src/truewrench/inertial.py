@@ -1,12 +1,13 @@
-"""The payload's wrench by a motion estimated from the velocities alone, and how uncertain that makes it.
+"""The payload's wrench by a motion estimated from its measurements alone, and how uncertain that makes it.
 
-No raw sample enters: what the sensor reads can be held against it. Each component of the twist is a quintic
-spline, linear in its samples, so that their noise is carried through to the wrench exactly, in time, too.
+No raw sample enters: what the sensor reads can be held against it. Each component of the twist (of joints, of
+the displacement that the encoders show) is a quintic spline, linear in its samples, so that their noise is
+carried through to the wrench exactly, in time, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,6 +23,8 @@ from truewrench.motion_noise import twist_noise
 from truewrench.payload import core_payload, payload_wrench
 from truewrench.rig import Rig
 from truewrench.smooth import segments, smooth_twist
+from truewrench.spatial import twist_adjoint
+from truewrench.track import tracked_streams
 
 __all__ = ["InertialChunk", "inertial_wrench"]
 
@@ -81,20 +84,70 @@ def inertial_wrench(rig: Rig, log: Log, time_offset: float, lags: int) -> list[I
         raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
     if log.gravity is None and rig.in_gravity:
         raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
-    moving = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
     sensed = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
-    gravity = None if log.gravity is None else _gravity(log)
-    noise = twist_noise(rig, log)
+    coordinates = _coordinates(rig, log)
     found = []
-    for piece in _chunks(log.time[moving]):
-        time, twist = log.time[moving[piece]], log.twist[moving[piece]]
+    for piece in _chunks(coordinates.time):
         at = log.time[sensed] + time_offset
-        inside = (at >= time[0]) & (at <= time[-1])
+        inside = (at >= coordinates.time[piece.start]) & (at <= coordinates.time[piece.stop - 1])
         if np.count_nonzero(inside) > max(_SHORTEST, 2 * lags):
-            found.append(
-                _chunk(rig, log.payload, noise, time, twist, sensed[inside], at[inside], gravity, lags)
-            )
+            found.append(_chunk(rig, log.payload, coordinates, piece, sensed[inside], at[inside], lags))
     return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Coordinates:
+    """What splines are fitted to: the twist, or about a reference the displacement from it.
+
+    Attributes:
+        time: (N,) [s].
+        values: (N, 6).
+        noise: (6,) 1 sigma, the components' correlation left out.
+        widest: knots that the splines may have [s].
+        order: of the derivative that is the twist.
+        motion: of times (M,), to which the coordinates and their next two derivatives (3, M, 6) add.
+    """
+
+    time: Array
+    values: Array
+    noise: Array
+    widest: float
+    order: int
+    motion: Callable[[Array, Array], tuple[Array, Array, Array]]
+
+
+def _coordinates(rig: Rig, log: Log) -> _Coordinates:
+    tracking = log.tracking
+    if tracking is None or tracking.reference is None or tracking.position_sigma is not None:
+        assert log.twist is not None
+        rows = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
+        gravity = None if log.gravity is None else _gravity(log)
+
+        def plain(t: Array, s: Array) -> tuple[Array, Array, Array]:
+            return s[0], s[1], np.zeros((t.size, 3)) if gravity is None else np.asarray(gravity(t))
+
+        return _Coordinates(log.time[rows], log.twist[rows], twist_noise(rig, log), np.inf, 0, plain)
+    reference = tracking.reference
+    origin = 1e-9 * float(log.time_ns[0] - reference.origin_ns)
+    encoders = tracked_streams(rig, log)[0]
+
+    def displaced(t: Array, s: Array) -> tuple[Array, Array, Array]:
+        nu, a, g = reference.motion(t + origin)
+        p, dp, ddp = s
+        turn = twist_adjoint(nu)
+        return (
+            nu + _times(turn, p) + dp,
+            a + _times(twist_adjoint(a), p) + _times(turn, dp) + ddp,
+            g + np.cross(g, p[:, 3:]),
+        )
+
+    noise = np.sqrt(np.mean(np.diagonal(encoders.covariance, axis1=1, axis2=2), axis=0))
+    widest = 0.5 * reference.spacing  # docs/method.md, "Joints"
+    return _Coordinates(log.time[encoders.rows], encoders.value, noise, widest, 1, displaced)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray(np.einsum("kij,kj->ki", matrices, vectors))
 
 
 def _chunks(time: Array) -> Iterator[slice]:
@@ -125,25 +178,23 @@ def _gravity(log: Log) -> PchipInterpolator:
 def _chunk(
     rig: Rig,
     payload: str,
-    noise: Array,
-    time: Array,
-    twist: Array,
+    coordinates: _Coordinates,
+    piece: slice,
     rows: NDArray[np.int64],
     at: Array,
-    gravity: PchipInterpolator | None,
     lags: int,
 ) -> InertialChunk:
-    span = time[-1] - time[0]
-    spacing = smooth_twist(time, twist, noise).spacing
+    time, values, noise = coordinates.time[piece], coordinates.values[piece], coordinates.noise
+    span, order = time[-1] - time[0], coordinates.order
+    spacing = np.minimum(smooth_twist(time, values, noise).spacing, coordinates.widest)
     fits = [
-        _Spline(time, values, sigma, _resolved(time, values, sigma, coarse))
-        for values, sigma, coarse in zip(twist.T, noise, spacing, strict=True)
+        _Spline(time, column, sigma, _resolved(time, column, sigma, coarse))
+        for column, sigma, coarse in zip(values.T, noise, spacing, strict=True)
     ]
 
     def motion(t: Array) -> tuple[Array, Array, Array, Array]:
-        nu = np.column_stack([fit.spline(t) for fit in fits])
-        a = np.column_stack([fit.spline(t, nu=1) for fit in fits])
-        g = np.zeros((t.size, 3)) if gravity is None else np.asarray(gravity(t))
+        splines = [np.column_stack([fit.spline(t, nu=d) for fit in fits]) for d in range(3)]
+        nu, a, g = coordinates.motion(t, np.array(splines))
         return nu, a, g, payload_wrench(rig, payload, nu, a, g)
 
     nu, a, g, wrench = motion(at)
@@ -159,7 +210,7 @@ def _chunk(
     later = lagged[:, None] + np.arange(lags + 1)  # (S, H + 1)
     covariance = np.zeros((lagged.size, lags + 1, 6))
     for j, fit in enumerate(fits):
-        X, dX = fit.roots(at)  # (M, p) whose products are covariances of the value and of the slope
+        X, dX = fit.roots(at, order)  # (M, p) whose products are covariances of twist and acceleration
         n_, a_ = by_nu[:, :, j], by_a[:, :, j]  # (M, 6)
         square, cross, slope = (np.sum(x * y, axis=1)[:, None] for x, y in ((X, X), (X, dX), (dX, dX)))
         variance += n_**2 * square + 2.0 * n_ * a_ * cross + a_**2 * slope
@@ -208,9 +259,9 @@ class _Spline:
         half = solve_triangular(self._root, np.asarray(design.T @ (values / sigma)), lower=True)
         self.spline = BSpline(self._knots, solve_triangular(self._root.T, half), _DEGREE)
 
-    def roots(self, at: Array) -> tuple[Array, Array]:
-        """(M, p) each: rows whose inner products are the covariances of the spline and of its derivative."""
-        values = BSpline.design_matrix(at, self._knots, _DEGREE).toarray()
-        slopes = np.asarray(BSpline(self._knots, np.eye(len(self._root)), _DEGREE)(at, nu=1))
+    def roots(self, at: Array, order: int) -> tuple[Array, Array]:
+        """(M, p) each: rows whose inner products are the covariances of a derivative and of the next."""
+        basis = BSpline(self._knots, np.eye(len(self._root)), _DEGREE)
+        values, slopes = (np.asarray(basis(at, nu=d)) for d in (order, order + 1))
         first, second = (solve_triangular(self._root, x.T, lower=True).T for x in (values, slopes))
         return np.asarray(first), np.asarray(second)

@@ -32,6 +32,10 @@ class JointSpline:
     spline: BSpline
     spacing: float
 
+    def shifted(self, by: Array) -> JointSpline:
+        """The same motion from other positions: plus (n,)."""
+        return JointSpline(BSpline(self.spline.t, self.spline.c + by, _DEGREE), self.spacing)
+
     @property
     def begin(self) -> float:
         """First time [s]."""

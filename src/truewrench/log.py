@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import BSpline, CubicSpline
 
 __all__ = ["Log", "Reference", "Tracking"]
 
@@ -34,6 +35,15 @@ class Reference:
     gravity_time: FloatArray
     gravity: FloatArray | None
 
+    def motion(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Twist (N, 6), its component-wise derivative and free fall (N, 3) at times (N,) since the origin."""
+        ends = np.repeat(self.breakpoints[[0, -1]], 5).reshape(2, 5)
+        twist = BSpline(np.concatenate([ends[0], self.breakpoints, ends[1]]), self.twist, 5)
+        gravity = np.zeros((len(time), 3))
+        if self.gravity is not None:
+            gravity = CubicSpline(self.gravity_time, self.gravity)(time)
+        return np.asarray(twist(time)), np.asarray(twist(time, nu=1)), np.asarray(gravity)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracking:
@@ -43,6 +53,7 @@ class Tracking:
         jacobian: (N, 6, n) of the sensor's origin, sensor axes; at the reference, if there is one.
         jacobian_rate: (N, 6, n) its derivative by time; None without a reference.
         position_departure: (N, n) of the encoders from the reference [rad, m]; None without one.
+        position_sigma: (N, n) their noise, where it is not the rig's `position_noise`; None likewise.
         velocity_departure: (N, n) of the tachometers; None without a reference, or without tachometers.
         reference: None where positions are exact, and the twist is what was measured.
     """
@@ -50,6 +61,7 @@ class Tracking:
     jacobian: FloatArray
     jacobian_rate: FloatArray | None = None
     position_departure: FloatArray | None = None
+    position_sigma: FloatArray | None = None
     velocity_departure: FloatArray | None = None
     reference: Reference | None = None
 

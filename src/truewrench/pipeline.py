@@ -296,10 +296,6 @@ def _check_supported(rig: Rig, estimator: EstimatorName) -> None:
     def refuse(key: str, found: str, expected: str) -> InputError:
         return UnsupportedError.at(rig.path, key, found, expected)
 
-    if rig.motion.source != "twist":
-        raise refuse(
-            "motion.source", f"`{rig.motion.source}`", "`twist`: calibration from joints is not supported"
-        )
     if estimator == "map" or estimator == "online":
         return
     sensor = rig.sensor

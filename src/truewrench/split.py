@@ -62,6 +62,7 @@ def rows_of(log: Log, rows: NDArray[np.bool_]) -> Log:
             jacobian=tracking.jacobian[rows],
             jacobian_rate=pick(tracking.jacobian_rate),
             position_departure=pick(tracking.position_departure),
+            position_sigma=pick(tracking.position_sigma),
             velocity_departure=pick(tracking.velocity_departure),
         )
     return replace(

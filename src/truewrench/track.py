@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from truewrench.errors import InputError
 from truewrench.joint_spline import JointSpline, fit_joints
@@ -35,8 +35,8 @@ _LOOSE = 100.0  # sigma of what is put into a gap, in units of the encoders'
 def track(rig: Rig, log: Log) -> Log:
     """The log of a joint rig with the twist, the gravity and the tracking of its sensor.
 
-    With `motion.position_noise` encoders and tachometers are followed together; without it positions are
-    exact, and velocities alone are measurements.
+    With `motion.position_noise` encoders and tachometers are followed together; without it logged positions
+    are exact, and velocities alone are measurements; without logged positions these are integrated.
 
     Raises:
         InputError: for streams that leave the motion undetermined.
@@ -44,82 +44,111 @@ def track(rig: Rig, log: Log) -> Log:
     if log.position is None and log.velocity is None:
         return log
     robot, base = robot_of(rig), _Base(log)
-    if rig.motion.position_noise is not None and log.position is not None:
-        return _about_reference(rig, robot, base, log)
+    if log.position is None:
+        return _integrated(rig, robot, base, log)
+    if rig.motion.position_noise is not None:
+        return _encoders(rig, robot, base, log)
     return _exact_positions(rig, robot, base, log)
 
 
-def _about_reference(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
+def _encoders(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     positions, velocities = _rows(log, log.position, "q_*"), None
-    sigma_q = np.array(rig.motion.position_noise)
     if log.velocity is not None and rig.motion.noise is not None:
         velocities = _rows(log, log.velocity, "dq_*")
     time_q, q = _without_gaps(log.time[positions], _of(log.position, positions))
     weight_q = np.where(np.isin(time_q, log.time[positions]), 1.0, 1.0 / _LOOSE)
-    rows_qd = np.zeros(0, dtype=np.int64) if velocities is None else velocities
-    rates = (log.time[rows_qd], _of(log.velocity, rows_qd) if rows_qd.size else np.zeros((0, robot.n)))
-    sigma_qd = rig.motion.noise_array if velocities is not None else np.ones(robot.n)
-    fit = fit_joints((time_q, q, weight_q), rates, sigma_q, sigma_qd, wider=_WIDER)
-    reference, gravity = _reference(rig, robot, base, log, fit)
+    rates = (np.zeros(0), np.zeros((0, robot.n)))
+    if velocities is not None:
+        rates = (log.time[velocities], _of(log.velocity, velocities))
+    fit = fit_joints(
+        (time_q, q, weight_q),
+        rates,
+        np.array(rig.motion.position_noise),
+        rig.motion.noise_array if velocities is not None else np.ones(robot.n),
+        wider=_WIDER,
+    )
+    moved = _on_rows(log, positions, _of(log.position, positions) - fit.position(log.time[positions]))
+    return _about(rig, robot, base, log, fit, moved, velocities)
 
-    rows = np.union1d(positions, rows_qd)
+
+def _integrated(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
+    """Velocities alone: positions are their integral, and walk away from the truth with their noise.
+
+    What is known of a position after a time t is sigma sqrt(t dt). Its error is one for the whole log: all
+    samples together are given no more information than one of them has.
+    """
+    if rig.motion.initial_position is None:
+        raise InputError.at(
+            rig.path, "motion.initial_position", "nothing", "joint positions: the log has none"
+        )
+    rows = _rows(log, log.velocity, "dq_*")
+    time, sigma = log.time[rows], rig.motion.noise_array
+    nothing = (np.zeros(0), np.zeros((0, robot.n)), np.zeros(0))
+    fit = fit_joints(nothing, (time, _of(log.velocity, rows)), np.ones(robot.n), sigma, wider=_WIDER)
+    fit = fit.shifted(np.array(rig.motion.initial_position) - fit.position(time[:1])[0])
+    period = float(np.median(np.diff(time)))
+    walked = np.sqrt(period * (time - time[0] + period))[:, None] * sigma
+    nowhere = np.zeros((rows.size, robot.n))
+    found = _about(rig, robot, base, log, fit, _on_rows(log, rows, nowhere), rows)
+    assert found.tracking is not None
+    known = _on_rows(log, rows, np.sqrt(rows.size) * walked)
+    return replace(found, tracking=replace(found.tracking, position_sigma=known))
+
+
+def _about(
+    rig: Rig,
+    robot: Robot,
+    base: _Base,
+    log: Log,
+    fit: JointSpline,
+    moved: Array,
+    velocities: NDArray[np.int64] | None,
+) -> Log:
+    """The log about a reference, from which positions depart by `moved` (N, n)."""
+    reference = _reference(rig, robot, base, log, fit)
+    rows = np.flatnonzero(np.isfinite(moved).all(axis=1))
+    if velocities is not None:
+        rows = np.union1d(rows, velocities)
     time = log.time[rows]
     at, rate = fit.position(time), fit.velocity(time)
-    J, J_rate = robot.jacobian(at), robot.jacobian_rate(at, rate)
-    fall = _gravity(rig, robot, base, at, time)
-    moved = np.full((len(log.time_ns), robot.n), np.nan)
-    moved[positions] = _of(log.position, positions) - fit.position(log.time[positions])
-    faster = np.full_like(moved, np.nan)
+    J = robot.jacobian(at)
     twist = np.full((len(moved), 6), np.nan)
-    twist[rows] = BSpline(*reference[:2], 5)(time)
-    if rows_qd.size:
-        faster[rows_qd] = rates[1] - fit.velocity(rates[0])
-        twist[rows] = np.nan
-        chosen = np.searchsorted(rows, rows_qd)
-        twist[rows_qd] = BSpline(*reference[:2], 5)(rates[0])
-        twist[rows_qd] += np.einsum("kij,kj->ki", J[chosen], faster[rows_qd])
+    twist[rows] = reference.motion(time)[0]
+    faster = None
+    if velocities is not None:
+        departure = _of(log.velocity, velocities) - fit.velocity(log.time[velocities])
+        faster, chosen = _on_rows(log, velocities, departure), np.searchsorted(rows, velocities)
+        measured = twist[velocities] + np.einsum("kij,kj->ki", J[chosen], departure)
+        twist[:] = np.nan
+        twist[velocities] = measured
+    fall = _gravity(rig, robot, base, at, time)
     return replace(
         log,
         twist=twist,
         gravity=None if fall is None else _on_rows(log, rows, fall),
         tracking=Tracking(
             jacobian=_on_rows(log, rows, J),
-            jacobian_rate=_on_rows(log, rows, J_rate),
+            jacobian_rate=_on_rows(log, rows, robot.jacobian_rate(at, rate)),
             position_departure=moved,
-            velocity_departure=faster if rows_qd.size else None,
-            reference=Reference(
-                origin_ns=int(log.time_ns[0]),
-                breakpoints=reference[0][5:-5],
-                twist=reference[1],
-                spacing=fit.spacing,
-                gravity_time=gravity[0],
-                gravity=gravity[1],
-            ),
+            velocity_departure=faster,
+            reference=reference,
         ),
     )
 
 
 def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
+    """Positions are exact, and velocities alone are measurements."""
     if log.velocity is None:
-        raise InputError.at(
-            log.path, "header", "no column dq_*", "joint velocities, where position_noise is not given"
-        )
-    rows = _rows(log, log.velocity, "dq_*")
-    time, qd = log.time[rows], _of(log.velocity, rows)
-    if log.position is None:
-        start = np.array(rig.motion.initial_position)
-        nothing = (np.zeros(0), np.zeros((0, robot.n)), np.zeros(0))
-        fit = fit_joints(nothing, (time, qd), np.ones(robot.n), rig.motion.noise_array)
-        q = fit.position(time) - fit.position(time[:1]) + start
-    else:
-        known = _rows(log, log.position, "q_*")
-        q = _of(log.position, rows) if np.isin(rows, known).all() else None
-        if q is None:
-            spline = CubicSpline(log.time[known], _of(log.position, known), axis=0)
-            q = spline(np.clip(time, *log.time[known][[0, -1]]))
+        expected = "joint velocities, where position_noise is not given"
+        raise InputError.at(log.path, "header", "no column dq_*", expected)
+    rows, known = _rows(log, log.velocity, "dq_*"), _rows(log, log.position, "q_*")
+    time, q = log.time[rows], _of(log.position, rows)
+    if not np.isin(rows, known).all():
+        spline = CubicSpline(log.time[known], _of(log.position, known), axis=0)
+        q = np.asarray(spline(np.clip(time, *log.time[known][[0, -1]])))
     J = robot.jacobian(q)
     fall = _gravity(rig, robot, base, q, time)
-    twist = np.einsum("kij,kj->ki", J, qd) + base.at_sensor(robot, q, time)
+    twist = np.einsum("kij,kj->ki", J, _of(log.velocity, rows)) + base.at_sensor(robot, q, time)
     return replace(
         log,
         twist=_on_rows(log, rows, twist),
@@ -128,20 +157,22 @@ def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     )
 
 
-def _reference(
-    rig: Rig, robot: Robot, base: _Base, log: Log, fit: JointSpline
-) -> tuple[tuple[Array, Array], tuple[Array, Array | None]]:
-    """Knots and coefficients of the reference's twist, and gravity at times in sensor axes."""
-    begin, end = fit.begin, fit.end
-    count = max(1, int(np.ceil((end - begin) / fit.spacing * _WIDER * _SITES)))
-    breakpoints = np.linspace(begin, end, count + 1)
-    knots = np.concatenate([np.full(5, begin), breakpoints, np.full(5, end)])
+def _reference(rig: Rig, robot: Robot, base: _Base, log: Log, fit: JointSpline) -> Reference:
+    count = max(1, int(np.ceil((fit.end - fit.begin) / fit.spacing * _WIDER * _SITES)))
+    breakpoints = np.linspace(fit.begin, fit.end, count + 1)
+    knots = np.concatenate([np.full(5, fit.begin), breakpoints, np.full(5, fit.end)])
     sites = np.array([knots[k + 1 : k + 6].mean() for k in range(count + 5)])  # Greville's
-    sites[[0, -1]] = begin, end
+    sites[[0, -1]] = fit.begin, fit.end
     q = fit.position(sites)
     moving = robot.motion(q, fit.velocity(sites), fit.acceleration(sites), base.motion(sites))
-    spline = make_interp_spline(sites, moving.twist, k=5, t=knots)
-    return (knots, np.ascontiguousarray(spline.c)), (sites, _gravity(rig, robot, base, q, sites))
+    return Reference(
+        origin_ns=int(log.time_ns[0]),
+        breakpoints=breakpoints,
+        twist=np.ascontiguousarray(make_interp_spline(sites, moving.twist, k=5, t=knots).c),
+        spacing=fit.spacing,
+        gravity_time=sites,
+        gravity=_gravity(rig, robot, base, q, sites),
+    )
 
 
 def _gravity(rig: Rig, robot: Robot, base: _Base, q: Array, time: Array) -> Array | None:
@@ -276,11 +307,15 @@ def tracked_streams(rig: Rig, log: Log) -> list[TrackedStream]:
         return [TrackedStream(0, rows, log.twist[rows], _covariance(tracking.jacobian[rows], sigma))]
     assert tracking.position_departure is not None
     assert tracking.jacobian_rate is not None
-    sigma_q = np.array(rig.motion.position_noise)
     rows = np.flatnonzero(np.isfinite(tracking.position_departure).all(axis=1))
+    known = tracking.position_sigma
+    sigma_q = (
+        np.ones(rig.motion.noise_array.size) if known is not None else np.array(rig.motion.position_noise)
+    )
     J = tracking.jacobian[rows]
     moved = np.einsum("kij,kj->ki", J, tracking.position_departure[rows])
-    streams = [TrackedStream(0, rows, moved, _covariance(J, sigma_q))]
+    covariance = _covariance(J, sigma_q) if known is None else _covariance(J * known[rows][:, None], sigma_q)
+    streams = [TrackedStream(0, rows, moved, covariance)]
     if tracking.velocity_departure is not None:
         rows = np.flatnonzero(np.isfinite(tracking.velocity_departure).all(axis=1))
         J = tracking.jacobian[rows]

@@ -196,8 +196,6 @@ def _check_same_sensor(calibration: Calibration, rig: Rig) -> None:
     ):
         if found != expected:
             raise InputError.at(rig.path, key, f"{found}", f"{expected}, as in the calibration")
-    if rig.motion.source != "twist":
-        raise InputError.at(rig.path, "motion.source", f"`{rig.motion.source}`", "`twist`")
 
 
 def _block(part: Residuals) -> int:

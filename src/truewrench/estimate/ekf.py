@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
-from truewrench.motion_noise import twist_noise
+from truewrench.motion_noise import twist_covariance
 from truewrench.payload import core_payload
 from truewrench.rig import Rig
 
@@ -185,7 +185,7 @@ def _run(
     # v_C = v_S + Omega x c: from the logged point to the centre of mass
     lever = spec.center_of_mass_array if rig.motion.of == "sensor" else np.zeros(3)
     shift = _core.twist_shift(lever)
-    settings.twist_covariance = shift @ np.diag(twist_noise(rig, log) ** 2) @ shift.T
+    settings.twist_covariance = shift @ twist_covariance(rig, log) @ shift.T
     record = _core.ekf_run(
         core_payload(spec),
         settings,
