@@ -198,6 +198,7 @@ void bind_estimator(nb::module_& m) {
       .def_rw("max_rounds", &EstimatorSettings::max_rounds)
       .def_rw("max_iterations", &EstimatorSettings::max_iterations)
       .def_rw("tolerance", &EstimatorSettings::tolerance)
+      .def_rw("settled", &EstimatorSettings::settled)
       .def_rw("threads", &EstimatorSettings::threads);
 
   nb::class_<ParameterLayout>(m, "ParameterLayout",

@@ -28,6 +28,7 @@ struct EstimatorSettings {
   int max_rounds = 6;
   int max_iterations = 25;
   double tolerance = 1e-9;  // last Gauss-Newton decrement of the common parameters
+  double settled = 2.5e-3;  // what may remain of it after the last iteration: a twentieth of a sigma, squared
   int threads = 0;          // 0: all
 };
 
@@ -421,8 +422,15 @@ class Estimator {
     if (enough_samples(w)) {
       const int start = static_cast<int>(length / (4.0 * spacing));
       WindowSolver<N> solver(models_[item.log], settings_.knots);
-      item.fit = solver.search(w, knots_to_begin_with(item.log, w, start), posterior.mean[item.log], nullptr,
-                               finest_[item.log]);
+      const BSpline knots = knots_to_begin_with(item.log, w, start);
+      const Eigen::VectorXd& theta = posterior.mean[item.log];
+      item.fit = solver.search(w, knots, theta, nullptr, finest_[item.log]);
+      if (item.fit.status != WindowStatus::fitted) {
+        // What little is wrong with a gain of few windows may be much to a good sensor.
+        const Prior prior{inverse(posterior.covariance[item.log]), theta};
+        WindowFit freed = solver.search(w, knots, theta, &prior, finest_[item.log]);
+        if (freed.status == WindowStatus::fitted) item.fit = std::move(freed);
+      }
       if (item.fit.status != WindowStatus::fitted && length >= 2.0 * settings_.window) {
         const auto [first, second] = halves(item, posterior);
         search({item.log, first, {}}, spacing, posterior, out);
@@ -447,6 +455,7 @@ class Estimator {
 
   // Gauss-Newton on the common parameters with the knots held.
   bool iterate(std::vector<Item>& items, Estimate& out, std::vector<InformationSum>& sums) {
+    double decrement = 0.0;
     for (int i = 0; i < settings_.max_iterations; ++i) {
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
         Item& item = items[k];
@@ -461,12 +470,12 @@ class Estimator {
       Posterior next = combine(prior_, sums);
       out.status = next.status;
       if (out.status != Status::ok) return false;
-      const double decrement = moved(out.posterior.mean, next);
+      decrement = moved(out.posterior.mean, next);
       out.posterior = std::move(next);
       ++out.iterations;
       if (decrement < settings_.tolerance) return true;
     }
-    return false;
+    return decrement < settings_.settled;
   }
 
   // Squared distance of two estimates in units of the covariance.
