@@ -69,7 +69,7 @@ struct WrenchBlock {
 
   template <typename Active>
   Vector6 jerk(const Active& xi) const {
-    const Vector6 s = xi.transpose() * basis_second;
+    Vector6 s = xi.transpose() * basis_second;
     if (!reference) return s;
     return reference->point.displaced_jerk(xi.transpose() * reference->lower, xi.transpose() * basis,
                                            xi.transpose() * basis_rate, s);

@@ -115,7 +115,7 @@ class Estimator {
           intervals >= 8 * settings_.map_window_intervals)
         break;
     }
-    predict(items, out);
+    if (out.status == Status::ok) predict(items, out);
     out.gates = gates_;
     return out;
   }
@@ -335,6 +335,7 @@ class Estimator {
           out.iterations += fit.iterations;
           items.push_back({l, window, {}});
           items.back().fit.status = fit.status;
+          items.back().fit.theta = prior.mean;
           items.back().fit.spline = std::move(fit.spline);
           items.back().fit.x = std::move(fit.x);
           may_extend = true;
