@@ -7,6 +7,7 @@ it, together with the gain (docs/method.md, "Joints").
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -21,7 +22,7 @@ from truewrench.rig import Rig
 from truewrench.robot import BaseMotion, Robot, robot_of, rotation_of
 from truewrench.smooth import segments
 
-__all__ = ["TrackedStream", "track", "tracked_streams"]
+__all__ = ["TrackedStream", "track", "tracked", "tracked_streams"]
 
 Array = NDArray[np.float64]
 
@@ -30,25 +31,52 @@ _WIDER = 2.0  # knots of the reference, in units of the coarsest that the encode
 _SITES = 4.0  # knots of its twist in one of those
 _EXACT = 1e-6  # variance of a direction that no joint moves, relative to the others'
 _LOOSE = 100.0  # sigma of what is put into a gap, in units of the encoders'
+_ANCHORS = 0.25  # [s] between the rows at which integrated velocities tell a position, but
+_APART = 4  # rows at least: these samples have no noise that could be judged
+
+
+def tracked(rig: Rig, logs: Sequence[Log]) -> list[Log]:
+    """Logs with their tracking, where the rig has joints and a log has none yet.
+
+    Raises:
+        InputError: as for `track`, and for a log of joints with a rig of twists.
+    """
+    if rig.motion.source == "joints":
+        return [track(rig, log) if log.tracking is None else log for log in logs]
+    for log in logs:
+        if log.tracking is not None:
+            raise InputError.at(rig.path, "motion.source", "`twist`", "`joints`, with which the log was read")
+    return list(logs)
 
 
 def track(rig: Rig, log: Log) -> Log:
     """The log of a joint rig with the twist, the gravity and the tracking of its sensor.
 
     With `motion.position_noise` encoders and tachometers are followed together; without it logged positions
-    are exact, and velocities alone are measurements; without logged positions these are integrated.
+    are exact, and velocities alone are measurements; without logged positions these are integrated. A log
+    with a wrench known from elsewhere needs no joints.
 
     Raises:
         InputError: for streams that leave the motion undetermined.
     """
     if log.position is None and log.velocity is None:
-        return log
-    robot, base = robot_of(rig), _Base(log)
+        if log.reference is not None:
+            return log
+        raise InputError.at(log.path, "", "no joints", "positions `q_*` or velocities `dq_*`")
+    robot = robot_of(rig)
+    for name, values in (("position", log.position), ("velocity", log.velocity)):
+        if values is not None and values.shape[1] != robot.n:
+            expected = f"{robot.n}: {', '.join(robot.joints)}"
+            raise InputError.at(log.path, name, f"{values.shape[1]} joints", expected)
+    base = _Base(rig, log)
+    within = replace(log, position=base.within(log.position), velocity=base.within(log.velocity))
     if log.position is None:
-        return _integrated(rig, robot, base, log)
-    if rig.motion.position_noise is not None:
-        return _encoders(rig, robot, base, log)
-    return _exact_positions(rig, robot, base, log)
+        found = _integrated(rig, robot, base, within)
+    elif rig.motion.position_noise is not None:
+        found = _encoders(rig, robot, base, within)
+    else:
+        found = _exact_positions(rig, robot, base, within)
+    return replace(found, position=log.position, velocity=log.velocity)
 
 
 def _encoders(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
@@ -74,13 +102,16 @@ def _encoders(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
 def _integrated(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     """Velocities alone: positions are their integral, and walk away from the truth with their noise.
 
-    What is known of a position after a time t is sigma sqrt(t dt). Its error is one for the whole log: all
-    samples together are given no more information than one of them has.
+    What is known of a position after a time t is sigma sqrt(t dt). Its error is one for the whole log: a few
+    rows say so, which together are given no more information than one of them has.
     """
     if rig.motion.initial_position is None:
         raise InputError.at(
             rig.path, "motion.initial_position", "nothing", "joint positions: the log has none"
         )
+    if rig.motion.noise is None:
+        expected = "1 sigma of the velocities: the log has no positions"
+        raise InputError.at(rig.path, "motion.noise", "nothing", expected)
     rows = _rows(log, log.velocity, "dq_*")
     time, sigma = log.time[rows], rig.motion.noise_array
     nothing = (np.zeros(0), np.zeros((0, robot.n)), np.zeros(0))
@@ -88,10 +119,11 @@ def _integrated(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     fit = fit.shifted(np.array(rig.motion.initial_position) - fit.position(time[:1])[0])
     period = float(np.median(np.diff(time)))
     walked = np.sqrt(period * (time - time[0] + period))[:, None] * sigma
-    nowhere = np.zeros((rows.size, robot.n))
-    found = _about(rig, robot, base, log, fit, _on_rows(log, rows, nowhere), rows)
+    chosen = np.arange(0, rows.size, max(_APART, round(_ANCHORS / period)))
+    nowhere = _on_rows(log, rows[chosen], np.zeros((chosen.size, robot.n)))
+    found = _about(rig, robot, base, log, fit, nowhere, rows)
     assert found.tracking is not None
-    known = _on_rows(log, rows, np.sqrt(rows.size) * walked)
+    known = _on_rows(log, rows[chosen], np.sqrt(chosen.size) * walked[chosen])
     return replace(found, tracking=replace(found.tracking, position_sigma=known))
 
 
@@ -142,10 +174,10 @@ def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
         expected = "joint velocities, where position_noise is not given"
         raise InputError.at(log.path, "header", "no column dq_*", expected)
     rows, known = _rows(log, log.velocity, "dq_*"), _rows(log, log.position, "q_*")
+    rows = rows[_covered(log.time[known], log.time[rows])]
     time, q = log.time[rows], _of(log.position, rows)
     if not np.isin(rows, known).all():
-        spline = CubicSpline(log.time[known], _of(log.position, known), axis=0)
-        q = np.asarray(spline(np.clip(time, *log.time[known][[0, -1]])))
+        q = np.asarray(CubicSpline(log.time[known], _of(log.position, known), axis=0)(time))
     J = robot.jacobian(q)
     fall = _gravity(rig, robot, base, q, time)
     twist = np.einsum("kij,kj->ki", J, _of(log.velocity, rows)) + base.at_sensor(robot, q, time)
@@ -185,11 +217,19 @@ def _gravity(rig: Rig, robot: Robot, base: _Base, q: Array, time: Array) -> Arra
 
 
 class _Base:
-    """The motion of the robot's root at any time, as exact as it is logged; at rest where it is not."""
+    """The motion of the robot's root, exact, between the rows that tell it; at rest where none does."""
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, rig: Rig, log: Log) -> None:
+        if log.base_twist is not None and log.base_attitude is None and rig.in_gravity:
+            expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
+            raise InputError.at(log.path, "", "`base_vx` ... `base_wz`, a base that moves", expected)
+        self._covered = np.ones(len(log.time_ns), dtype=np.bool_)
         self._twist = self._spline(log, log.base_twist, "base_v*, base_w*")
         self._attitude = self._spline(log, _continuous(log.base_attitude), "base_q*")
+
+    def within(self, joints: Array | None) -> Array | None:
+        """Joints (N, n) of the rows at which the motion of the base is known, NaN elsewhere."""
+        return None if joints is None else np.where(self._covered[:, None], joints, np.nan)
 
     def motion(self, time: Array) -> BaseMotion | None:
         """Twist and its derivative at times (N,) of the log, None at rest."""
@@ -206,13 +246,13 @@ class _Base:
         motion, still = self.motion(time), np.zeros_like(q)
         return np.zeros((len(q), 6)) if motion is None else robot.motion(q, still, still, motion).twist
 
-    @staticmethod
-    def _spline(log: Log, values: Array | None, columns: str) -> CubicSpline | None:
+    def _spline(self, log: Log, values: Array | None, columns: str) -> CubicSpline | None:
         if values is None:
             return None
         rows = np.flatnonzero(np.isfinite(values).all(axis=1))
         if rows.size < 4:
             raise InputError.at(log.path, columns, f"{rows.size} complete rows", "at least 4")
+        self._covered &= _covered(log.time[rows], log.time)
         return CubicSpline(log.time[rows], values[rows], axis=0)
 
 
@@ -239,6 +279,14 @@ def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:
             log.path, columns, found, f"at least {_FEWEST} rows with all joints, and most of them"
         )
     return rows
+
+
+def _covered(known: Array, at: Array) -> NDArray[np.bool_]:
+    """Whether times (N,) lie between samples of a stream, and in no gap of it."""
+    inside = np.zeros(at.size, dtype=np.bool_)
+    for piece in segments(known):
+        inside |= (at >= known[piece.start]) & (at <= known[piece.stop - 1])
+    return inside
 
 
 def _of(values: Array | None, rows: NDArray[np.int64]) -> Array:
@@ -297,7 +345,8 @@ def tracked_streams(rig: Rig, log: Log) -> list[TrackedStream]:
 
         J (qd - qd_ref) = dxi/dt - Jdot (q - q_ref) = dxi/dt - Jdot J^# xi,
 
-    J^# being the inverse that the noise of the encoders weighs: what of q moves no sensor is not seen.
+    J^# being the inverse that the noise of the encoders weighs: what of q moves no sensor is not seen. The
+    first stream is that of the encoders, but for velocities alone.
     """
     tracking, sigma = log.tracking, rig.motion.noise_array
     assert tracking is not None
@@ -323,7 +372,7 @@ def tracked_streams(rig: Rig, log: Log) -> list[TrackedStream]:
         weighted = np.einsum("j,kij->kji", sigma_q**2, J)  # Sigma J^T
         coupling = -tracking.jacobian_rate[rows] @ weighted @ np.linalg.inv(_covariance(J, sigma_q))
         streams.append(TrackedStream(1, rows, faster, _covariance(J, sigma), np.ascontiguousarray(coupling)))
-    return streams
+    return streams if known is None else streams[::-1]
 
 
 def _covariance(J: Array, sigma: Array) -> Array:
