@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from truewrench.errors import InputError
@@ -28,7 +29,8 @@ Array = NDArray[np.float64]
 
 _FEWEST = 16  # rows of a joint stream that a motion can be made of
 _WIDER = 2.0  # knots of the reference, in units of the coarsest that the encoders accept (docs/method.md)
-_SITES = 4.0  # knots of its twist in one of those
+_SITES = 8.0  # knots of its twist in one of those
+_FALLS = 2  # and samples of its gravity, between which the core interpolates cubically, in one of these
 _EXACT = 1e-6  # variance of a direction that no joint moves, relative to the others'
 _LOOSE = 100.0  # sigma of what is put into a gap, in units of the encoders'
 _ANCHORS = 0.25  # [s] between the rows at which integrated velocities tell a position, but
@@ -119,10 +121,11 @@ def _integrated(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     fit = fit.shifted(np.array(rig.motion.initial_position) - fit.position(time[:1])[0])
     period = float(np.median(np.diff(time)))
     walked = np.sqrt(period * (time - time[0] + period))[:, None] * sigma
-    chosen = np.arange(0, rows.size, max(_APART, round(_ANCHORS / period)))
-    nowhere = _on_rows(log, rows[chosen], np.zeros((chosen.size, robot.n)))
-    found = _about(rig, robot, base, log, fit, nowhere, rows)
+    departure = _of(log.velocity, rows) - fit.velocity(time)
+    moved = _on_rows(log, rows, cumulative_trapezoid(departure, time, axis=0, initial=0))
+    found = _about(rig, robot, base, log, fit, moved, rows)
     assert found.tracking is not None
+    chosen = np.arange(0, rows.size, max(_APART, round(_ANCHORS / period)))
     known = _on_rows(log, rows[chosen], np.sqrt(chosen.size) * walked[chosen])
     return replace(found, tracking=replace(found.tracking, position_sigma=known))
 
@@ -143,23 +146,20 @@ def _about(
         rows = np.union1d(rows, velocities)
     time = log.time[rows]
     at, rate = fit.position(time), fit.velocity(time)
-    J = robot.jacobian(at)
-    twist = np.full((len(moved), 6), np.nan)
-    twist[rows] = reference.motion(time)[0]
+    q = at + np.nan_to_num(moved[rows])
+    twist = _on_rows(log, rows, reference.motion(time)[0])
     faster = None
     if velocities is not None:
-        departure = _of(log.velocity, velocities) - fit.velocity(log.time[velocities])
-        faster, chosen = _on_rows(log, velocities, departure), np.searchsorted(rows, velocities)
-        measured = twist[velocities] + np.einsum("kij,kj->ki", J[chosen], departure)
-        twist[:] = np.nan
-        twist[velocities] = measured
-    fall = _gravity(rig, robot, base, at, time)
+        qd, chosen = _of(log.velocity, velocities), np.searchsorted(rows, velocities)
+        faster = _on_rows(log, velocities, qd - fit.velocity(log.time[velocities]))
+        twist = _on_rows(log, velocities, _twist(robot, base, q[chosen], qd, log.time[velocities]))
+    fall = _gravity(rig, robot, base, q, time)
     return replace(
         log,
         twist=twist,
         gravity=None if fall is None else _on_rows(log, rows, fall),
         tracking=Tracking(
-            jacobian=_on_rows(log, rows, J),
+            jacobian=_on_rows(log, rows, robot.jacobian(at)),
             jacobian_rate=_on_rows(log, rows, robot.jacobian_rate(at, rate)),
             position_departure=moved,
             velocity_departure=faster,
@@ -178,14 +178,12 @@ def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     time, q = log.time[rows], _of(log.position, rows)
     if not np.isin(rows, known).all():
         q = np.asarray(CubicSpline(log.time[known], _of(log.position, known), axis=0)(time))
-    J = robot.jacobian(q)
     fall = _gravity(rig, robot, base, q, time)
-    twist = np.einsum("kij,kj->ki", J, _of(log.velocity, rows)) + base.at_sensor(robot, q, time)
     return replace(
         log,
-        twist=_on_rows(log, rows, twist),
+        twist=_on_rows(log, rows, _twist(robot, base, q, _of(log.velocity, rows), time)),
         gravity=None if fall is None else _on_rows(log, rows, fall),
-        tracking=Tracking(jacobian=_on_rows(log, rows, J)),
+        tracking=Tracking(jacobian=_on_rows(log, rows, robot.jacobian(q))),
     )
 
 
@@ -197,14 +195,20 @@ def _reference(rig: Rig, robot: Robot, base: _Base, log: Log, fit: JointSpline) 
     sites[[0, -1]] = fit.begin, fit.end
     q = fit.position(sites)
     moving = robot.motion(q, fit.velocity(sites), fit.acceleration(sites), base.motion(sites))
+    time = np.linspace(fit.begin, fit.end, _FALLS * count + 1)
     return Reference(
         origin_ns=int(log.time_ns[0]),
         breakpoints=breakpoints,
         twist=np.ascontiguousarray(make_interp_spline(sites, moving.twist, k=5, t=knots).c),
         spacing=fit.spacing,
-        gravity_time=sites,
-        gravity=_gravity(rig, robot, base, q, sites),
+        gravity_time=time,
+        gravity=_gravity(rig, robot, base, fit.position(time), time),
     )
+
+
+def _twist(robot: Robot, base: _Base, q: Array, qd: Array, time: Array) -> Array:
+    """(N, 6) of the sensor's origin, sensor axes."""
+    return robot.motion(q, qd, np.zeros_like(q), base.motion(time)).twist
 
 
 def _gravity(rig: Rig, robot: Robot, base: _Base, q: Array, time: Array) -> Array | None:
@@ -240,11 +244,6 @@ class _Base:
         if self._attitude is None:
             return np.tile(np.eye(3), (len(time), 1, 1))
         return rotation_of(np.asarray(self._attitude(time)))
-
-    def at_sensor(self, robot: Robot, q: Array, time: Array) -> Array:
-        """Twist (N, 6) of the sensor's origin, sensor axes, with the joints at rest."""
-        motion, still = self.motion(time), np.zeros_like(q)
-        return np.zeros((len(q), 6)) if motion is None else robot.motion(q, still, still, motion).twist
 
     def _spline(self, log: Log, values: Array | None, columns: str) -> CubicSpline | None:
         if values is None:
@@ -343,10 +342,10 @@ def tracked_streams(rig: Rig, log: Log) -> list[TrackedStream]:
     Without a reference the twist J qd is a measurement with the covariance J Sigma J^T ([A00] 26). About one,
     encoders measure the displacement xi = J (q - q_ref), and tachometers
 
-        J (qd - qd_ref) = dxi/dt - Jdot (q - q_ref) = dxi/dt - Jdot J^# xi,
+        J (qd - qd_ref) + Jdot (E - J^# J) (q - q_ref) = dxi/dt - Jdot J^# xi,
 
-    J^# being the inverse that the noise of the encoders weighs: what of q moves no sensor is not seen. The
-    first stream is that of the encoders, but for velocities alone.
+    J^# being the inverse that the noise of the encoders weighs. What of q moves no sensor is no part of xi,
+    but as the encoders tell it. Their stream is the first, but for velocities alone.
     """
     tracking, sigma = log.tracking, rig.motion.noise_array
     assert tracking is not None
@@ -355,24 +354,32 @@ def tracked_streams(rig: Rig, log: Log) -> list[TrackedStream]:
         rows = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
         return [TrackedStream(0, rows, log.twist[rows], _covariance(tracking.jacobian[rows], sigma))]
     assert tracking.position_departure is not None
-    assert tracking.jacobian_rate is not None
-    rows = np.flatnonzero(np.isfinite(tracking.position_departure).all(axis=1))
-    known = tracking.position_sigma
-    sigma_q = (
-        np.ones(rig.motion.noise_array.size) if known is not None else np.array(rig.motion.position_noise)
-    )
+    known, told = tracking.position_sigma, np.isfinite(tracking.position_departure).all(axis=1)
+    rows = np.flatnonzero(told if known is None else told & np.isfinite(known).all(axis=1))
     J = tracking.jacobian[rows]
-    moved = np.einsum("kij,kj->ki", J, tracking.position_departure[rows])
-    covariance = _covariance(J, sigma_q) if known is None else _covariance(J * known[rows][:, None], sigma_q)
-    streams = [TrackedStream(0, rows, moved, covariance)]
-    if tracking.velocity_departure is not None:
-        rows = np.flatnonzero(np.isfinite(tracking.velocity_departure).all(axis=1))
-        J = tracking.jacobian[rows]
-        faster = np.einsum("kij,kj->ki", J, tracking.velocity_departure[rows])
-        weighted = np.einsum("j,kij->kji", sigma_q**2, J)  # Sigma J^T
-        coupling = -tracking.jacobian_rate[rows] @ weighted @ np.linalg.inv(_covariance(J, sigma_q))
-        streams.append(TrackedStream(1, rows, faster, _covariance(J, sigma), np.ascontiguousarray(coupling)))
+    sigma_q = np.ones(J.shape[2]) if known is not None else np.array(rig.motion.position_noise)
+    covariance = _covariance(J if known is None else J * known[rows][:, None], sigma_q)
+    streams = [TrackedStream(0, rows, _times(J, tracking.position_departure[rows]), covariance)]
+    if tracking.velocity_departure is None:
+        return streams
+    assert tracking.jacobian_rate is not None
+    rows = np.flatnonzero(np.isfinite(tracking.velocity_departure).all(axis=1))
+    J, J_rate = tracking.jacobian[rows], tracking.jacobian_rate[rows]
+    weighted = np.einsum("j,kij->kji", sigma_q**2, J)  # Sigma J^T
+    inverse = weighted @ np.linalg.inv(_covariance(J, sigma_q))
+    unseen = J_rate @ (np.eye(sigma_q.size) - inverse @ J)  # Jdot (E - J^# J)
+    at = log.time[told]
+    q = np.column_stack([np.interp(log.time[rows], at, x) for x in tracking.position_departure[told].T])
+    faster = _times(J, tracking.velocity_departure[rows]) + _times(unseen, q)
+    covariance = _covariance(J, sigma)
+    if known is None:
+        covariance += np.einsum("kij,j,klj->kil", unseen, sigma_q**2, unseen)
+    streams.append(TrackedStream(1, rows, faster, covariance, np.ascontiguousarray(-J_rate @ inverse)))
     return streams if known is None else streams[::-1]
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray(np.einsum("kij,kj->ki", matrices, vectors))
 
 
 def _covariance(J: Array, sigma: Array) -> Array:
