@@ -39,6 +39,7 @@ from truewrench.arm_simulation.run import Moved, arm_with, move, record
 from truewrench.files import write_yaml
 from truewrench.io.plans import joint_columns, read_joint_plan
 from truewrench.io.tables import write_table
+from truewrench.planning.planner import plan
 from truewrench.rig import Rig, load_rig
 from truewrench.robot import robot_of
 from truewrench.track import track
@@ -66,7 +67,10 @@ def planned(name: str, motion: str, folder: Path) -> Path:
     path = folder / f"{name}-{motion}.csv"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        write_sines(rig_of(name), path)
+        if motion == "optimal":
+            plan(rig_of(name)).write(path)
+        else:
+            write_sines(rig_of(name), path)
     return path
 
 
@@ -85,44 +89,48 @@ def write_sines(rig: Rig, path: Path) -> None:
         columns |= dict(zip(names, values.T, strict=True))
     gain = rig.sensor.nominal_gain_array
     covariance = bound_common.bound_of(
-        rig, bound_arm.linearised(rig, arm, motion), gain, motion.duration, spacing(rig)
+        rig, bound_arm.linearised(rig, arm, motion), gain, motion.duration, spacing(rig, motion.duration)
     )
     sigma = np.sqrt(np.diag(covariance)).reshape(gain.shape) / normalised(rig, np.ones_like(gain))
-    write_yaml(path.with_name(path.name + ".plan.yaml"), {"predicted_gain_std": sigma.tolist()})
+    write_yaml(
+        path.with_name(path.name + ".plan.yaml"),
+        {"period": motion.duration, "predicted_gain_std": sigma.tolist()},
+    )
     write_table(path, columns)
 
 
-def spacing(rig: Rig) -> float:
-    """Of the knots of the bound [s]."""
-    return rig.plan.duration / rig.plan.harmonics / KNOTS
+def spacing(rig: Rig, period: float) -> float:
+    """Of the knots of the bound, for a motion that repeats itself after a period [s]."""
+    return period / rig.plan.harmonics / KNOTS
 
 
 @cache
-def moved(name: str, plan: Path) -> tuple[Arm, SplineJoints, Moved]:
+def moved(name: str, path: Path) -> tuple[Arm, SplineJoints, Moved]:
     """The arm, its plan, and what it makes of it."""
     rig = rig_of(name)
     robot = robot_of(rig)
     body = stated(next(iter(rig.payloads.values())))
-    trajectory = read_joint_plan(plan, robot.joints)
+    trajectory = read_joint_plan(path, robot.joints)
     arm = arm_with(rig, robot, body)
     return arm, trajectory, move(rig, robot, trajectory, body, 0.0)
 
 
 @cache
-def linear(name: str, plan: Path) -> bound_common.Linearised:
+def linear(name: str, path: Path) -> bound_common.Linearised:
     """The wrench about an arm's plan."""
-    arm, trajectory, _ = moved(name, plan)
+    arm, trajectory, _ = moved(name, path)
     return bound_arm.linearised(rig_of(name), arm, trajectory)
 
 
-def run(name: str, plan: Path, campaign: int, estimator: str, index: int) -> runs.Row:
+def run(name: str, path: Path, campaign: int, estimator: str, index: int) -> runs.Row:
     """One row."""
     rig = rig_of(name)
-    _, trajectory, movement = moved(name, plan)
+    _, trajectory, movement = moved(name, path)
     payload, truth = begin(rig, None, 1_000_003 * campaign + index)
     log = record(rig, payload, truth, movement)
     row, found = runs.calibrated(rig, track(rig, log), truth.gain, estimator=estimator)
-    covariance = bound_common.bound_of(rig, linear(name, plan), truth.gain, trajectory.duration, spacing(rig))
+    knots = spacing(rig, promise(path)["period"])
+    covariance = bound_common.bound_of(rig, linear(name, path), truth.gain, trajectory.duration, knots)
     row["bound"] = bound_common.rms(covariance)
     row["disagreement"] = movement.disagreement
     if found is not None:
@@ -135,20 +143,25 @@ def normalised(rig: Rig, gain: Array) -> Array:
     return np.asarray(gain * rig.sensor.range_array / rig.sensor.channel_scale[:, None])
 
 
-def promised(name: str, plan: Path) -> Array:
+@cache
+def promise(path: Path) -> dict[str, Any]:
+    """What stands beside a plan."""
+    return dict(yaml.safe_load(path.with_name(path.name + ".plan.yaml").read_text()))
+
+
+def promised(name: str, path: Path) -> Array:
     """Normalised sigma (6n,) that the plan promises."""
-    document = yaml.safe_load(plan.with_name(plan.name + ".plan.yaml").read_text())
-    return normalised(rig_of(name), np.array(document["predicted_gain_std"])).ravel()
+    return normalised(rig_of(name), np.array(promise(path)["predicted_gain_std"])).ravel()
 
 
-def line(name: str, plan: Path, rows: Sequence[runs.Row]) -> list[Any]:
+def line(name: str, path: Path, rows: Sequence[runs.Row]) -> list[Any]:
     """A row of the table."""
     found = [r for r in rows if r["outcome"] == "calibrated" and np.isfinite(r["rms"])]
     usable = sum(bool(r["usable"]) for r in rows)
     if not found:
         return [name, len(rows), f"{usable / len(rows):.0%}", *["-"] * 7]
     error = np.array([r["errors"] for r in found])
-    sigma = promised(name, plan)
+    sigma = promised(name, path)
     rms = np.sqrt(np.mean(error**2))
     each = np.sqrt(np.mean(error**2, axis=0)) / sigma
     total = error.shape[1] * len(found)
@@ -177,17 +190,17 @@ HEADER = (
 def main() -> None:
     parser = runs.arguments(__doc__, runs=50)
     parser.add_argument("--arm", default=",".join(robots.NAMES), help="names, separated by commas")
-    parser.add_argument("--motion", choices=["default"], default="default")
+    parser.add_argument("--motion", choices=["optimal", "default"], default="optimal")
     parser.add_argument("--estimator", default="map")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         lines, reasons = [], []
         for name in options.arm.split(","):
-            plan = planned(name, options.motion, Path(scratch) if options.out is None else options.out)
-            work = partial(run, name, plan, options.seed, options.estimator)
-            settings = ["chain", name, options.seed, options.estimator, plan.read_text()]
+            path = planned(name, options.motion, Path(scratch) if options.out is None else options.out)
+            work = partial(run, name, path, options.seed, options.estimator)
+            settings = ["chain", name, options.seed, options.estimator, path.read_text()]
             rows = runs.gather(work, range(options.runs), options.out, options.workers, settings)
-            lines.append(line(name, plan, rows))
+            lines.append(line(name, path, rows))
             reasons += [(name, kind, count) for kind, count in runs.reasons_of(rows).most_common()]
     runs.table(HEADER, lines)
     if reasons:

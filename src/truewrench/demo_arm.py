@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import robots
-from truewrench.arm_simulation import ArmRun, simulate_arm
+from truewrench.arm_simulation import ArmRun, simulate_arm, simulate_plan
 from truewrench.calibration import Calibration
+from truewrench.errors import UnsupportedError
 from truewrench.figures_arm import driven_figure, gain_figure
 from truewrench.files import write_yaml
 from truewrench.io.tables import read_log
 from truewrench.pipeline import calibrate
+from truewrench.planning.planner import plan as make_plan
+from truewrench.planning.result import Plan
 from truewrench.rig import Rig, load_rig
 from truewrench.trial import nees
 from truewrench.validation import Validation, validate
@@ -43,11 +46,20 @@ def run_arm(
 
     Raises:
         InputError: for an arm that is neither packaged nor a rig.
+        UnsupportedError: for a rig without an arm.
     """
     tell = progress or (lambda phase, share: None)
-    rig = _copy(load_rig(arm if Path(arm).exists() else robots.path(arm)), output)
-    tell("motion", None)
-    run = simulate_arm(rig, seed=seed)
+    rig = load_rig(arm if Path(arm).exists() else robots.path(arm))
+    if rig.motion.source != "joints":
+        raise UnsupportedError.at(rig.path, "motion.source", rig.motion.source, "`joints`: an arm")
+    rig = _copy(rig, output)
+    plan = make_plan(rig, progress=tell)
+    plan_path, promise_path = plan.write(output / "plan.csv")
+    files = [output / "rig.yaml", plan_path, promise_path]
+    if not plan.feasible:
+        return _result(files, {"predicted_rms": plan.predicted_rms}, plan.violations, _no_motion(plan))
+    tell("the arm moves", None)
+    run = simulate_plan(rig, plan_path, seed=seed)
     log_path, truth_path = run.write(output / "run.csv")
     tell("calibration", None)
     calibration = calibrate(rig, read_log(log_path, rig))
@@ -60,23 +72,27 @@ def run_arm(
     validation_path = output / "validation.yaml"
     validation.write_yaml(validation_path)
     tell("figures", None)
-    figures = _figures(rig, run, calibration)
+    figures = _figures(rig, run, calibration) | {
+        "predicted_rms": plan.predicted_rms,
+        "planning_seconds": plan.seconds,
+        "axes": {name: axis.ratio for name, axis in validation.axes.items()},
+    }
     pictures = [output / "driven.png", output / "gain.png"]
     _draw_driven(pictures[0], rig, run)
-    _draw_gain(pictures[1], rig, run, calibration, figures)
+    _draw_gain(pictures[1], run, calibration, plan, figures)
+    files += [log_path, truth_path, calibration_path, other_path, other_truth, validation_path, *pictures]
     reasons = [*calibration.verdict.reasons, *_own_reasons(calibration, validation)]
-    files = [
-        output / "rig.yaml", log_path, truth_path, calibration_path, other_path, other_truth,
-        validation_path, *pictures,
-    ]  # fmt: skip
+    return _result(files, figures, reasons, _text(rig, run, calibration, validation, figures))
+
+
+def _result(
+    files: Sequence[Path], figures: dict[str, Any], reasons: Sequence[str], text: str
+) -> dict[str, Any]:
     return {
         "outputs": [str(file) for file in files],
-        "figures": figures | {"axes": {name: axis.ratio for name, axis in validation.axes.items()}},
-        "verdict": {
-            "usable": calibration.verdict.usable and validation.verdict.usable,
-            "reasons": reasons,
-        },
-        "text": _text(rig, run, calibration, validation, figures),
+        "figures": figures,
+        "verdict": {"usable": not reasons, "reasons": list(reasons)},
+        "text": text,
     }
 
 
@@ -142,25 +158,34 @@ def _draw_driven(path: Path, rig: Rig, run: ArmRun) -> None:
     driven_figure(path, run.joints, time, joints.velocity, error, (run.moved.stamps.shown, share), caption)
 
 
-def _draw_gain(path: Path, rig: Rig, run: ArmRun, calibration: Calibration, figures: dict[str, Any]) -> None:
-    error, covariance = _error(rig, run, calibration)
+def _draw_gain(
+    path: Path, run: ArmRun, calibration: Calibration, plan: Plan, figures: dict[str, Any]
+) -> None:
+    error, covariance = _error(plan.rig, run, calibration)
     shape = run.truth.gain.shape
     sigma = np.sqrt(np.diag(covariance)).reshape(shape)
     largest = float(np.abs(error.reshape(shape) / sigma).max())
     caption = (
         f"Sigma of the {error.size} normalised gains and the errors of this run. Before, the gains were off "
-        f"by {figures['rms_start']:.2g} (RMS), now by {figures['rms_error']:.2g}, with a stated sigma of "
-        f"{figures['rms_stated']:.2g}. The largest error is {largest:.1f} sigma, and all errors together are "
-        f"{figures['nees']:.2f} times as large (squared) as their covariance says. Conclusion: "
+        f"by {figures['rms_start']:.2g} (RMS), now by {figures['rms_error']:.2g}; the plan promised a sigma "
+        f"of {figures['predicted_rms']:.2g}, the calibration states {figures['rms_stated']:.2g}. The largest "
+        f"error is {largest:.1f} sigma, and all errors together are {figures['nees']:.2f} times as large "
+        "(squared) as their covariance says. Conclusion: "
         + ("nothing in this run speaks against sigma." if figures["nees"] < 2.0 else "sigma is too small.")
     )
-    stated = [("sigma that the calibration states", sigma)]
-    gain_figure(path, rig.sensor.channels, stated, error.reshape(shape), caption)
+    promised = () if plan.prediction is None else (("sigma that the plan promised", plan.prediction.std),)
+    both = [*promised, ("sigma that the calibration states", sigma)]
+    gain_figure(path, plan.rig.sensor.channels, both, error.reshape(shape), caption)
 
 
 def _own_reasons(calibration: Calibration, validation: Validation) -> tuple[str, ...]:
     """What the other motion says against the calibration, but not what that says of itself (the first)."""
     return validation.verdict.reasons[0 if calibration.verdict.usable else 1 :]
+
+
+def _no_motion(plan: Plan) -> str:
+    lines = ["no motion keeps to the limits:", *(f"  - {words}" for words in plan.violations)]
+    return "\n".join(lines) + "\n"
 
 
 def _text(
@@ -174,7 +199,8 @@ def _text(
         f"wrench up to {100 * figures['largest_share_of_range']:.0f}% of range, "
         f"Newton-Euler to {figures['newton_euler_disagreement']:.0e}",
         f"gains (normalised, RMS): off by {figures['rms_start']:.4f} before, "
-        f"{figures['rms_error']:.5f} after; stated sigma {figures['rms_stated']:.5f}"
+        f"{figures['rms_error']:.5f} after; stated sigma {figures['rms_stated']:.5f}, promised "
+        f"{figures['predicted_rms']:.5f}"
         + ("" if figures["rms_bound"] is None else f", bound {figures['rms_bound']:.5f}")
         + f"; NEES/{run.truth.gain.size} {figures['nees']:.2f}",
         "",

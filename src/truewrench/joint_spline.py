@@ -74,7 +74,8 @@ def fit_joints(
         velocities: times (M,), values (M, n); M may be 0.
         sigma_position: (n,) 1 sigma of a position.
         sigma_velocity: (n,) 1 sigma of a velocity.
-        wider: knots of the result, in units of the coarsest whose residuals the noise explains.
+        wider: knots of the result, in units of the coarsest whose residuals the noise explains: that which is
+            stated, or where no knots make it so, that of the finest knots' residuals.
     """
     time_q, _, _ = positions
     time_qd, _ = velocities
@@ -82,15 +83,23 @@ def fit_joints(
     begin, end = float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
     samples = max(time_q.size, time_qd.size)
     finest = max(1, int(samples / _SAMPLES_PER_COEFFICIENT) - _DEGREE)
-    intervals = min(finest, max(1, int((end - begin) / 4.0)))
+    coarsest = min(finest, max(1, int((end - begin) / 4.0)))
+
+    def fit(intervals: int) -> tuple[BSpline, Array, float]:
+        return _fit(positions, velocities, sigma_position, sigma_velocity, begin, end, intervals)
+
+    intervals, level = coarsest, np.ones(sigma_position.size)
     while True:
-        spline, accepted = _fit(positions, velocities, sigma_position, sigma_velocity, begin, end, intervals)
-        if accepted or intervals == finest:
+        spline, squares, freedom = fit(intervals)
+        if np.all(squares < level * (freedom + 3.0 * np.sqrt(2.0 * freedom))):
             break
+        if intervals == finest:  # noise larger than stated, which finer knots would follow: judged by itself
+            intervals, level = coarsest, np.maximum(1.0, squares / freedom)
+            continue
         intervals = min(finest, int(np.ceil(intervals * _FINER)))
     if wider > 1.0 and intervals > 1:
         intervals = max(1, round(intervals / wider))
-        spline, _ = _fit(positions, velocities, sigma_position, sigma_velocity, begin, end, intervals)
+        spline, _, _ = fit(intervals)
     return JointSpline(spline, (end - begin) / intervals)
 
 
@@ -102,8 +111,8 @@ def _fit(
     begin: float,
     end: float,
     intervals: int,
-) -> tuple[BSpline, bool]:
-    """The spline on uniform knots, and whether its residuals are as large as their noise says."""
+) -> tuple[BSpline, Array, float]:
+    """The spline on uniform knots, the squares (n,) of its residuals over their noise, and their freedom."""
     time_q, q, weight = positions
     time_qd, qd = velocities
     breakpoints = np.linspace(begin, end, intervals + 1)
@@ -127,8 +136,7 @@ def _fit(
     squares = np.sum((weight[:, None] * (q - of_q @ coefficients) / sigma_position) ** 2, axis=0)
     squares += np.sum(((qd - of_qd @ coefficients) / sigma_velocity) ** 2, axis=0)
     freedom = max(1.0, float(np.count_nonzero(weight == 1.0) + time_qd.size - size))
-    accepted = bool(np.all(squares / freedom < 1.0 + 3.0 * np.sqrt(2.0 / freedom)))
-    return BSpline(knots, coefficients, _DEGREE), accepted
+    return BSpline(knots, coefficients, _DEGREE), squares, freedom
 
 
 def _values(time: Array, knots: Array) -> csr_array:

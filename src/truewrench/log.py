@@ -52,8 +52,8 @@ class Tracking:
     Attributes:
         jacobian: (N, 6, n) of the sensor's origin, sensor axes; at the reference, if there is one.
         jacobian_rate: (N, 6, n) its derivative by time; None without a reference.
-        position_departure: (N, n) of the encoders from the reference [rad, m]; None without one.
-        position_sigma: (N, n) their noise, where it is not the rig's `position_noise`; None likewise.
+        position_departure: (N, n) of the positions from the reference [rad, m]; None without one.
+        position_sigma: (N, n) their noise at a few rows, where they are integrated velocities; else None.
         velocity_departure: (N, n) of the tachometers; None without a reference, or without tachometers.
         reference: None where positions are exact, and the twist is what was measured.
     """

@@ -35,6 +35,7 @@ from truewrench.known_wrench import (
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
 from truewrench.silence import still_twists
+from truewrench.track import tracked
 from truewrench.verdict import judge_reference, judge_windows
 
 __all__ = ["calibrate"]
@@ -96,6 +97,7 @@ def calibrate(
     )
     report = progress or (lambda phase, share: None)
     started = time.perf_counter()
+    records = tracked(rig, records)
     if wrench_is_known(rig, records, estimator):
         if window is not None:
             raise UnsupportedError.at(None, "window", f"{window:g} s", "nothing for logs with ref_* columns")

@@ -7,11 +7,13 @@ it, together with the gain (docs/method.md, "Joints").
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from truewrench.errors import InputError
@@ -21,34 +23,62 @@ from truewrench.rig import Rig
 from truewrench.robot import BaseMotion, Robot, robot_of, rotation_of
 from truewrench.smooth import segments
 
-__all__ = ["TrackedStream", "track", "tracked_streams"]
+__all__ = ["TrackedStream", "track", "tracked", "tracked_streams"]
 
 Array = NDArray[np.float64]
 
 _FEWEST = 16  # rows of a joint stream that a motion can be made of
 _WIDER = 2.0  # knots of the reference, in units of the coarsest that the encoders accept (docs/method.md)
-_SITES = 4.0  # knots of its twist in one of those
+_SITES = 8.0  # knots of its twist in one of those
+_FALLS = 2  # and samples of its gravity, between which the core interpolates cubically, in one of these
 _EXACT = 1e-6  # variance of a direction that no joint moves, relative to the others'
 _LOOSE = 100.0  # sigma of what is put into a gap, in units of the encoders'
+_ANCHORS = 0.25  # [s] between the rows at which integrated velocities tell a position, but
+_APART = 4  # rows at least: these samples have no noise that could be judged
+
+
+def tracked(rig: Rig, logs: Sequence[Log]) -> list[Log]:
+    """Logs with their tracking, where the rig has joints and a log has none yet.
+
+    Raises:
+        InputError: as for `track`, and for a log of joints with a rig of twists.
+    """
+    if rig.motion.source == "joints":
+        return [track(rig, log) if log.tracking is None else log for log in logs]
+    for log in logs:
+        if log.tracking is not None:
+            raise InputError.at(rig.path, "motion.source", "`twist`", "`joints`, with which the log was read")
+    return list(logs)
 
 
 def track(rig: Rig, log: Log) -> Log:
     """The log of a joint rig with the twist, the gravity and the tracking of its sensor.
 
     With `motion.position_noise` encoders and tachometers are followed together; without it logged positions
-    are exact, and velocities alone are measurements; without logged positions these are integrated.
+    are exact, and velocities alone are measurements; without logged positions these are integrated. A log
+    with a wrench known from elsewhere needs no joints.
 
     Raises:
         InputError: for streams that leave the motion undetermined.
     """
     if log.position is None and log.velocity is None:
-        return log
-    robot, base = robot_of(rig), _Base(log)
+        if log.reference is not None:
+            return log
+        raise InputError.at(log.path, "", "no joints", "positions `q_*` or velocities `dq_*`")
+    robot = robot_of(rig)
+    for name, values in (("position", log.position), ("velocity", log.velocity)):
+        if values is not None and values.shape[1] != robot.n:
+            expected = f"{robot.n}: {', '.join(robot.joints)}"
+            raise InputError.at(log.path, name, f"{values.shape[1]} joints", expected)
+    base = _Base(rig, log)
+    within = replace(log, position=base.within(log.position), velocity=base.within(log.velocity))
     if log.position is None:
-        return _integrated(rig, robot, base, log)
-    if rig.motion.position_noise is not None:
-        return _encoders(rig, robot, base, log)
-    return _exact_positions(rig, robot, base, log)
+        found = _integrated(rig, robot, base, within)
+    elif rig.motion.position_noise is not None:
+        found = _encoders(rig, robot, base, within)
+    else:
+        found = _exact_positions(rig, robot, base, within)
+    return replace(found, position=log.position, velocity=log.velocity)
 
 
 def _encoders(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
@@ -74,13 +104,16 @@ def _encoders(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
 def _integrated(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     """Velocities alone: positions are their integral, and walk away from the truth with their noise.
 
-    What is known of a position after a time t is sigma sqrt(t dt). Its error is one for the whole log: all
-    samples together are given no more information than one of them has.
+    What is known of a position after a time t is sigma sqrt(t dt). Its error is one for the whole log: a few
+    rows say so, which together are given no more information than one of them has.
     """
     if rig.motion.initial_position is None:
         raise InputError.at(
             rig.path, "motion.initial_position", "nothing", "joint positions: the log has none"
         )
+    if rig.motion.noise is None:
+        expected = "1 sigma of the velocities: the log has no positions"
+        raise InputError.at(rig.path, "motion.noise", "nothing", expected)
     rows = _rows(log, log.velocity, "dq_*")
     time, sigma = log.time[rows], rig.motion.noise_array
     nothing = (np.zeros(0), np.zeros((0, robot.n)), np.zeros(0))
@@ -88,10 +121,12 @@ def _integrated(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     fit = fit.shifted(np.array(rig.motion.initial_position) - fit.position(time[:1])[0])
     period = float(np.median(np.diff(time)))
     walked = np.sqrt(period * (time - time[0] + period))[:, None] * sigma
-    nowhere = np.zeros((rows.size, robot.n))
-    found = _about(rig, robot, base, log, fit, _on_rows(log, rows, nowhere), rows)
+    departure = _of(log.velocity, rows) - fit.velocity(time)
+    moved = _on_rows(log, rows, cumulative_trapezoid(departure, time, axis=0, initial=0))
+    found = _about(rig, robot, base, log, fit, moved, rows)
     assert found.tracking is not None
-    known = _on_rows(log, rows, np.sqrt(rows.size) * walked)
+    chosen = np.arange(0, rows.size, max(_APART, round(_ANCHORS / period)))
+    known = _on_rows(log, rows[chosen], np.sqrt(chosen.size) * walked[chosen])
     return replace(found, tracking=replace(found.tracking, position_sigma=known))
 
 
@@ -111,23 +146,20 @@ def _about(
         rows = np.union1d(rows, velocities)
     time = log.time[rows]
     at, rate = fit.position(time), fit.velocity(time)
-    J = robot.jacobian(at)
-    twist = np.full((len(moved), 6), np.nan)
-    twist[rows] = reference.motion(time)[0]
+    q = at + np.nan_to_num(moved[rows])
+    twist = _on_rows(log, rows, reference.motion(time)[0])
     faster = None
     if velocities is not None:
-        departure = _of(log.velocity, velocities) - fit.velocity(log.time[velocities])
-        faster, chosen = _on_rows(log, velocities, departure), np.searchsorted(rows, velocities)
-        measured = twist[velocities] + np.einsum("kij,kj->ki", J[chosen], departure)
-        twist[:] = np.nan
-        twist[velocities] = measured
-    fall = _gravity(rig, robot, base, at, time)
+        qd, chosen = _of(log.velocity, velocities), np.searchsorted(rows, velocities)
+        faster = _on_rows(log, velocities, qd - fit.velocity(log.time[velocities]))
+        twist = _on_rows(log, velocities, _twist(robot, base, q[chosen], qd, log.time[velocities]))
+    fall = _gravity(rig, robot, base, q, time)
     return replace(
         log,
         twist=twist,
         gravity=None if fall is None else _on_rows(log, rows, fall),
         tracking=Tracking(
-            jacobian=_on_rows(log, rows, J),
+            jacobian=_on_rows(log, rows, robot.jacobian(at)),
             jacobian_rate=_on_rows(log, rows, robot.jacobian_rate(at, rate)),
             position_departure=moved,
             velocity_departure=faster,
@@ -142,18 +174,16 @@ def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
         expected = "joint velocities, where position_noise is not given"
         raise InputError.at(log.path, "header", "no column dq_*", expected)
     rows, known = _rows(log, log.velocity, "dq_*"), _rows(log, log.position, "q_*")
+    rows = rows[_covered(log.time[known], log.time[rows])]
     time, q = log.time[rows], _of(log.position, rows)
     if not np.isin(rows, known).all():
-        spline = CubicSpline(log.time[known], _of(log.position, known), axis=0)
-        q = np.asarray(spline(np.clip(time, *log.time[known][[0, -1]])))
-    J = robot.jacobian(q)
+        q = np.asarray(CubicSpline(log.time[known], _of(log.position, known), axis=0)(time))
     fall = _gravity(rig, robot, base, q, time)
-    twist = np.einsum("kij,kj->ki", J, _of(log.velocity, rows)) + base.at_sensor(robot, q, time)
     return replace(
         log,
-        twist=_on_rows(log, rows, twist),
+        twist=_on_rows(log, rows, _twist(robot, base, q, _of(log.velocity, rows), time)),
         gravity=None if fall is None else _on_rows(log, rows, fall),
-        tracking=Tracking(jacobian=_on_rows(log, rows, J)),
+        tracking=Tracking(jacobian=_on_rows(log, rows, robot.jacobian(q))),
     )
 
 
@@ -165,14 +195,20 @@ def _reference(rig: Rig, robot: Robot, base: _Base, log: Log, fit: JointSpline) 
     sites[[0, -1]] = fit.begin, fit.end
     q = fit.position(sites)
     moving = robot.motion(q, fit.velocity(sites), fit.acceleration(sites), base.motion(sites))
+    time = np.linspace(fit.begin, fit.end, _FALLS * count + 1)
     return Reference(
         origin_ns=int(log.time_ns[0]),
         breakpoints=breakpoints,
         twist=np.ascontiguousarray(make_interp_spline(sites, moving.twist, k=5, t=knots).c),
         spacing=fit.spacing,
-        gravity_time=sites,
-        gravity=_gravity(rig, robot, base, q, sites),
+        gravity_time=time,
+        gravity=_gravity(rig, robot, base, fit.position(time), time),
     )
+
+
+def _twist(robot: Robot, base: _Base, q: Array, qd: Array, time: Array) -> Array:
+    """(N, 6) of the sensor's origin, sensor axes."""
+    return robot.motion(q, qd, np.zeros_like(q), base.motion(time)).twist
 
 
 def _gravity(rig: Rig, robot: Robot, base: _Base, q: Array, time: Array) -> Array | None:
@@ -185,11 +221,19 @@ def _gravity(rig: Rig, robot: Robot, base: _Base, q: Array, time: Array) -> Arra
 
 
 class _Base:
-    """The motion of the robot's root at any time, as exact as it is logged; at rest where it is not."""
+    """The motion of the robot's root, exact, between the rows that tell it; at rest where none does."""
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, rig: Rig, log: Log) -> None:
+        if log.base_twist is not None and log.base_attitude is None and rig.in_gravity:
+            expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
+            raise InputError.at(log.path, "", "`base_vx` ... `base_wz`, a base that moves", expected)
+        self._covered = np.ones(len(log.time_ns), dtype=np.bool_)
         self._twist = self._spline(log, log.base_twist, "base_v*, base_w*")
         self._attitude = self._spline(log, _continuous(log.base_attitude), "base_q*")
+
+    def within(self, joints: Array | None) -> Array | None:
+        """Joints (N, n) of the rows at which the motion of the base is known, NaN elsewhere."""
+        return None if joints is None else np.where(self._covered[:, None], joints, np.nan)
 
     def motion(self, time: Array) -> BaseMotion | None:
         """Twist and its derivative at times (N,) of the log, None at rest."""
@@ -201,18 +245,13 @@ class _Base:
             return np.tile(np.eye(3), (len(time), 1, 1))
         return rotation_of(np.asarray(self._attitude(time)))
 
-    def at_sensor(self, robot: Robot, q: Array, time: Array) -> Array:
-        """Twist (N, 6) of the sensor's origin, sensor axes, with the joints at rest."""
-        motion, still = self.motion(time), np.zeros_like(q)
-        return np.zeros((len(q), 6)) if motion is None else robot.motion(q, still, still, motion).twist
-
-    @staticmethod
-    def _spline(log: Log, values: Array | None, columns: str) -> CubicSpline | None:
+    def _spline(self, log: Log, values: Array | None, columns: str) -> CubicSpline | None:
         if values is None:
             return None
         rows = np.flatnonzero(np.isfinite(values).all(axis=1))
         if rows.size < 4:
             raise InputError.at(log.path, columns, f"{rows.size} complete rows", "at least 4")
+        self._covered &= _covered(log.time[rows], log.time)
         return CubicSpline(log.time[rows], values[rows], axis=0)
 
 
@@ -239,6 +278,14 @@ def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:
             log.path, columns, found, f"at least {_FEWEST} rows with all joints, and most of them"
         )
     return rows
+
+
+def _covered(known: Array, at: Array) -> NDArray[np.bool_]:
+    """Whether times (N,) lie between samples of a stream, and in no gap of it."""
+    inside = np.zeros(at.size, dtype=np.bool_)
+    for piece in segments(known):
+        inside |= (at >= known[piece.start]) & (at <= known[piece.stop - 1])
+    return inside
 
 
 def _of(values: Array | None, rows: NDArray[np.int64]) -> Array:
@@ -295,9 +342,10 @@ def tracked_streams(rig: Rig, log: Log) -> list[TrackedStream]:
     Without a reference the twist J qd is a measurement with the covariance J Sigma J^T ([A00] 26). About one,
     encoders measure the displacement xi = J (q - q_ref), and tachometers
 
-        J (qd - qd_ref) = dxi/dt - Jdot (q - q_ref) = dxi/dt - Jdot J^# xi,
+        J (qd - qd_ref) + Jdot (E - J^# J) (q - q_ref) = dxi/dt - Jdot J^# xi,
 
-    J^# being the inverse that the noise of the encoders weighs: what of q moves no sensor is not seen.
+    J^# being the inverse that the noise of the encoders weighs. What of q moves no sensor is no part of xi,
+    but as the encoders tell it. Their stream is the first, but for velocities alone.
     """
     tracking, sigma = log.tracking, rig.motion.noise_array
     assert tracking is not None
@@ -306,24 +354,32 @@ def tracked_streams(rig: Rig, log: Log) -> list[TrackedStream]:
         rows = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
         return [TrackedStream(0, rows, log.twist[rows], _covariance(tracking.jacobian[rows], sigma))]
     assert tracking.position_departure is not None
-    assert tracking.jacobian_rate is not None
-    rows = np.flatnonzero(np.isfinite(tracking.position_departure).all(axis=1))
-    known = tracking.position_sigma
-    sigma_q = (
-        np.ones(rig.motion.noise_array.size) if known is not None else np.array(rig.motion.position_noise)
-    )
+    known, told = tracking.position_sigma, np.isfinite(tracking.position_departure).all(axis=1)
+    rows = np.flatnonzero(told if known is None else told & np.isfinite(known).all(axis=1))
     J = tracking.jacobian[rows]
-    moved = np.einsum("kij,kj->ki", J, tracking.position_departure[rows])
-    covariance = _covariance(J, sigma_q) if known is None else _covariance(J * known[rows][:, None], sigma_q)
-    streams = [TrackedStream(0, rows, moved, covariance)]
-    if tracking.velocity_departure is not None:
-        rows = np.flatnonzero(np.isfinite(tracking.velocity_departure).all(axis=1))
-        J = tracking.jacobian[rows]
-        faster = np.einsum("kij,kj->ki", J, tracking.velocity_departure[rows])
-        weighted = np.einsum("j,kij->kji", sigma_q**2, J)  # Sigma J^T
-        coupling = -tracking.jacobian_rate[rows] @ weighted @ np.linalg.inv(_covariance(J, sigma_q))
-        streams.append(TrackedStream(1, rows, faster, _covariance(J, sigma), np.ascontiguousarray(coupling)))
-    return streams
+    sigma_q = np.ones(J.shape[2]) if known is not None else np.array(rig.motion.position_noise)
+    covariance = _covariance(J if known is None else J * known[rows][:, None], sigma_q)
+    streams = [TrackedStream(0, rows, _times(J, tracking.position_departure[rows]), covariance)]
+    if tracking.velocity_departure is None:
+        return streams
+    assert tracking.jacobian_rate is not None
+    rows = np.flatnonzero(np.isfinite(tracking.velocity_departure).all(axis=1))
+    J, J_rate = tracking.jacobian[rows], tracking.jacobian_rate[rows]
+    weighted = np.einsum("j,kij->kji", sigma_q**2, J)  # Sigma J^T
+    inverse = weighted @ np.linalg.inv(_covariance(J, sigma_q))
+    unseen = J_rate @ (np.eye(sigma_q.size) - inverse @ J)  # Jdot (E - J^# J)
+    at = log.time[told]
+    q = np.column_stack([np.interp(log.time[rows], at, x) for x in tracking.position_departure[told].T])
+    faster = _times(J, tracking.velocity_departure[rows]) + _times(unseen, q)
+    covariance = _covariance(J, sigma)
+    if known is None:
+        covariance += np.einsum("kij,j,klj->kil", unseen, sigma_q**2, unseen)
+    streams.append(TrackedStream(1, rows, faster, covariance, np.ascontiguousarray(-J_rate @ inverse)))
+    return streams if known is None else streams[::-1]
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray(np.einsum("kij,kj->ki", matrices, vectors))
 
 
 def _covariance(J: Array, sigma: Array) -> Array:

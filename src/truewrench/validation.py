@@ -24,6 +24,7 @@ from truewrench.log import Log
 from truewrench.residuals import LONGEST_LAG, Residuals, joined_columns, residuals
 from truewrench.residuals import tared as is_tared
 from truewrench.rig import Rig
+from truewrench.track import tracked
 
 __all__ = ["AxisValidation", "Validation", "validate", "worse"]
 
@@ -157,6 +158,7 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     _check_same_sensor(calibration, rig)
+    records = tracked(rig, records)
     parts = [residuals(calibration, rig, log) for log in records]
     tared = is_tared(rig)
     used = {report.sha256 for report in calibration.logs if report.sha256}

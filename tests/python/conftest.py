@@ -14,6 +14,7 @@ import pytest
 import yaml
 from hypothesis import settings as hypothesis_settings
 
+from truewrench import robots
 from truewrench.calibration import AxisImprovement, Bound, Calibration, LogReport, Undetermined, Verdict
 from truewrench.rig import Rig, load_rig
 
@@ -69,6 +70,28 @@ def rig_of(tmp_path: Path) -> Callable[[Mapping[str, Any]], Rig]:
 def rig(settings: dict[str, Any]) -> Rig:
     """A valid rig."""
     return Rig.from_mapping(settings)
+
+
+@pytest.fixture(scope="session")
+def arm_rig() -> Callable[..., Rig]:
+    """The rig of a packaged arm with an exact payload and clock, sections changed; None takes a key out."""
+
+    def rig_of(name: str, **changes: Any) -> Rig:
+        path = robots.path(name)
+        settings = load_rig(path).to_mapping()
+        exact = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+        for payload in settings["payloads"].values():
+            payload["uncertainty"] = exact
+        settings["sensor"]["time_offset_prior"] = 0
+        settings["required"] = 10.0
+        for section, values in changes.items():
+            changed = {**settings[section], **values} if isinstance(values, dict) else values
+            if isinstance(changed, dict):
+                changed = {key: value for key, value in changed.items() if value is not None}
+            settings[section] = changed
+        return Rig.from_mapping(settings, path)
+
+    return rig_of
 
 
 @pytest.fixture

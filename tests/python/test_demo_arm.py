@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.image import imread
 
-from truewrench import robots
+from truewrench import demo_arm, robots
+from truewrench.cli import main
 from truewrench.demo_arm import _copy, run_arm
-from truewrench.errors import InputError
+from truewrench.errors import InputError, UnsupportedError
 from truewrench.figures_arm import driven_figure, gain_figure
-from truewrench.rig import load_rig
+from truewrench.rig import Rig, load_rig
 from truewrench.robot import robot_of
 
 
@@ -30,6 +34,79 @@ def test_folder_of_results_holds_rig_and_robot(tmp_path: Path) -> None:
     assert robot_of(copied).joints == robot_of(packaged).joints
     _copy(copied, tmp_path / "out")  # a rig that is already there
     assert copied.to_mapping() == load_rig(tmp_path / "out" / "rig.yaml").to_mapping()
+
+
+class Sines:
+    """A plan that took no optimiser."""
+
+    prediction, predicted_rms, seconds = None, 0.3, 0.0
+
+    def __init__(self, rig: Rig, violations: tuple[str, ...] = ()) -> None:
+        self.rig, self.violations, self.feasible = rig, violations, not violations
+
+    def write(self, path: Path) -> tuple[Path, Path]:
+        time = np.linspace(0.0, 12.0, 601)
+        swing = 0.4 * np.sin(np.pi * time / 12.0) ** 4
+        start = np.array(self.rig.motion.initial_position)
+        frequency = 0.1 * np.array([4, 6, 5, 3, 6, 4, 7])
+        q = start + swing[:, None] * np.sin(2.0 * np.pi * frequency * time[:, None] + np.arange(7))
+        names = ",".join(["time_s", *(f"q_{name}" for name in robot_of(self.rig).joints)])
+        np.savetxt(path, np.column_stack([time, q]), delimiter=",", header=names, comments="")
+        beside = path.with_name(path.name + ".plan.yaml")
+        beside.write_text("feasible: true\n")
+        return path, beside
+
+
+@pytest.fixture
+def small_rig(tmp_path: Path) -> Path:
+    """An arm in gravity whose sensor is good enough for a motion of 12 s."""
+    settings = load_rig(robots.path("panda_ground")).to_mapping()
+    settings["motion"]["robot"]["urdf"] = str(robots.path("panda_ground").with_name("panda.urdf"))
+    settings["payloads"]["default"]["uncertainty"] = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+    settings["sensor"]["time_offset_prior"] = 0
+    settings["sensor"]["noise"] = [0.005] * 3 + [0.0005] * 3
+    settings["plan"]["duration"] = 12
+    settings["simulate"] |= {"rate": 100, "sensor_rate": 100}
+    path = tmp_path / "small.yaml"
+    path.write_text(yaml.safe_dump(settings))
+    return path
+
+
+def test_chain_ends_with_a_verdict_and_every_file(
+    small_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(demo_arm, "make_plan", lambda rig, progress: Sines(rig))
+    out = tmp_path / "out"
+    with pytest.raises(SystemExit) as end:
+        main(["demo", "--arm", str(small_rig), "-o", str(out), "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert all(Path(file).stat().st_size > 0 for file in said["outputs"])
+    calibration = yaml.safe_load((out / "calibration.yaml").read_text())
+    validation = yaml.safe_load((out / "validation.yaml").read_text())
+    usable = calibration["verdict"]["usable"] and validation["verdict"]["usable"]
+    assert end.value.code == said["status"] == (0 if usable else 3)
+    assert said["verdict"]["usable"] == usable
+    truth = yaml.safe_load((out / "run.csv.truth.yaml").read_text())
+    assert yaml.safe_load((out / "validation.csv.truth.yaml").read_text())["gain"] == truth["gain"]
+    error = (np.array(calibration["gain"]) - truth["gain"]) / np.array(calibration["gain_std"])
+    assert np.sqrt(np.mean(error**2)) < 1.6
+    assert said["figures"]["rms_error"] < 0.1 * said["figures"]["rms_start"]
+
+
+def test_nothing_moves_without_a_feasible_plan(
+    small_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo_arm, "make_plan", lambda rig, progress: Sines(rig, ("the wrench is too large",)))
+    result = run_arm(str(small_rig), tmp_path / "out")
+    assert result["verdict"] == {"usable": False, "reasons": ["the wrench is too large"]}
+    assert not (tmp_path / "out" / "run.csv").exists()
+
+
+def test_a_rig_without_an_arm_is_refused(tmp_path: Path, settings: dict[str, Any]) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(settings))
+    with pytest.raises(UnsupportedError, match="joints"):
+        run_arm(str(path), tmp_path / "out")
 
 
 def test_pictures_of_any_number_of_joints_and_channels_can_be_drawn(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from truewrench import _core
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.rig import Rig
 
@@ -14,6 +15,8 @@ __all__ = ["clock_doubts"]
 TRUSTED = 1e-3  # [s] 1 sigma below which a stated clock is put to the test
 WIDE = 5e-3  # [s] 1 sigma of the clock in that test
 DOUBT = 5.0  # sigma
+FEWER = 0.9  # share of the samples that a free clock must explain of those that the stated one does
+_COORDINATES, _DEGREE = 6, 5
 
 
 def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[str]:
@@ -33,12 +36,39 @@ def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[st
     found = estimate(rig.model_copy(update={"sensor": sensor}))
     if not found.solved:
         return []
+    suspected = np.abs(found.time_offsets) > DOUBT * np.hypot(found.time_offsets_std, stated)
+    if not suspected.any() or _worse(found, estimate(rig)):
+        return []  # or the search with a free clock went astray
     doubts = []
     for k, (offset, std) in enumerate(zip(found.time_offsets, found.time_offsets_std, strict=True)):
-        if abs(offset) > DOUBT * np.hypot(std, stated):
+        if suspected[k]:
             doubts.append(
                 f"suspected set-up error: the data put the time offset of log {k + 1} at {1e3 * offset:.3g} "
                 f"ms (sigma {1e3 * std:.2g} ms), the rig at 0 within {1e3 * stated:.2g} ms: a filter or a "
                 "driver delays one of the streams; state a `time_offset_prior` that allows for it"
             )
     return doubts
+
+
+def _worse(free: WindowEstimate, stated: WindowEstimate) -> bool:
+    """Whether a free clock explains the same logs clearly worse, which no true departure does.
+
+    What an explanation costs, residuals and twice the coefficients (Akaike), is compared per sample used:
+    a clock that is not known leaves out samples at the ends of windows.
+    """
+    (free_cost, free_used), (cost, used) = _cost(free), _cost(stated)
+    if free_used < FEWER * used:
+        return True
+    if used == 0.0:
+        return False
+    chance = 1.0 + np.sqrt(2.0 * abs(used - free_used))
+    return bool(free_cost * used / free_used - cost > DOUBT * chance)
+
+
+def _cost(estimate: WindowEstimate) -> tuple[float, float]:
+    """Chi-square and twice the coefficients of the windows that fit, and the samples in them."""
+    fitted = [w for w in estimate.windows if w.status == _core.WindowStatus.fitted]
+    coefficients = sum(_COORDINATES * (window.intervals + _DEGREE) for window in fitted)
+    groups = [group for window in fitted for group in window.groups]
+    cost = 2.0 * coefficients + sum(group.sum_of_squares for group in groups)
+    return cost, float(sum(group.count for group in groups))

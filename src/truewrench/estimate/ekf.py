@@ -127,7 +127,6 @@ def _refuse_unsupported(rig: Rig, logs: Sequence[Log]) -> None:
     drifts = temperature != 0.0 and any(log.temperature is not None for log in logs)
     for key, unsupported, found, expected in (
         ("sensor.channels", rig.sensor.n != 6, f"{rig.sensor.n} channels", "6"),
-        ("motion.source", motion.source != "twist", f"`{motion.source}`", "`twist`"),
         ("motion.acceleration_noise", fused, "a value, and accelerations in a log", "none"),
         ("temperature.prior", drifts, f"{temperature:g}, and temperatures in a log", "0"),
     ):

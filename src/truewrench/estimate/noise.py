@@ -192,7 +192,7 @@ def _settled_size(
     """1 sigma that the residuals of an estimate made with it confirm."""
     size = given
     for _ in range(ROUNDS):
-        before, size = size, np.where(np.isfinite(noise.estimated), noise.estimated, size)
+        before, size = size, np.where(np.isfinite(noise.estimated), noise.estimated, given)
         if np.all(np.maximum(size, before) < SETTLED**0.5 * np.minimum(size, before)):
             break
         changed = with_noise(rig, size)

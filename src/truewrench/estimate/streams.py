@@ -13,6 +13,7 @@ from truewrench import _core
 from truewrench.errors import InputError
 from truewrench.estimate.joints import add_tracked_motion
 from truewrench.log import Log
+from truewrench.motion_noise import twist_noise
 from truewrench.payload import core_payload
 from truewrench.rig import Rig
 from truewrench.smooth import smooth_twist
@@ -115,11 +116,12 @@ def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]
         moving = np.isfinite(log.twist).any(axis=1)
         streams.add_motion(0, time[moving], np.ascontiguousarray(log.twist[moving]), rig.motion.noise_array)
     noise = np.array(rig.motion.acceleration_noise or ())
-    if log.acceleration is not None and noise.size == 6:
-        known = np.isfinite(log.acceleration).any(axis=1)
-        streams.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
-    if log.specific_force is not None and noise.size == 3 and log.tracking is None:
-        _add_specific_force(streams, rig, log, time, noise)
+    if log.tracking is None or log.tracking.reference is None:
+        if log.acceleration is not None and noise.size == 6:
+            known = np.isfinite(log.acceleration).any(axis=1)
+            streams.add_motion(1, time[known], np.ascontiguousarray(log.acceleration[known]), noise)
+        if log.specific_force is not None and noise.size == 3:
+            _add_specific_force(streams, rig, log, time, noise)
     raw, delay = log.raw, 0.0
     if rig.sensor.lowpass_hz is not None:
         raw, delay = _unfiltered(log.raw, time, rig.sensor.lowpass_hz)
@@ -200,7 +202,8 @@ def _add_specific_force(streams: _core.RecordedLog, rig: Rig, log: Log, time: Ar
     known = np.isfinite(log.specific_force).any(axis=1)
     if whole.size < 8 or not known.any():
         return
-    smooth = smooth_twist(time[whole], log.twist[whole], rig.motion.noise_array).twist
+    of_nu = twist_noise(rig, log)
+    smooth = smooth_twist(time[whole], log.twist[whole], of_nu).twist
     twist = np.column_stack([np.interp(time[known], time[whole], column) for column in smooth.T])
     p = np.array(rig.payloads[log.payload].center_of_mass_array if rig.motion.of == "com" else np.zeros(3))
     v, omega = twist[:, :3], twist[:, 3:]
@@ -211,7 +214,7 @@ def _add_specific_force(streams: _core.RecordedLog, rig: Rig, log: Log, time: Ar
         gravity = np.column_stack([np.interp(time[known], time[seen], g) for g in log.gravity[seen].T])
     value = np.full((int(known.sum()), 6), np.nan)
     value[:, :3] = log.specific_force[known] - np.cross(omega, v_sensor) + gravity
-    of_v, of_omega = rig.motion.noise_array[:3].max(), rig.motion.noise_array[3:].max()
+    of_v, of_omega = of_nu[:3].max(), of_nu[3:].max()
     of_twist = np.mean(omega**2) * of_v**2 + np.mean(v_sensor**2) * of_omega**2
     combination = np.eye(6)
     combination[:3, 3:] = [[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]]
