@@ -1,7 +1,8 @@
-"""Claims about the Cramer-Rao bound, against a dense textbook version with Pinocchio's wrench."""
+"""Claims about the Cramer-Rao bound against dense textbook versions with Pinocchio's or MuJoCo's wrench."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,16 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import BSpline
 
+from truewrench.arm_simulation.motion import default_motion
+from truewrench.arm_simulation.run import arm_with
 from truewrench.bound import bound
+from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.robot import robot_of
 from truewrench.simulate import simulate
+from truewrench.track import track
 from truewrench.trajectory import HarmonicTwist
+from truewrench.truth import stated
 
 INERTIA = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
 FREQUENCY = np.array([[0.30, 0.51, 0.69, 0.39, 0.60, 0.87]])
@@ -129,3 +136,64 @@ def test_bound_accepts_streams_of_different_rates() -> None:
     )
     assert found.oracle_rms == pytest.approx(once.oracle_rms / 2, rel=0.02)
     assert found.oracle_rms < found.rms < once.rms
+
+
+def dense_bound_of_joints(rig: Rig, time: np.ndarray, positions: bool, velocities: bool) -> tuple[float, Log]:
+    """RMS bound with splines on every joint and differences of MuJoCo's sensors, and a noise-free log."""
+    robot = robot_of(rig)
+    payload, spec = next(iter(rig.payloads.items()))
+    arm = arm_with(rig, robot, stated(spec))
+    motion = default_motion(rig, robot, {payload: arm})
+    state = [motion.position(time), motion.velocity(time), motion.acceleration(time)]
+    n, noise, unit = robot.n, rig.sensor.noise_array / rig.sensor.channel_scale, rig.sensor.range_array
+    intervals = 50
+    knots = np.arange(-5, intervals + 6) * (time[-1] / intervals)
+    splines = BSpline(knots, np.eye(intervals + 5), 5)
+    basis = [splines(time, nu=order) for order in range(3)]
+    unknowns = n * (intervals + 5)
+    by_motion = np.zeros((time.size, 6, intervals + 5, n))
+    for order, step in enumerate((1e-4, 1.0, 1.0)):
+        for joint, e in enumerate(step * np.eye(n)):
+            there, back = ([x + s * e * (k == order) for k, x in enumerate(state)] for s in (1.0, -1.0))
+            slope = (arm.ideal(*there).wrench - arm.ideal(*back).wrench) / (2.0 * step * unit)
+            by_motion[..., joint] += slope[:, :, None] * basis[order][:, None]
+    wrench = arm.ideal(*state).wrench / unit
+    rows = [by_motion.reshape(time.size, 6, unknowns) / noise[:, None]]
+    parameters = np.einsum(
+        "ij,km->kijm", np.diag(1 / noise), np.column_stack([wrench, np.ones(time.size)])
+    ).reshape(6 * time.size, 42)
+    known = np.zeros((unknowns, unknowns))
+    if positions:
+        known += np.kron(basis[0].T @ basis[0], np.diag(np.array(rig.motion.position_noise) ** -2.0))
+    if velocities:
+        known += np.kron(basis[1].T @ basis[1], np.diag(rig.motion.noise_array**-2.0))
+    jacobian = np.hstack([rows[0].reshape(-1, unknowns), parameters])
+    information = jacobian.T @ jacobian
+    information[:unknowns, :unknowns] += known
+    gains = unknowns + (7 * np.arange(6)[:, None] + np.arange(6)).ravel()
+    prior = np.zeros(len(information))
+    prior[gains] = rig.sensor.gain_prior**-2
+    prior[unknowns + 7 * np.arange(6) + 6] = (rig.sensor.channel_scale / rig.sensor.offset_prior_array) ** 2
+    covariance = np.linalg.inv(information + np.diag(prior))
+    stamps = np.round(1e9 * time).astype(np.int64)
+    position, velocity = state[0] if positions else None, state[1] if velocities else None
+    log = Log(None, payload, "", stamps, wrench * unit, position=position, velocity=velocity)
+    return float(np.sqrt(np.mean(np.diag(covariance)[gains]))), track(rig, log)
+
+
+@pytest.mark.parametrize(
+    ("positions", "velocities"), [(True, True), (True, False)], ids=["both", "positions alone"]
+)
+@pytest.mark.parametrize("accurate", [False, True])
+def test_bound_of_joints_agrees_with_a_dense_one_in_joint_space(
+    arm_rig: Callable[..., Rig], positions: bool, velocities: bool, accurate: bool
+) -> None:
+    noise = [0.001, 0.001, 0.002, 6e-5, 6e-5, 6e-5] if accurate else [0.05, 0.05, 0.1, 3e-3, 3e-3, 3e-3]
+    of_joints = {"noise": [2e-4] * 7, "position_noise": [1e-4, 5e-5, 1e-4, 1e-4, 2e-4, 1e-4, 5e-5]}
+    rig = arm_rig(
+        "panda_ground", sensor={"noise": noise}, motion=of_joints, plan={"duration": 6}, simulate={"rate": 50}
+    )
+    expected, log = dense_bound_of_joints(rig, np.arange(300) / 50, positions, velocities)
+    found = bound(rig, [log], np.eye(6))
+    assert found.rms == pytest.approx(expected, rel=0.04)
+    assert found.rms > (1.3 if accurate else 1.0) * found.oracle_rms  # it is the motion that counts
