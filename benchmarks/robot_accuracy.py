@@ -46,18 +46,16 @@ def errors_of(name: str, states: int) -> dict[str, float]:
     settings = load_rig(robots.path(name)).to_mapping()
     rig = Rig.from_mapping(settings | {"gravity": GRAVITY}, robots.path(name))
     robot, payload = robot_of(rig), next(iter(rig.payloads))
-    spec = rig.payloads[payload]
     rng = np.random.default_rng(0)
     ends = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     q = rng.uniform(*ends, size=(states, robot.n))
     qd, qdd = rng.normal(size=(2, states, robot.n))
-    measured = arm_with(rig, robot, stated(spec)).ideal(q, qd, qdd)
+    measured = arm_with(rig, robot, stated(rig.payloads[payload])).ideal(q, qd, qdd)
 
     motion = robot.motion(q, qd, qdd)
     gravity = rig.gravity_array @ motion.R_root_sensor
     v, omega = np.hsplit(motion.twist, 2)
-    at_mass = [shifted(six, spec.center_of_mass_array) for six in (motion.twist, motion.acceleration)]
-    wrench = rig.sensor.sign * payload_wrench(rig, payload, *at_mass, gravity)
+    wrench = payload_wrench(rig, payload, motion.twist, motion.acceleration, gravity) * rig.sensor.sign
     return {
         "velocity": apart(v, measured.twist[:, :3]),
         "angular velocity": apart(omega, measured.twist[:, 3:]),
@@ -68,11 +66,6 @@ def errors_of(name: str, states: int) -> dict[str, float]:
         "force": apart(wrench[:, :3], measured.wrench[:, :3]),
         "moment": apart(wrench[:, 3:], measured.wrench[:, 3:]),
     }
-
-
-def shifted(six: Array, point: Array) -> Array:
-    """A twist or its derivative (N, 6) at another point of the body."""
-    return np.column_stack([six[:, :3] + np.cross(six[:, 3:], point), six[:, 3:]])
 
 
 def apart(found: Array, expected: Array) -> float:
