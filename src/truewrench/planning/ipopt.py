@@ -3,49 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Programme", "minimise"]
+from truewrench.planning.optimise import Problem, Rows
+
+__all__ = ["minimise"]
 
 Array = NDArray[np.float64]
-
-
-class Programme(Protocol):
-    """What is minimised, and under which constraints."""
-
-    @property
-    def size(self) -> int:
-        """Number of unknowns."""
-        ...
-
-    @property
-    def pattern(self) -> NDArray[np.bool_]:
-        """(G, size) where the Jacobian of the constraints may be other than zero."""
-        ...
-
-    def value(self, x: Array) -> float:
-        """What is minimised."""
-        ...
-
-    def constraints(self, x: Array) -> Array:
-        """Constraints (G,)."""
-        ...
-
-    def gradient(self, x: Array) -> tuple[float, Array]:
-        """Value and gradient (size,)."""
-        ...
-
-    def constraint_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """Constraints (G,) and their Jacobian (G, size)."""
-        ...
-
-    def hessian(self, x: Array, of_value: float, of_constraints: Array) -> Array:
-        """Hessian (size, size) of the Lagrangian."""
-        ...
 
 
 class _Call(ca.Callback):
@@ -56,6 +24,7 @@ class _Call(ca.Callback):
     ) -> None:
         super().__init__()
         self._inputs, self._outputs, self._call = inputs, outputs, call
+        self.failure: Exception | None = None  # CasADi takes one for a point that cannot be evaluated
         self.construct(name, {})
 
     def get_n_in(self) -> int:
@@ -71,24 +40,31 @@ class _Call(ca.Callback):
         return self._outputs[i]
 
     def eval(self, arguments: Sequence[Any]) -> list[Any]:
-        found = self._call(*(np.asarray(argument).ravel() for argument in arguments))
-        return [ca.DM(sparsity, value) for sparsity, value in zip(self._outputs, found, strict=True)]
+        try:
+            found = self._call(*(np.asarray(argument).ravel() for argument in arguments))
+            return [ca.DM(sparsity, value) for sparsity, value in zip(self._outputs, found, strict=True)]
+        except Exception as error:
+            self.failure = error
+            raise
 
 
 def minimise(
-    programme: Programme, x: Array, lower: Array, upper: Array, *, iterations: int, warm: bool
-) -> tuple[Array, str, int]:
-    """A local minimum, what IPOPT says of it, and the iterations it took.
+    problem: Problem, rows: Rows, x: Array, lower: Array, upper: Array, *, iterations: int, warm: bool
+) -> tuple[Array, int]:
+    """A local minimum, and the iterations it took.
 
     Args:
-        programme: value, constraints and derivatives.
+        problem: value, constraints and derivatives.
+        rows: the constraints that are kept to.
         x: where to begin (size,).
         lower: of the constraints (G,).
         upper: (G,).
         iterations: at most.
         warm: whether x is nearly optimal already.
     """
-    size, pattern = programme.size, programme.pattern
+    size = problem.size
+    dense = np.ones((len(lower) - len(rows.linear), size), dtype=bool)
+    pattern = np.concatenate([rows.linear != 0.0, dense])
     vector, parameters, scalar = ca.Sparsity.dense(size, 1), ca.Sparsity(0, 0), ca.Sparsity.dense(1, 1)
     values = ca.Sparsity.dense(len(lower), 1)
     row, column = np.nonzero(pattern.T)[::-1]  # column by column, as CasADi stores them
@@ -97,18 +73,21 @@ def minimise(
     i, j = np.array(upper_part.row()), np.repeat(np.arange(size), np.diff(upper_part.colind()))
 
     def with_jacobian(at: Array, _: Array) -> Sequence[Any]:
-        found, rows = programme.constraint_jacobian(at)
-        return found, rows[row, column]
+        found, derivatives = problem.constraint_jacobian(at, rows)
+        return found, derivatives[row, column]
 
     def hessian(at: Array, _: Array, of_value: Array, of_constraints: Array) -> Sequence[Any]:
-        return (programme.hessian(at, float(of_value[0]), of_constraints)[i, j],)
+        return (problem.hessian(at, float(of_value[0]), of_constraints, rows)[i, j],)
 
     evaluate = _Call(
-        "programme", [vector], [scalar, values], lambda at: (programme.value(at), programme.constraints(at))
+        "problem",
+        [vector],
+        [scalar, values],
+        lambda at: (problem.value(at), problem.constraints(at, rows)),
     )
     calls = {
         "grad_f": _Call(
-            "gradient", [vector, parameters], [scalar, vector], lambda at, _: programme.gradient(at)
+            "gradient", [vector, parameters], [scalar, vector], lambda at, _: problem.gradient(at)
         ),
         "jac_g": _Call("jacobian", [vector, parameters], [values, jacobian], with_jacobian),
         "hess_lag": _Call("hessian", [vector, parameters, scalar, values], [upper_part], hessian),
@@ -134,5 +113,8 @@ def minimise(
     f, g = evaluate(unknown)
     solver = ca.nlpsol("solver", "ipopt", {"x": unknown, "f": f, "g": g}, options | calls)
     found = solver(x0=x, lbg=lower, ubg=upper)
+    for call in (evaluate, *calls.values()):
+        if call.failure is not None:
+            raise call.failure
     stats = solver.stats()
-    return np.array(found["x"]).ravel(), str(stats["return_status"]), int(stats["iter_count"])
+    return np.array(found["x"]).ravel(), int(stats["iter_count"])

@@ -8,7 +8,7 @@ algebra exceeds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,22 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.planning.criterion import PACKED, Criterion, packed
-from truewrench.planning.ipopt import minimise
 from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
 
-__all__ = ["Bounds", "Problem", "Solution", "Space"]
+__all__ = ["FINE", "Bounds", "Problem", "Rows", "Space"]
 
 Array = NDArray[np.float64]
 
-_FACTORS = 2.0 ** np.arange(2.0, -5.0, -0.25)  # sizes of a random motion that are tried
+FINE = 4  # times between two nodes at which the series themselves are looked at
 _FEWEST_NODES = 48
 _NODES_PER_HARMONIC = 12
-_FINE = 4  # times between two nodes at which the series themselves are looked at
-_FREE = 1e3  # [rad, m] stands for no limit
-_FEASIBLE = 1e-6  # of a limit
-_LARGE = 0.3  # use of a limit by a random motion from which on an optimum may reach it
-_CLOSE = 0.85  # use of a limit from which on a constraint is looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,180 +78,197 @@ class Space:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
-    """Start (n,), coefficients (m, n), the criterion that they reach, and the largest use of a limit."""
+class Rows:
+    """Some of the constraints.
 
-    start: Array
-    coefficients: Array
-    value: float
-    status: str
-    iterations: int
-    worst: float = 0.0
+    Attributes:
+        linear: (L, size) their constant Jacobian.
+        node: (R,) nodes of those that hold at a node,
+        output: (R,) and which of its outputs they limit.
+        sums: (S, K) weights of the nodes in integrals.
+        kept: (G,) which of all they are.
+    """
+
+    linear: Array
+    node: NDArray[np.int64]
+    output: NDArray[np.int64]
+    sums: Array
+    kept: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Derivatives:
+    value: float  # of the criterion,
+    by_moments: Array  # (28,) its gradient
+    second: Array  # (28, 28) and Hessian
+    jacobian: Array  # (K, out, size) of the node function
+    moments: Array  # (28, size) of the packed mean of [w; 1][w; 1]^T
 
 
 class Problem:
-    """One period of a motion, at K nodes, as IPOPT sees it."""
+    """One period of a motion, at K nodes, as IPOPT sees it.
+
+    Attributes:
+        space: coordinates, and what depends on them.
+        basis: functions of the series.
+        nodes: K.
+        size: number of unknowns.
+        bounded: quantities at every node, besides the wrench, that are limited.
+        summed: of the quantities that vanish on average, those whose integral is limited.
+    """
 
     def __init__(self, space: Space, basis: SeriesBasis, criterion: Criterion, limits: Limits) -> None:
-        self._space, self._basis, self._criterion = space, basis, criterion
-        self._nodes = nodes = max(_FEWEST_NODES, _NODES_PER_HARMONIC * basis.harmonics)
-        time, fine = (
-            np.linspace(0.0, basis.period, count, endpoint=False) for count in (nodes, _FINE * nodes)
+        self.space, self.basis, self._criterion = space, basis, criterion
+        self.nodes = nodes = max(_FEWEST_NODES, _NODES_PER_HARMONIC * basis.harmonics)
+        time, self._fine = (
+            np.linspace(0.0, basis.period, count, endpoint=False) for count in (nodes, FINE * nodes)
         )
         self._tables = np.stack([basis.table(time, d) for d in range(3)], axis=1)  # (K, 3, m)
-        self._fine = [basis.table(fine, d) for d in range(4)]
         n = space.n
         self._scale = space.scale
         self._start_size = n if space.free_start else 0
         self.size = self._start_size + n * basis.size
         z = ca.SX.sym("z", 3 * n)
         w, y, c = space.node(*ca.vertsplit(z, n))
-        self._y, self._c = y.numel(), c.numel()
+        self.bounded, self._closed = y.numel(), c.numel()
         out = ca.vertcat(w, y, c)
-        self._out = 6 + self._y + self._c
+        self._out = 6 + self.bounded + self._closed
         weight, multiplier = ca.SX.sym("weight", 7, 7), ca.SX.sym("multiplier", self._out)
         one = ca.vertcat(w, 1.0)
         lagrangian = ca.dot(one, ca.mtimes(weight, one)) + ca.dot(multiplier, out)
         self._values = ca.Function("values", [z], [out]).map(nodes)
-        self._jacobian = ca.Function("jacobian", [z], [out, ca.densify(ca.jacobian(out, z))]).map(nodes)
+        self._jacobian = ca.Function("jacobian", [z], [ca.densify(ca.jacobian(out, z))]).map(nodes)
         hessian = ca.densify(ca.hessian(lagrangian, z)[0])
         self._hessian = ca.Function("hessian", [z, weight, multiplier], [hessian]).map(
             "hessians", "serial", nodes, [1], []
         )
         bounds = space.bounds(limits)
-        self._linear = self._linear_rows(bounds)
-        self._summed = np.flatnonzero(np.isfinite(bounds.integral_upper))
+        self.linear, self.linear_of = self._linear_rows(bounds)
+        self.summed = np.flatnonzero(np.isfinite(bounds.integral_upper))
         self._integration = _integration(nodes, basis.period)
+        self._last: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+        self._last_derivatives: tuple[Array, _Derivatives | None] = (np.zeros(0), None)
 
-    # -- what is linear: limits on the series themselves -----------------------------------------------
+    # -- constraints, row by row -------------------------------------------------------------------------
 
     def _linear_rows(self, b: Bounds) -> tuple[Array, list[tuple[int, int]]]:
         """Constant Jacobian (L, size) of the limits on coordinates and derivatives, and which each row is."""
         limits = [np.maximum(np.abs(b.lower), np.abs(b.upper)), b.velocity, b.acceleration, b.jerk]
-        rows, which = [], []
+        rows, which = [np.zeros((0, self.size))], []
         for d, limit in enumerate(limits):
+            table = self.basis.table(self._fine, d)
             for j in np.flatnonzero(np.isfinite(limit)):
-                block = np.zeros((len(self._fine[d]), self.size))
-                first = self._start_size + j * self._basis.size
-                block[:, first : first + self._basis.size] = self._fine[d] * self._scale[j]
-                if d == 0 and self._space.free_start:
+                block = np.zeros((len(table), self.size))
+                first = self._start_size + j * self.basis.size
+                block[:, first : first + self.basis.size] = table * self._scale[j]
+                if d == 0 and self._start_size:
                     block[:, j] = 1.0
                 rows.append(block)
                 which += [(d, int(j))] * len(block)
-        return (np.concatenate(rows) if rows else np.zeros((0, self.size))), which
-
-    def _limits(self, bounds: Bounds) -> tuple[Array, Array]:
-        """Lower and upper limits of all constraints."""
-        symmetric = [bounds.velocity, bounds.acceleration, bounds.jerk]
-        upper = [bounds.upper, *symmetric]
-        lower = [bounds.lower, *(-limit for limit in symmetric)]
-        which = self._linear[1]
-        node = np.concatenate([bounds.wrench, bounds.node_upper])
-        node_lower = np.concatenate([-bounds.wrench, bounds.node_lower])
-        closed, summed, K = np.zeros(self._c), self._summed, self._nodes
-        below, above = bounds.integral_lower[summed], bounds.integral_upper[summed]
-        return (
-            np.concatenate(
-                [[lower[d][j] for d, j in which], np.tile(node_lower, K), closed, np.tile(below, K)]
-            ),
-            np.concatenate([[upper[d][j] for d, j in which], np.tile(node, K), closed, np.tile(above, K)]),
-        )
+        return np.concatenate(rows), which
 
     @property
-    def pattern(self) -> NDArray[np.bool_]:
-        """(G, size) where the Jacobian of the constraints may be other than zero."""
-        nodal = self._nodes * (6 + self._y + self._summed.size) + self._c
-        return np.concatenate([self._linear[0] != 0.0, np.ones((nodal, self.size), dtype=bool)])
+    def count(self) -> int:
+        """Number of all constraints."""
+        nodal = self.nodes * (6 + self.bounded + self.summed.size)
+        return len(self.linear) + nodal + self._closed
+
+    def rows(self, kept: NDArray[np.bool_]) -> Rows:
+        """Some of the constraints; means that vanish always belong to them, integrals node by node."""
+        L, nodal = len(self.linear), self.nodes * (6 + self.bounded)
+        node, output = np.divmod(np.flatnonzero(kept[L : L + nodal]), 6 + self.bounded)
+        integrals = kept[L + nodal + self._closed :].reshape(self.nodes, -1).any(axis=1)
+        return Rows(self.linear[kept[:L]], node, output, self._integration[integrals], self._widened(kept))
+
+    def _widened(self, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        last = len(self.linear) + self.nodes * (6 + self.bounded)
+        wide = kept.copy()
+        wide[last : last + self._closed] = True
+        by_node = wide[last + self._closed :].reshape(self.nodes, -1)
+        by_node |= by_node.any(axis=1, keepdims=True)
+        return wide
+
+    def limits(self, bounds: Bounds) -> tuple[Array, Array]:
+        """Lower and upper limits of all constraints."""
+        symmetric = [bounds.velocity, bounds.acceleration, bounds.jerk]
+        sides = []
+        for series, wrench, node, integral in (
+            (
+                [bounds.lower, *(-s for s in symmetric)],
+                -bounds.wrench,
+                bounds.node_lower,
+                bounds.integral_lower,
+            ),
+            ([bounds.upper, *symmetric], bounds.wrench, bounds.node_upper, bounds.integral_upper),
+        ):
+            of_node = np.tile(np.concatenate([wrench, node]), self.nodes)
+            sums = np.tile(integral[self.summed], self.nodes)
+            linear = np.array([series[d][j] for d, j in self.linear_of])
+            sides.append(np.concatenate([linear, of_node, np.zeros(self._closed), sums]))
+        return sides[0], sides[1]
 
     # -- values and derivatives --------------------------------------------------------------------------
 
     def pack(self, start: Array, coefficients: Array) -> Array:
         """The unknowns of a motion."""
         scaled = (coefficients / self._scale).T.ravel()
-        return np.concatenate([start, scaled]) if self._space.free_start else scaled
+        return np.concatenate([start, scaled]) if self._start_size else scaled
 
     def unpack(self, x: Array) -> tuple[Array, Array]:
         """Start (n,) and coefficients (m, n) of the unknowns."""
-        n = self._space.n
-        start = x[:n] if self._space.free_start else np.zeros(n)
-        return start, x[self._start_size :].reshape(n, self._basis.size).T * self._scale
-
-    def _at_nodes(self, x: Array) -> Array:
-        """(3n, K) coordinates, velocities and accelerations."""
-        start, coefficients = self.unpack(x)
-        states = self._tables @ coefficients  # (K, 3, n)
-        states[:, 0] += start
-        return np.asarray(states.reshape(self._nodes, -1).T)
+        n = self.space.n
+        start = x[:n] if self._start_size else np.zeros(n)
+        return start, x[self._start_size :].reshape(n, self.basis.size).T * self._scale
 
     def value(self, x: Array) -> float:
         """The criterion."""
-        w = np.array(self._values(self._at_nodes(x)))[:6].T
+        w = self._outputs(x)[:, :6]
         return self._criterion(packed(w)) if np.isfinite(w).all() else np.nan
-
-    def constraints(self, x: Array) -> Array:
-        """Linear rows, node by node wrench and bounded quantities, means that vanish, and integrals."""
-        out = np.array(self._values(self._at_nodes(x))).T
-        return self._stacked(x, out)
-
-    def _stacked(self, x: Array, out: Array) -> Array:
-        bounded, closed = out[:, : 6 + self._y].ravel(), out[:, 6 + self._y :]
-        sums = self._integration @ closed[:, self._summed]
-        return np.concatenate([self._linear[0] @ x, bounded, closed.mean(axis=0), sums.ravel()])
-
-    def _node_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """Outputs (K, out) of the node function, and their Jacobian (K, out, size) by the unknowns."""
-        n, K = self._space.n, self._nodes
-        out, flat = self._jacobian(self._at_nodes(x))
-        by_state = np.array(flat).reshape(self._out, K, 3, n).transpose(1, 0, 2, 3)
-        by_coefficients = np.einsum("kodj,kdm->kojm", by_state, self._tables, optimize=True)
-        by_coefficients *= self._scale[:, None]
-        jacobian = by_coefficients.reshape(K, self._out, -1)
-        if self._space.free_start:
-            jacobian = np.concatenate([by_state[:, :, 0], jacobian], axis=2)
-        return np.array(out).T, jacobian
-
-    def _moments_jacobian(self, out: Array, jacobian: Array) -> Array:
-        """(28, size) of the packed mean of [w; 1][w; 1]^T."""
-        one = np.column_stack([out[:, :6], np.ones(self._nodes)])
-        by = np.concatenate([jacobian[:, :6], np.zeros((self._nodes, 1, self.size))], axis=1)
-        half = np.einsum("ki,kjx->ijx", one, by, optimize=True) / self._nodes
-        return np.asarray((half + half.transpose(1, 0, 2))[PACKED])
 
     def gradient(self, x: Array) -> tuple[float, Array]:
         """Criterion and its gradient."""
-        out, jacobian = self._node_jacobian(x)
-        value, by_moments, _ = self._criterion.derivatives(packed(out[:, :6]))
-        return value, by_moments @ self._moments_jacobian(out, jacobian)
+        found = self._derivatives(x)
+        return found.value, found.by_moments @ found.moments
 
-    def constraint_jacobian(self, x: Array) -> tuple[Array, Array]:
+    def constraints(self, x: Array, rows: Rows) -> Array:
+        """Constraints (G,) of some rows: linear ones, then of the nodes, then over all nodes."""
+        out = self._outputs(x)
+        closed = out[:, 6 + self.bounded :]
+        sums = rows.sums @ closed[:, self.summed]
+        return np.concatenate(
+            [rows.linear @ x, out[rows.node, rows.output], closed.mean(axis=0), sums.ravel()]
+        )
+
+    def constraint_jacobian(self, x: Array, rows: Rows) -> tuple[Array, Array]:
         """Constraints and their Jacobian (G, size)."""
-        out, jacobian = self._node_jacobian(x)
-        bounded = jacobian[:, : 6 + self._y].reshape(-1, self.size)
-        closed = jacobian[:, 6 + self._y :]
-        sums = np.tensordot(self._integration, closed[:, self._summed], axes=1).reshape(-1, self.size)
-        return self._stacked(x, out), np.concatenate([self._linear[0], bounded, closed.mean(axis=0), sums])
+        jacobian = self._derivatives(x).jacobian
+        closed = jacobian[:, 6 + self.bounded :]
+        sums = np.tensordot(rows.sums, closed[:, self.summed], axes=1).reshape(-1, self.size)
+        parts = [rows.linear, jacobian[rows.node, rows.output], closed.mean(axis=0), sums]
+        return self.constraints(x, rows), np.concatenate(parts)
 
-    def hessian(self, x: Array, of_value: float, of_constraints: Array) -> Array:
+    def hessian(self, x: Array, of_value: float, of_constraints: Array, rows: Rows) -> Array:
         """Hessian (size, size) of the Lagrangian."""
-        n, K = self._space.n, self._nodes
-        out, jacobian = self._node_jacobian(x)
-        _, first, second = self._criterion.derivatives(packed(out[:, :6]))
-        by_x = self._moments_jacobian(out, jacobian)
-        total = of_value * by_x.T @ second @ by_x
+        n, K = self.space.n, self.nodes
+        at = self._derivatives(x)
+        total = of_value * at.moments.T @ at.second @ at.moments
         weight = np.zeros((7, 7))
-        weight[PACKED] = of_value * first / K
+        weight[PACKED] = of_value * at.by_moments / K
         weight = 0.5 * (weight + weight.T)
-        linear, nodal = len(self._linear[0]), K * (6 + self._y)
-        multiplier = np.empty((self._out, K))
-        multiplier[: 6 + self._y] = of_constraints[linear : linear + nodal].reshape(K, -1).T
-        last = linear + nodal + self._c
-        multiplier[6 + self._y :] = of_constraints[linear + nodal : last, None] / K
-        multiplier[6 + self._y + self._summed] += of_constraints[last:].reshape(K, -1).T @ self._integration
+        nodal, closed, sums = np.split(
+            of_constraints[len(rows.linear) :], np.cumsum([rows.node.size, self._closed])
+        )
+        multiplier = np.zeros((self._out, K))
+        multiplier[rows.output, rows.node] = nodal
+        multiplier[6 + self.bounded :] = closed[:, None] / K
+        of_sums = sums.reshape(len(rows.sums), self.summed.size)
+        multiplier[6 + self.bounded + self.summed] += of_sums.T @ rows.sums
         blocks = np.array(self._hessian(self._at_nodes(x), weight, multiplier))
         H = blocks.reshape(3, n, K, 3, n).transpose(2, 0, 1, 3, 4)  # (K, d, j, e, l)
         right = np.einsum("kdjel,kem->kdjlm", H, self._tables, optimize=True)
-        both = np.einsum("kdp,kdjlm->jplm", self._tables, right, optimize=True)
-        both *= self._scale[:, None, None, None] * self._scale[:, None]
+        both = self._tables.reshape(3 * K, -1).T @ right.reshape(3 * K, -1)  # (p, j l m)
+        both = both.reshape(-1, n, n, self.basis.size).transpose(1, 0, 2, 3)
+        both = both * self._scale[:, None, None, None] * self._scale[:, None]
         s = self._start_size
         total[s:, s:] += both.reshape(self.size - s, -1)
         if s:
@@ -267,82 +278,41 @@ class Problem:
             total[:s, :s] += H[:, 0, :, 0].sum(axis=0)
         return np.asarray(total)
 
-    # -- solving -----------------------------------------------------------------------------------------
+    def _at_nodes(self, x: Array) -> Array:
+        """(3n, K) coordinates, velocities and accelerations."""
+        start, coefficients = self.unpack(x)
+        states = self._tables @ coefficients  # (K, 3, n)
+        states[:, 0] += start
+        return np.asarray(states.reshape(self.nodes, -1).T)
 
-    def candidates(self, limits: Limits, seed: int, count: int) -> Iterator[Solution]:
-        """Random motions, as large as the limits allow at the nodes."""
-        bounds = self._space.bounds(limits)
-        lower, upper = self._limits(bounds)
-        rng = np.random.default_rng([seed, 11])
-        room = 0.9 * np.minimum(bounds.upper - bounds.lower, 2.0 * np.pi)
-        middle = 0.5 * (np.maximum(bounds.lower, -_FREE) + np.minimum(bounds.upper, _FREE))
-        for _ in range(count):
-            drawn = (
-                rng.uniform(-0.5, 0.5, self._space.n),
-                rng.standard_normal((self._basis.size, self._space.n)),
-            )
-            start = middle + room * drawn[0] if self._space.free_start else np.zeros(self._space.n)
-            for factor in _FACTORS:
-                x = self.pack(start, factor * drawn[1] * self._scale)
-                g = self.constraints(x)
-                if np.all((g >= lower) & (g <= upper) | (lower == upper)):
-                    yield Solution(start, factor * drawn[1] * self._scale, self.value(x), "random", 0)
-                    break
+    def _outputs(self, x: Array) -> Array:
+        """(K, out) of the node function."""
+        if not np.array_equal(x, self._last[0]):
+            self._last = (x.copy(), np.array(self._values(self._at_nodes(x))).T)
+        return self._last[1]
 
-    def solve(
-        self,
-        start: Array,
-        coefficients: Array,
-        limits: Limits,
-        *,
-        iterations: int,
-        warm: bool = False,
-        rounds: int = 5,
-    ) -> Solution:
-        """A local optimum within limits, from a motion.
+    def _derivatives(self, x: Array) -> _Derivatives:
+        """First derivatives, kept for the next call at the same point."""
+        at, found = self._last_derivatives
+        if found is None or not np.array_equal(x, at):
+            found = self._differentiate(x)
+            self._last_derivatives = (x.copy(), found)
+        return found
 
-        Args:
-            start: (n,).
-            coefficients: (m, n).
-            limits: no wider than those that the problem was made with.
-            iterations: at most.
-            warm: whether the motion is nearly optimal already.
-            rounds: at most, each with the constraints that the one before came near.
-        """
-        lower, upper = self._limits(self._space.bounds(limits))
-        x, count = self.pack(start, coefficients), 0
-        kept = self._first_rows(_share(self.constraints(x), lower, upper)) | (lower == upper)
-        for _ in range(rounds):
-            g = self.constraints(x)
-            kept |= _share(g, lower, upper) > _CLOSE
-            part = _Part(self, kept)
-            x, status, used = minimise(part, x, lower[kept], upper[kept], iterations=iterations, warm=warm)
-            count, warm = count + used, True
-            worst = float(_share(self.constraints(x), lower, upper).max())
-
-            if worst <= 1.0 + _FEASIBLE:
-                break
-        found_start, found = self.unpack(x)
-        return Solution(found_start, found, self.value(x), status, count, worst)
-
-    def _first_rows(self, share: Array) -> NDArray[np.bool_]:
-        """Constraints to begin with; the others are looked at where a solution comes near them."""
-        linear, nodal = len(self._linear[0]), self._nodes * (6 + self._y)
-        kept = np.zeros(share.size, dtype=bool)
-        kept[:linear:_FINE] = True
-        large = share[linear : linear + nodal].reshape(self._nodes, -1).max(axis=0) > _LARGE
-        even = np.arange(self._nodes) % 2 == 0
-        kept[linear : linear + nodal] = even.repeat(large.size) & np.tile(large, self._nodes)
-        kept[linear + nodal + self._c :] = even.repeat(self._summed.size)
-        return kept
-
-
-def _share(g: Array, lower: Array, upper: Array) -> Array:
-    """How much of its interval each constraint uses; above 1 it is violated."""
-    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    equal = half == 0.0
-    used = np.abs(g - middle) / np.where(equal, 1.0, half)
-    return np.where(equal, used * (used > _FEASIBLE), used)
+    def _differentiate(self, x: Array) -> _Derivatives:
+        n, K = self.space.n, self.nodes
+        by_state = np.array(self._jacobian(self._at_nodes(x)))
+        by_state = by_state.reshape(self._out, K, 3, n).transpose(1, 0, 3, 2)  # (K, out, n, 3)
+        jacobian = ((by_state @ self._tables[:, None]) * self._scale[:, None]).reshape(K, self._out, -1)
+        if self._start_size:
+            jacobian = np.concatenate([by_state[..., 0], jacobian], axis=2)
+        w = self._outputs(x)[:, :6]
+        one = np.column_stack([w, np.ones(K)]) / K
+        by = np.concatenate([jacobian[:, :6], np.zeros((K, 1, self.size))], axis=1)
+        half = (one.T @ by.reshape(K, -1)).reshape(7, 7, self.size)
+        moments = (half + half.transpose(1, 0, 2))[PACKED]
+        value, first, second = self._criterion.derivatives(packed(w))
+        return _Derivatives(value, first, second, jacobian, moments)
 
 
 def _integration(nodes: int, period: float) -> Array:
@@ -352,24 +322,3 @@ def _integration(nodes: int, period: float) -> Array:
     factor = np.where(kept, -0.5j * period / (np.pi * np.where(kept, k, 1.0)), 0.0)
     whole = np.fft.irfft(np.fft.rfft(np.eye(nodes), axis=0) * factor[:, None], nodes, axis=0)
     return np.asarray(whole - whole[0])
-
-
-class _Part:
-    """A problem with some of its constraints."""
-
-    def __init__(self, whole: Problem, kept: NDArray[np.bool_]) -> None:
-        self._whole, self._kept = whole, kept
-        self.size, self.pattern = whole.size, whole.pattern[kept]
-        self.value, self.gradient = whole.value, whole.gradient
-
-    def constraints(self, x: Array) -> Array:
-        return self._whole.constraints(x)[self._kept]
-
-    def constraint_jacobian(self, x: Array) -> tuple[Array, Array]:
-        g, jacobian = self._whole.constraint_jacobian(x)
-        return g[self._kept], jacobian[self._kept]
-
-    def hessian(self, x: Array, of_value: float, of_constraints: Array) -> Array:
-        multipliers = np.zeros(self._kept.size)
-        multipliers[self._kept] = of_constraints
-        return self._whole.hessian(x, of_value, multipliers)

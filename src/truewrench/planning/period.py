@@ -10,7 +10,7 @@ from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
 from truewrench.rig import Rig
 
-__all__ = ["check_harmonics", "cycles_of", "typical_velocity"]
+__all__ = ["check_harmonics", "cycles_of", "plan_rows", "typical_velocity"]
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,11 @@ def cycles_of(rig: Rig, limits: Limits) -> int:
         return 1
     highest = min(float(np.median(known)), plan.rate / _ROWS)
     return max(1, int(np.floor(plan.duration * highest / plan.harmonics + 0.5)))
+
+
+def plan_rows(rig: Rig) -> Array:
+    """Times of the rows of a plan, both ends included [s]."""
+    return np.linspace(0.0, rig.plan.duration, 1 + max(6, round(rig.plan.duration * rig.plan.rate)))
 
 
 def typical_velocity(limits: Limits, basis: SeriesBasis) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -18,6 +19,7 @@ from truewrench.planning.twist_plan import design_twist
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
 from truewrench.trajectory import SplineTwist
+from truewrench.trajectory_joint import SplineJoints
 
 __all__ = ["plan"]
 
@@ -52,22 +54,33 @@ def plan(
     tell = progress or (lambda phase, share: None)
     if method == "optimal":
         check_harmonics(rig)
-    design = design_twist(rig, name, criterion, tell)
+    design = _designer(rig)(rig, name, criterion, tell)
     tell("prediction", None)
     moves = not design.obstacles and bool(np.abs(design.preview.twist).max() > 0.0)
     prediction = _predict(rig, name, design) if moves else None
     return Plan(rig, name, method, criterion, design, prediction, time.perf_counter() - started)
 
 
+def _designer(rig: Rig) -> Callable[[Rig, str, Literal["A", "D"], Progress], Design]:
+    if rig.motion.source == "twist":
+        return design_twist
+    from truewrench.planning.joint_plan import design_joints  # Pinocchio is heavy
+
+    return design_joints
+
+
 def _predict(rig: Rig, payload: str, design: Design) -> Prediction:
     duration = design.motion.duration
     span = min(duration, max(1, round(_SIMULATED / design.period)) * design.period)
     motion = design.motion
-    assert isinstance(motion, SplineTwist)
-    part = replace(motion, duration=span)
 
     def simulated(nominal: Rig) -> Log:
-        return simulate(nominal, part, payload=payload).log
+        if isinstance(motion, SplineTwist):
+            return simulate(nominal, replace(motion, duration=span), payload=payload).log
+        from truewrench.planning.joint_plan import simulated_joints
+
+        assert isinstance(motion, SplineJoints)
+        return simulated_joints(nominal, payload, replace(motion, duration=span))
 
     used = max(use.share for use in design.preview.usage if use.limit == "wrench")
     return predict(rig, payload, simulated, span / duration, HEAVIER * used)

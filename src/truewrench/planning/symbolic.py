@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from truewrench.rig import Rig
 
-__all__ = ["at_center_of_mass", "total_derivative", "wrench_over_range"]
+__all__ = ["at_point", "force_to_move", "total_derivative", "wrench_over_range"]
 
 Array = NDArray[np.float64]
 
@@ -26,16 +26,34 @@ def wrench_over_range(rig: Rig, payload: str, twist: Any, acceleration: Any, gra
         gravity: in sensor axes (3,).
     """
     body = rig.payloads[payload]
-    v, omega = twist[:3], twist[3:]
-    inertia = ca.DM(body.inertia_matrix)
-    force = body.mass * (acceleration[:3] + ca.cross(omega, v) - gravity)
-    moment = ca.mtimes(inertia, acceleration[3:]) + ca.cross(omega, ca.mtimes(inertia, omega))
-    reaction = -ca.vertcat(force, ca.cross(ca.DM(body.center_of_mass_array), force) + moment)
+    reaction = -force_to_move(
+        body.mass, body.center_of_mass_array, body.inertia_matrix, twist, acceleration, gravity
+    )
     return rig.sensor.sign * reaction / ca.DM(rig.sensor.range_array)
 
 
-def at_center_of_mass(six: Any, lever: Array) -> Any:
-    """Twist of the centre of mass, or its derivative, from that of a point that sees it at `lever`."""
+def force_to_move(
+    mass: float, center: Array, inertia: Array, twist: Any, acceleration: Any, gravity: Any
+) -> Any:
+    """Wrench (6,) at a frame's origin that moves a body, from the motion of its centre of mass.
+
+    Args:
+        mass: [kg].
+        center: of mass, from the origin (3,) [m].
+        inertia: about the centre of mass (3, 3) [kg m^2].
+        twist: of the centre of mass (6,), all in the frame's axes.
+        acceleration: its component-wise derivative (6,).
+        gravity: (3,).
+    """
+    v, omega = twist[:3], twist[3:]
+    tensor = ca.DM(inertia)
+    force = mass * (acceleration[:3] + ca.cross(omega, v) - gravity)
+    moment = ca.mtimes(tensor, acceleration[3:]) + ca.cross(omega, ca.mtimes(tensor, omega))
+    return ca.vertcat(force, ca.cross(ca.DM(center), force) + moment)
+
+
+def at_point(six: Any, lever: Array) -> Any:
+    """Twist of a point, or its derivative, from that of another that sees it at `lever`."""
     return ca.vertcat(six[:3] + ca.cross(six[3:], ca.DM(lever)), six[3:])
 
 

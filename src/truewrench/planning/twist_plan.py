@@ -13,7 +13,7 @@ from truewrench.planning.check import check_twist
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.limits import Limits, Usage
 from truewrench.planning.optimise import Problem
-from truewrench.planning.period import cycles_of, typical_velocity
+from truewrench.planning.period import cycles_of, plan_rows, typical_velocity
 from truewrench.planning.result import Design
 from truewrench.planning.search import Found, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
@@ -31,7 +31,7 @@ def design_twist(rig: Rig, payload: str, criterion: Literal["A", "D"], progress:
     limits, settings = Limits.of(rig, 6), rig.plan
     obstacles = _at_rest(rig, payload, limits)
     if obstacles:
-        still = np.zeros((_rows(rig).size, 6))
+        still = np.zeros((plan_rows(rig).size, 6))
         return twist_design(rig, payload, limits, still, still, settings.duration, obstacles=obstacles)
     placed = settings.rest_to_rest or rig.in_gravity or rig.limits.workspace is not None
     reach = _reachable(rig, payload, limits)
@@ -46,15 +46,21 @@ def design_twist(rig: Rig, payload: str, criterion: Literal["A", "D"], progress:
         return pose_twist(motion, time) if placed else (motion.velocity(time), motion.acceleration(time))
 
     def check(motion: FourierMotion) -> list[Usage]:
-        rows = _rows(rig)
+        rows = plan_rows(rig)
         rows = rows[: np.searchsorted(rows, basis.period) + 8]  # what follows a period repeats it
         spline = SplineTwist.through(rows, twist(motion, rows)[0])
         return check_twist(rig, payload, limits, spline, basis.period, placed=placed).usage
 
-    found = search(problem, basis, limits, settings.duration, check, settings.seed, progress)
+    found = search(lambda _: problem, limits, settings.duration, check, settings.seed, progress)
     notes = [] if rig.limits.velocity or rig.limits.acceleration else [_UNLIMITED]
     return twist_design(
-        rig, payload, limits, *twist(found.motion, _rows(rig)), basis.period, notes=tuple(notes), found=found
+        rig,
+        payload,
+        limits,
+        *twist(found.motion, plan_rows(rig)),
+        basis.period,
+        notes=tuple(notes),
+        found=found,
     )
 
 
@@ -74,18 +80,13 @@ def twist_design(
     found: Found | None = None,
 ) -> Design:
     """The design whose table has the given twist (N, 6) and derivative at the rows of the plan."""
-    time = _rows(rig)
+    time = plan_rows(rig)
     motion = SplineTwist.through(time, twist)
     columns = {"time_s": time}
     columns |= dict(zip(TWIST, twist.T, strict=True)) | dict(zip(ACCELERATION, acceleration.T, strict=True))
     preview = check_twist(rig, payload, limits, motion, period)
     facts = None if found is None else found.facts()
     return Design(motion, columns, preview, period, notes, facts, obstacles)
-
-
-def _rows(rig: Rig) -> Array:
-    """Times of the rows of the plan, both ends included."""
-    return np.linspace(0.0, rig.plan.duration, 1 + max(6, round(rig.plan.duration * rig.plan.rate)))
 
 
 def _at_rest(rig: Rig, payload: str, limits: Limits) -> tuple[str, ...]:

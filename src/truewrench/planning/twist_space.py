@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from truewrench.planning.limits import Limits
 from truewrench.planning.optimise import Bounds, Space
 from truewrench.planning.series import FourierMotion
-from truewrench.planning.symbolic import at_center_of_mass, total_derivative, wrench_over_range
+from truewrench.planning.symbolic import at_point, total_derivative, wrench_over_range
 from truewrench.rig import Rig
 
 __all__ = ["pose_space", "pose_twist", "twist_space"]
@@ -21,9 +21,7 @@ def twist_space(rig: Rig, payload: str, scale: Array) -> Space:
     """Coordinates are the integrals of the six components of the twist: free of gravity and of any place."""
     z, nu, a = (ca.SX.sym(name, 6) for name in ("z", "nu", "a"))
     lever = _lever(rig, payload)
-    wrench = wrench_over_range(
-        rig, payload, at_center_of_mass(nu, lever), at_center_of_mass(a, lever), ca.SX.zeros(3)
-    )
+    wrench = wrench_over_range(rig, payload, at_point(nu, lever), at_point(a, lever), ca.SX.zeros(3))
     node = ca.Function("node", [z, nu, a], [wrench, ca.SX(0, 1), ca.SX(0, 1)])
     none = np.zeros(0)
 
@@ -47,9 +45,7 @@ def pose_space(rig: Rig, payload: str, limits: Limits, scale: Array) -> Space:
     a = total_derivative(nu, z, velocity, acceleration)
     lever = _lever(rig, payload)
     gravity = ca.mtimes(rotation.T, ca.DM(rig.gravity_array))
-    wrench = wrench_over_range(
-        rig, payload, at_center_of_mass(nu, lever), at_center_of_mass(a, lever), gravity
-    )
+    wrench = wrench_over_range(rig, payload, at_point(nu, lever), at_point(a, lever), gravity)
     center = rig.payloads[payload].center_of_mass_array
     # the root's origin is where the sensor starts
     place = ca.DM(center - lever) + z[:3]
