@@ -34,7 +34,7 @@ from truewrench.known_wrench import (
 )
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
-from truewrench.silence import still_twists
+from truewrench.silence import still_bases, still_twists
 from truewrench.track import tracked
 from truewrench.verdict import judge_reference, judge_windows
 
@@ -160,7 +160,7 @@ def _from_windows(
             **_figures(rig, estimate),
             "noise": noise_figures(rig, noise),
             "held_out": compared.figures,
-            "notes": [*still_twists(logs), *noise_notes(rig, noise)],
+            "notes": [*still_twists(logs), *still_bases(logs), *noise_notes(rig, noise)],
         },
         timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from truewrench.log import Log
 from truewrench.rig import Rig
 
-__all__ = ["ChannelFault", "channel_faults", "still_twists"]
+__all__ = ["ChannelFault", "channel_faults", "still_bases", "still_twists"]
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def still_twists(logs: Sequence[Log]) -> list[str]:
     """Notes on twist columns that stay the same while others move, which the motion may well be like."""
     notes = []
     for k, log in enumerate(logs):
-        if log.twist is None:
+        if log.twist is None or log.tracking is not None:
             continue
         still = [_silence(column) for column in log.twist.T]
         if all(still):
@@ -72,6 +72,15 @@ def still_twists(logs: Sequence[Log]) -> list[str]:
             if words
         ]
     return notes
+
+
+def still_bases(logs: Sequence[Log]) -> list[str]:
+    """A note on logs of joints that say nothing of their base."""
+    silent = [str(k + 1) for k, log in enumerate(logs) if log.tracking is not None and log.base_twist is None]
+    if not silent:
+        return []
+    where = f" in log {', '.join(silent)}" if len(logs) > 1 else ""
+    return [f"no columns base_vx ... base_wz{where}: the robot's base is taken to stand still"]
 
 
 def _silence(values: Array) -> str:

@@ -332,7 +332,10 @@ def test_base_that_flies_is_calibrated_on(arm_rig: RigOf, scene: Callable[..., S
         scores.append(score(rig, estimate, truth)[1])
     assert_honest(scores)
     still = replace(log, base_twist=None, base_attitude=None)
-    assert not tw.calibrate(rig, still, held_out=False).verdict.usable
+    taken_still = tw.calibrate(rig, still, held_out=False)
+    assert not taken_still.verdict.usable
+    assert any("base is taken to stand still" in note for note in taken_still.figures["notes"])
+    assert not any("base" in note for note in tw.calibrate(rig, log, held_out=False).figures["notes"])
 
 
 @pytest.fixture(scope="module")
