@@ -12,21 +12,25 @@ from numpy.typing import NDArray
 
 from truewrench import robots
 from truewrench.arm_simulation import ArmRun, simulate_arm, simulate_plan
+from truewrench.arm_simulation.run import arm_with
 from truewrench.calibration import Calibration
 from truewrench.errors import UnsupportedError
-from truewrench.figures_arm import driven_figure, gain_figure
+from truewrench.figures_arm import arm_figure, driven_figure, gain_figure
 from truewrench.files import write_yaml
 from truewrench.io.tables import read_log
 from truewrench.pipeline import calibrate
 from truewrench.planning.planner import plan as make_plan
 from truewrench.planning.result import Plan
 from truewrench.rig import Rig, load_rig
+from truewrench.robot import robot_of
 from truewrench.trial import nees
 from truewrench.validation import Validation, validate
 
 __all__ = ["run_arm"]
 
 Array = NDArray[np.float64]
+
+_POSTURES = 6  # of the arm in its picture
 
 
 def run_arm(
@@ -77,9 +81,10 @@ def run_arm(
         "planning_seconds": plan.seconds,
         "axes": {name: axis.ratio for name, axis in validation.axes.items()},
     }
-    pictures = [output / "driven.png", output / "gain.png"]
-    _draw_driven(pictures[0], rig, run)
-    _draw_gain(pictures[1], run, calibration, plan, figures)
+    pictures = [output / name for name in ("arm.png", "driven.png", "gain.png")]
+    _draw_arm(pictures[0], rig, run)
+    _draw_driven(pictures[1], rig, run)
+    _draw_gain(pictures[2], run, calibration, plan, figures)
     files += [log_path, truth_path, calibration_path, other_path, other_truth, validation_path, *pictures]
     reasons = [*calibration.verdict.reasons, *_own_reasons(calibration, validation)]
     return _result(files, figures, reasons, _text(rig, run, calibration, validation, figures))
@@ -142,6 +147,24 @@ def _error(rig: Rig, run: ArmRun, calibration: Calibration) -> tuple[Array, Arra
     unit = _normalised(rig, np.ones_like(run.truth.gain)).ravel()
     covariance = calibration.covariance[: unit.size, : unit.size] * np.outer(unit, unit)
     return (calibration.gain - run.truth.gain).ravel() * unit, covariance
+
+
+def _draw_arm(path: Path, rig: Rig, run: ArmRun) -> None:
+    time, joints = run.moved.stamps.motion, run.moved.joints
+    body = run.truth.payloads[run.log.payload]
+    arm = arm_with(rig, robot_of(rig), body)
+    sensor = joints.reading.p_root_sensor
+    payload = sensor + joints.reading.R_root_sensor @ body.center_of_mass
+    postures = arm.skeleton(joints.position[np.linspace(0, len(time) - 1, _POSTURES).astype(np.int64)])
+    travel = float(np.linalg.norm(payload - payload[0], axis=1).max())
+    rate = float(np.linalg.norm(joints.reading.twist[:, 3:], axis=1).max())
+    caption = (
+        f"The arm at {_POSTURES} times (light: later), root, joints and sensor joined by lines, with the "
+        f"paths of the sensor and of the centre of mass of {body.mass:.4g} kg over {time[-1]:.3g} s. The "
+        f"payload moves by up to {travel:.2g} m and turns at up to {rate:.2g} rad/s. Conclusion: this is the "
+        "room that the calibration needs; check it for what stands there."
+    )
+    arm_figure(path, postures, time, sensor, payload, caption)
 
 
 def _draw_driven(path: Path, rig: Rig, run: ArmRun) -> None:

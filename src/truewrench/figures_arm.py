@@ -10,17 +10,55 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from truewrench.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, finish
 
-__all__ = ["driven_figure", "gain_figure"]
+__all__ = ["arm_figure", "driven_figure", "gain_figure"]
 
 Array = NDArray[np.float64]
 
 _AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 _JOINT_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, GREY, "black", "#56B4E9")
 _STYLES = ("-", "--", "-.", ":")
+
+
+def arm_figure(path: Path, postures: Array, time: Array, sensor: Array, payload: Array, caption: str) -> None:
+    """Draw an arm in space: some postures, and the paths of sensor and payload.
+
+    Args:
+        path: of the picture.
+        postures: (K, m, 3) points along the arm, root first, the earliest posture first [m].
+        time: (N,) of the paths [s].
+        sensor: (N, 3) positions of the sensor [m].
+        payload: (N, 3) positions of the payload's centre of mass [m].
+        caption: what it shows.
+    """
+    figure = Figure(figsize=(7.4, 8.0))
+    ax = figure.add_axes((0.0, 0.14, 0.9, 0.86), projection="3d")
+    assert isinstance(ax, Axes3D)
+    for k, posture in enumerate(postures):
+        shade = f"{0.25 + 0.5 * k / max(1, len(postures) - 1):.2f}"
+        ax.plot(*posture.T, "-o", color=shade, linewidth=2.4, markersize=4, label="arm" if k == 0 else None)
+    ax.plot(*postures[0, :1].T, "s", color="black", markersize=9, label="root")
+    ax.plot(*sensor.T, color=VERMILION, linewidth=1.2, label="sensor")
+    points = payload[:, None, :]
+    line = Line3DCollection(np.concatenate([points[:-1], points[1:]], axis=1), cmap="cividis", linewidths=2.4)
+    line.set_array(time[:-1])
+    ax.add_collection3d(line)
+    every = np.concatenate([postures.reshape(-1, 3), sensor, payload])
+    low, high = every.min(axis=0), every.max(axis=0)
+    middle, half = 0.5 * (low + high), 0.55 * (high - low) + 0.03 * float((high - low).max())
+    ends = [(float(a), float(b)) for a, b in zip(middle - half, middle + half, strict=True)]
+    ax.set(xlim=ends[0], ylim=ends[1], zlim=ends[2], xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    ax.set_box_aspect(2.0 * half, zoom=1.0)
+    ax.view_init(elev=22, azim=-58)
+    ax.legend(frameon=False, loc="upper left", ncols=3)
+    bar = figure.colorbar(line, cax=figure.add_axes((0.87, 0.36, 0.025, 0.42)))
+    bar.set_label("payload, time [s]")
+    finish(figure, path, caption)
 
 
 def driven_figure(

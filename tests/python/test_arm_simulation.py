@@ -233,6 +233,27 @@ def test_work_of_the_sensor_is_the_energy_of_the_payload(folder: Path, gravity: 
     assert kinetic.max() > 0.1
 
 
+def test_skeleton_runs_from_the_root_through_the_joints_to_the_sensor(folder: Path) -> None:
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-0.3, 0.3, (20, 4))
+    points = arm(folder).skeleton(q)
+    model = pin.buildModelFromUrdf(str(folder / "four.urdf"))
+    data = model.createData()
+    for position, found in zip(q, points, strict=True):
+        full = pin.neutral(model)
+        for name, x in zip(JOINTS, position, strict=True):
+            joint = model.joints[model.getJointId(name)]
+            full[joint.idx_q : joint.idx_q + joint.nq] = [x] if joint.nq == 1 else [np.cos(x), np.sin(x)]
+        pin.framesForwardKinematics(model, data, full)
+        joints = [data.oMi[model.getJointId(name)].translation for name in JOINTS]
+        expected = [np.zeros(3), *joints, data.oMf[model.getFrameId("ft")].translation]
+        # the slide's own origin moves along its axis: any point of the axis will do
+        along = data.oMi[model.getJointId("slide")].rotation[:, 0]
+        off = found - np.array(expected)
+        off[3] -= along * (along @ off[3])
+        np.testing.assert_allclose(off, 0.0, atol=1e-12)
+
+
 def still(position: list[float], duration: float = 1.0) -> SplineJoints:
     return SplineJoints.through(np.linspace(0, duration, 50), np.tile(position, (50, 1)))
 

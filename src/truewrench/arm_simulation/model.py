@@ -79,6 +79,15 @@ class Arm:
         mujoco.mj_fullM(self.model, data, inertia)
         return inertia
 
+    def skeleton(self, position: Array) -> Array:
+        """Root, joints and sensor (K, n + 2, 3) in the root frame [m], at positions (K, n)."""
+        data, points = mujoco.MjData(self.model), []
+        for q in position:
+            data.qpos[:] = q
+            mujoco.mj_kinematics(self.model, data)
+            points.append(np.concatenate([np.zeros((1, 3)), data.xanchor, data.site_xpos]))
+        return np.array(points)
+
     def holding_torque(self, position: Array) -> Array:
         """Joint torques (n,) that hold one position (n,) at rest [N m, N]."""
         data = mujoco.MjData(self.model)
