@@ -158,8 +158,10 @@ def line(name: str, path: Path, rows: Sequence[runs.Row]) -> list[Any]:
     """A row of the table."""
     found = [r for r in rows if r["outcome"] == "calibrated" and np.isfinite(r["rms"])]
     usable = sum(bool(r["usable"]) for r in rows)
+    feasible = "yes" if promise(path)["feasible"] else "no"
+    first = [name, feasible, len(rows), f"{usable / len(rows):.0%}"]
     if not found:
-        return [name, len(rows), f"{usable / len(rows):.0%}", *["-"] * 7]
+        return [*first, *["-"] * 8]
     error = np.array([r["errors"] for r in found])
     sigma = promised(name, path)
     rms = np.sqrt(np.mean(error**2))
@@ -167,9 +169,7 @@ def line(name: str, path: Path, rows: Sequence[runs.Row]) -> list[Any]:
     total = error.shape[1] * len(found)
     low, high = chi2.ppf([0.001, 0.999], total) / total
     return [
-        name,
-        len(rows),
-        f"{usable / len(rows):.0%}",
+        *first,
         f"{rms:.6f}",
         f"{rms / np.sqrt(np.mean([r['bound'] ** 2 for r in found])):.3f}",
         f"{np.mean([r['nees'] for r in found]):.3f} [{low:.3f}, {high:.3f}]",
@@ -182,8 +182,8 @@ def line(name: str, path: Path, rows: Sequence[runs.Row]) -> list[Any]:
 
 
 HEADER = (
-    "arm", "runs", "usable", "RMS", "RMS / bound", "NEES/36 [99.8%]", "worst", "realised / predicted",
-    "of each gain", "wrong and confident", "s",
+    "arm", "plan within limits", "runs", "usable", "RMS", "RMS / bound", "NEES/36 [99.8%]", "worst",
+    "realised / predicted", "of each gain", "wrong and confident", "s",
 )  # fmt: skip
 
 
