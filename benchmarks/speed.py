@@ -1,10 +1,12 @@
 """Time per sample of the estimators on a 60 s, 1 kHz record, one thread, beside filterpy: a markdown table.
 
     python benchmarks/speed.py
+    python benchmarks/speed.py --arm panda_ground
 
 Processor time of the whole call with its defaults, the least of several calls. filterpy runs the published
 filter on the same rows in the same process, with F and Q formed once and H written out by hand; that both
-arrive at the same state is checked.
+arrive at the same state is checked. With `--arm`: joint logs of a packaged arm, beside the twist that they
+amount to as a log of its own.
 """
 
 from __future__ import annotations
@@ -18,18 +20,22 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import cases
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
-from truewrench import _core
+from truewrench import _core, robots
+from truewrench.arm_simulation import simulate_arm
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.motion_noise import twist_noise
+from truewrench.rig import Rig, load_rig
 from truewrench.simulate import simulate
+from truewrench.track import track
 
 Array = NDArray[np.float64]
 
@@ -42,7 +48,11 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1000.0, help="of its samples [Hz]")
     parser.add_argument("--filterpy-rows", type=int, default=10_000, help="rows that filterpy runs over")
     parser.add_argument("--repeat", type=int, default=3, help="calls of which the fastest counts")
+    parser.add_argument("--arm", help="name of a packaged arm")
     arguments = parser.parse_args()
+    if arguments.arm is not None:
+        joints_against_twist(arguments.arm, arguments.duration, arguments.rate, arguments.repeat)
+        return
 
     rig, log = record(arguments.duration, arguments.rate)
     rows = len(log.raw)
@@ -67,6 +77,29 @@ def main() -> None:
     found = estimate_ekf(rig, [short]).gain.ravel()
     apart = np.abs(found - filterpy_state(rig, short)[12:]).max()
     print(f"\n`ekf` and filterpy: gains {apart:.1e} apart after {len(short.raw)} rows")
+
+
+def joints_against_twist(name: str, duration: float, rate: float, repeat: int) -> None:
+    """Time per row of reading and estimating."""
+    path = robots.path(name)
+    settings = load_rig(path).to_mapping()
+    settings["plan"]["duration"] = duration
+    settings["simulate"] |= {"rate": rate, "sensor_rate": rate}
+    joints = Rig.from_mapping(settings, path)
+    log = simulate_arm(joints).log
+    of_twist = {"source": "twist", "of": "sensor", "noise": twist_noise(joints, log).tolist()}
+    twist = Rig.from_mapping(settings | {"motion": of_twist, "limits": {}}, path)
+    bare = replace(log, tracking=None)
+    one_thread = _core.EstimatorSettings()
+    one_thread.threads = 1
+    print(f"{len(log.raw)} rows of `{name}`, one thread, core `{_core.variant}`; µs per row\n")
+    print("| log | following the joints | online | map |\n|---|---|---|---|")
+    for label, rig, one in (("joints", joints, log), ("twist", twist, bare)):
+        times = [seconds(lambda: track(joints, bare), 1)] if one is log else [0.0]
+        for method in ("online", "map"):
+            work = partial(estimate_windows, rig, [one], method, one_thread)
+            times.append(seconds(work, repeat))
+        print(f"| {label} | " + " | ".join(f"{1e6 * t / len(log.raw):.1f}" for t in times) + " |")
 
 
 def record(duration: float, rate: float) -> tuple[Rig, Log]:
