@@ -36,8 +36,8 @@ def arm_figure(path: Path, postures: Array, time: Array, sensor: Array, payload:
         payload: (N, 3) positions of the payload's centre of mass [m].
         caption: what it shows.
     """
-    figure = Figure(figsize=(7.4, 8.0))
-    ax = figure.add_axes((0.0, 0.14, 0.9, 0.86), projection="3d")
+    figure = Figure(figsize=(8.2, 8.0))
+    ax = figure.add_axes((0.0, 0.14, 0.84, 0.86), projection="3d")
     assert isinstance(ax, Axes3D)
     for k, posture in enumerate(postures):
         shade = f"{0.25 + 0.5 * k / max(1, len(postures) - 1):.2f}"
@@ -53,10 +53,10 @@ def arm_figure(path: Path, postures: Array, time: Array, sensor: Array, payload:
     middle, half = 0.5 * (low + high), 0.55 * (high - low) + 0.03 * float((high - low).max())
     ends = [(float(a), float(b)) for a, b in zip(middle - half, middle + half, strict=True)]
     ax.set(xlim=ends[0], ylim=ends[1], zlim=ends[2], xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    ax.set_box_aspect(2.0 * half, zoom=1.0)
+    ax.set_box_aspect(2.0 * half, zoom=0.94)
     ax.view_init(elev=22, azim=-58)
     ax.legend(frameon=False, loc="upper left", ncols=3)
-    bar = figure.colorbar(line, cax=figure.add_axes((0.87, 0.36, 0.025, 0.42)))
+    bar = figure.colorbar(line, cax=figure.add_axes((0.9, 0.36, 0.022, 0.42)))
     bar.set_label("payload, time [s]")
     finish(figure, path, caption)
 
