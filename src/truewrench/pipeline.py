@@ -18,7 +18,7 @@ from truewrench.bound import oracle_rms
 from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
 from truewrench.comparison import Comparison, compare_held_out, compare_in_sample
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimate.clock import clock_doubts
+from truewrench.estimate.clock import clock_doubts, mostly_unexplained
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.least_squares import least_squares
@@ -131,9 +131,9 @@ def _from_windows(
     clock.append(time.perf_counter())
     report("judging", None)
     verdict = judge_windows(rig, estimate, logs, noise)
-    if verdict.usable:
+    if verdict.usable or mostly_unexplained(estimate):  # a delay spoils a good sensor's fit
         doubts = clock_doubts(as_found, lambda rig: estimate_windows(rig, logs, "online", settings))
-        verdict = replace(verdict, usable=not doubts, reasons=tuple(doubts))
+        verdict = replace(verdict, usable=verdict.usable and not doubts, reasons=(*verdict.reasons, *doubts))
     calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())
 

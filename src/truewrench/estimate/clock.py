@@ -10,7 +10,7 @@ from truewrench import _core
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.rig import Rig
 
-__all__ = ["clock_doubts"]
+__all__ = ["clock_doubts", "mostly_unexplained"]
 
 TRUSTED = 1e-3  # [s] 1 sigma below which a stated clock is put to the test
 WIDE = 5e-3  # [s] 1 sigma of the clock in that test
@@ -48,6 +48,12 @@ def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[st
                 "driver delays one of the streams; state a `time_offset_prior` that allows for it"
             )
     return doubts
+
+
+def mostly_unexplained(estimate: WindowEstimate) -> bool:
+    """Whether most samples of the sensor lie in windows that do not fit."""
+    fitted = sum(w.samples for w in estimate.windows if w.status == _core.WindowStatus.fitted)
+    return 2 * fitted < sum(w.samples for w in estimate.windows)
 
 
 def _worse(free: WindowEstimate, stated: WindowEstimate) -> bool:
