@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -16,6 +15,7 @@ from truewrench.planning.prediction import HEAVIER, Prediction, predict
 from truewrench.planning.result import Design, Plan
 from truewrench.planning.search import Progress
 from truewrench.planning.twist_plan import design_twist
+from truewrench.planning.wrench_plan import design_wrench
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
 from truewrench.trajectory import SplineTwist
@@ -54,19 +54,28 @@ def plan(
     tell = progress or (lambda phase, share: None)
     if method == "optimal":
         check_harmonics(rig)
-    design = _designer(rig)(rig, name, criterion, tell)
+    design = _design(rig, name, method, criterion, tell)
     tell("prediction", None)
     moves = not design.obstacles and bool(np.abs(design.preview.twist).max() > 0.0)
     prediction = _predict(rig, name, design) if moves else None
     return Plan(rig, name, method, criterion, design, prediction, time.perf_counter() - started)
 
 
-def _designer(rig: Rig) -> Callable[[Rig, str, Literal["A", "D"], Progress], Design]:
+def _design(
+    rig: Rig, payload: str, method: Literal["optimal", "wrench"], criterion: Literal["A", "D"], tell: Progress
+) -> Design:
     if rig.motion.source == "twist":
-        return design_twist
-    from truewrench.planning.joint_plan import design_joints  # Pinocchio is heavy
+        if method == "wrench":
+            return design_wrench(rig, payload, tell)
+        return design_twist(rig, payload, criterion, tell)
+    # Pinocchio is heavy
+    if method == "wrench":
+        from truewrench.planning.joint_wrench import design_joint_wrench
 
-    return design_joints
+        return design_joint_wrench(rig, payload, tell)
+    from truewrench.planning.joint_plan import design_joints
+
+    return design_joints(rig, payload, criterion, tell)
 
 
 def _predict(rig: Rig, payload: str, design: Design) -> Prediction:
