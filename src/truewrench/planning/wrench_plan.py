@@ -165,7 +165,7 @@ def scaled(found: Sinusoids, factor: float) -> Sinusoids:
 
 
 def _triples(limits: Limits, duration: float) -> list[tuple[int, int, int]]:
-    """Distinct integers about the frequency at which velocity and acceleration reach their limits together."""
+    """Distinct integers about the frequency at which velocity and acceleration meet their limits together."""
     with np.errstate(invalid="ignore"):
         corners = limits.acceleration / limits.velocity / (2.0 * np.pi) * duration
     known = corners[np.isfinite(corners)]
@@ -181,7 +181,7 @@ def _used(rig: Rig, limits: Limits, batch: Batch, motions: Motions) -> Array:
         for six in (nu, a):
             six[..., :3] -= np.cross(six[..., 3:], body.center_of_mass)
     step = motions.time[1]
-    integral = cumulative_trapezoid(nu, dx=step, axis=0, initial=0.0)
+    integral = cumulative_trapezoid(nu, dx=step, axis=0, initial=0)
     shares = [
         np.abs(nu) / limits.velocity,
         np.abs(a) / limits.acceleration,
