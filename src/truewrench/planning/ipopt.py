@@ -100,6 +100,7 @@ def minimise(
         "ipopt.acceptable_tol": 1e-3,
         "ipopt.acceptable_iter": 5,
         "ipopt.acceptable_obj_change_tol": 1e-5,
+        "ipopt.mu_init": 1e-3,  # random motions are within the limits already
         "ipopt.constr_viol_tol": 1e-9,
         "ipopt.acceptable_constr_viol_tol": 1e-9,
         "print_time": False,

@@ -81,7 +81,7 @@ def quick_usage(
         *usage_of("torque", robot.joints[: torque.shape[1]], time, torque, -high, high),
         *wrench_usage(limits, time, wrench * rig.sensor.range_array),
         *place_usage(limits, time, workspace[:, :3], workspace[:, 3:]),
-        *clearance_usage(outputs.pairs, time, np.sqrt(every[:, outputs.distance]), limits.clearance),
+        *clearance_usage(outputs.pairs, time, every[:, outputs.distance] ** -0.5, limits.clearance),
     ]
 
 

@@ -33,7 +33,7 @@ class ArmOutputs:
         function: to wrench over range (6,) and all outputs (y,).
         workspace: (6,) x, y, z of sensor and centre of mass [m].
         torque: (n,) [N m, N].
-        distance: (d,) squared distances between the pairs [m^2].
+        distance: (d,) inverse squares of the distances between the pairs [1/m^2].
         pairs: names of these pairs.
     """
 
@@ -94,12 +94,13 @@ def near_pairs(robot: Robot) -> list[tuple[str, str, int, float]]:
 
 
 def _distances(robot: Robot, arm: ArmExpressions, mass_at: Any) -> tuple[tuple[str, ...], list[Any]]:
-    names, squares = [], []
+    names, inverse = [], []
     for outer, inner, link, share in near_pairs(robot):
         point = (1.0 - share) * arm.origins[link] + share * arm.origins[link + 1]
         names.append(f"{outer} from {inner}")
-        squares.append(ca.sumsqr((arm.p_root_sensor if outer == "sensor" else mass_at) - point))
-    return tuple(names), squares
+        away = (arm.p_root_sensor if outer == "sensor" else mass_at) - point
+        inverse.append(1.0 / (ca.sumsqr(away) + 1e-12))
+    return tuple(names), inverse
 
 
 def joint_space(
@@ -122,8 +123,9 @@ def joint_space(
         low[outputs.workspace], high[outputs.workspace] = (np.tile(side, 2) for side in limits.workspace.T)
         count = outputs.torque.stop - outputs.torque.start
         low[outputs.torque], high[outputs.torque] = -limits.torque[:count], limits.torque[:count]
-        # far more than any arm reaches: distances are limited on one side alone
-        low[outputs.distance], high[outputs.distance] = limits.clearance**2, (100.0 * limits.clearance) ** 2
+        # of the inverse square, which is never negative
+        high[outputs.distance] = limits.clearance**-2.0
+        low[outputs.distance] = -high[outputs.distance]
         return low, high
 
     wanted = np.concatenate(
