@@ -1,0 +1,87 @@
+"""The command line: parse, call, print, exit status.
+
+0 done and usable; 1 internal fault; 2 bad input, settings or an unsupported combination, nothing written;
+3 a result is written but is not to be used as it stands.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from truewrench.cli import calibrations, logs, motions, trials
+from truewrench.cli.common import Outcome
+from truewrench.cli.terminal import fail, show_outcome
+from truewrench.errors import InputError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="truewrench",
+    help="Recalibrate a robot's six-axis force/torque sensor in place, from the motion of a known payload.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+for _command in (
+    trials.demo,
+    motions.plan,
+    motions.follow,
+    motions.simulate,
+    calibrations.calibrate,
+    calibrations.validate,
+    calibrations.apply,
+    logs.inspect,
+    trials.campaign,
+):
+    app.command()(_command)
+
+_INTERRUPTED = 130  # what a shell says of a program that Ctrl-C ended
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(version("truewrench"))  # noqa: T201
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command and exit with its status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    as_json, debug = "--json" in words, "--debug" in words
+    try:
+        outcome = typer.main.get_command(app).main(words, prog_name="truewrench", standalone_mode=False)
+        if outcome == _INTERRUPTED:
+            one_file = words[0] in ("calibrate", "validate", "apply")
+            sys.exit(fail([f"interrupted{': nothing was written' * one_file}"], _INTERRUPTED, as_json, None))
+        if not isinstance(outcome, Outcome):  # --help, --version
+            sys.exit(outcome)
+        show_outcome(outcome, as_json)
+        status = outcome.status
+    except (InputError, typer.TyperException) as error:
+        reasons = error.problems if isinstance(error, InputError) else [error.format_message()]
+        status = fail(reasons, 2, as_json, error if debug else None)
+    except KeyboardInterrupt:
+        status = fail(["interrupted"], _INTERRUPTED, as_json, None)
+    except BrokenPipeError:  # the reader of our output has gone; its end is not our fault
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 0
+    except Exception as error:
+        hint = "" if debug else " (--debug shows where)"
+        reason = f"internal fault: {type(error).__name__}: {error}{hint}"
+        status = fail([reason], 1, as_json, error if debug else None)
+    sys.exit(status)

@@ -1,0 +1,157 @@
+"""Commands about a calibration: make one, judge one, use one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from truewrench.cli.common import (
+    DebugOption,
+    JsonOption,
+    LogsArgument,
+    Outcome,
+    OutputFolderOption,
+    OutputLogOption,
+    RigArgument,
+    check_folder,
+    progress_bar,
+    report_left_out,
+    verdict_of,
+)
+
+__all__ = ["apply", "calibrate", "validate"]
+
+
+def calibrate(
+    rig: RigArgument,
+    logs: LogsArgument,
+    output: OutputFolderOption,
+    estimator: Annotated[
+        Literal["map", "online", "ekf", "ls"], typer.Option(help="map, online; ekf and ls are references.")
+    ] = "map",
+    published: Annotated[bool, typer.Option("--published", help="ekf: start from P = I in SI.")] = False,
+    smooth: Annotated[Literal["spline"] | None, typer.Option(help="ls: differentiate a spline.")] = None,
+    window: Annotated[float | None, typer.Option(min=0.0, help="Length of a window of motion [s].")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
+    process_density: Annotated[float | None, typer.Option(min=0.0, help="ekf: of the acceleration.")] = None,
+    rescale_noise: Annotated[
+        bool, typer.Option("--rescale-noise", help="Take the noise of sensor and motion from the residuals.")
+    ] = False,
+    held_out: Annotated[
+        bool,
+        typer.Option("--held-out/--no-held-out", help="Compare with the nominal gain on unseen data."),
+    ] = True,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Calibrate gain and offset from one or more logs."""
+    from truewrench.io.tables import read_log
+    from truewrench.pipeline import calibrate as run
+    from truewrench.rig import load_rig
+    from truewrench.summary import calibration_summary
+
+    check_folder(output)
+    settings = load_rig(rig)
+    with progress_bar() as update:
+        records = [read_log(log, settings) for log in logs]
+        calibration = run(
+            settings,
+            records,
+            estimator,
+            window=window,
+            threads=threads,
+            held_out=held_out,
+            rescale_noise=rescale_noise,
+            published=published,
+            smooth=smooth,
+            process_density=process_density,
+            progress=update,
+        )
+    target = output / "calibration.yaml"
+    calibration.write_yaml(target)
+    for record in records:
+        report_left_out(record.path, record.dropped_rows, record.nan_counts)
+    return Outcome(
+        outputs=[target],
+        verdict=verdict_of(calibration),
+        figures={
+            "gain": calibration.gain,
+            "gain_std": calibration.gain_std,
+            "offset": calibration.offset,
+            "offset_std": calibration.offset_std,
+            "bound": calibration.bound,
+            "improvement": calibration.improvement,
+            "fit": calibration.figures,
+            "timings": calibration.timings,
+            "dropped_rows": {str(record.path): record.dropped_rows for record in records},
+            "nan_counts": {str(record.path): record.nan_counts for record in records},
+        },
+        words=lambda: calibration_summary(calibration),
+    )
+
+
+def validate(
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml.")],
+    rig: RigArgument,
+    logs: LogsArgument,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of validation.yaml.")
+    ] = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Judge a calibration by logs it was not made with: is it better than the nominal gain?"""
+    from truewrench.calibration import load_calibration
+    from truewrench.io.tables import read_log
+    from truewrench.rig import load_rig
+    from truewrench.summary import validation_summary
+    from truewrench.validation import validate as run
+
+    if output is not None:
+        check_folder(output)
+    loaded, settings = load_calibration(calibration), load_rig(rig)
+    with progress_bar() as update:
+        records = [read_log(log, settings) for log in logs]
+        update("validating", None)
+        validation = run(loaded, settings, records)
+    for record in records:
+        report_left_out(record.path, record.dropped_rows, record.nan_counts)
+    outputs = [] if output is None else [output / "validation.yaml"]
+    for target in outputs:
+        validation.write_yaml(target)
+    figures = validation.to_mapping()
+    return Outcome(
+        outputs=outputs,
+        verdict=figures.pop("verdict"),
+        figures=figures,
+        words=lambda: validation_summary(validation),
+    )
+
+
+def apply(
+    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml.")],
+    log: Annotated[str, typer.Argument(metavar="LOG", help="CSV or Parquet.")],
+    output: OutputLogOption,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Write a log with the true wrench and its 1 sigma added."""
+    from truewrench.apply import apply as run
+    from truewrench.calibration import load_calibration
+
+    loaded = load_calibration(calibration)
+    with progress_bar() as update:
+        done = run(loaded, log, output, progress=lambda rows: update(f"{rows} rows", None))
+    return Outcome(
+        outputs=[output],
+        verdict=verdict_of(loaded),
+        figures={"rows": done.rows, "corrected": done.corrected},
+        words=lambda: iter(
+            [
+                f"{output}: {done.corrected} of {done.rows} rows with the true wrench",
+                *(f"not to be used as it stands: {reason}" for reason in loaded.verdict.reasons),
+            ]
+        ),
+    )

@@ -1,0 +1,96 @@
+"""What all commands share: options, what they return, checks and progress."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from truewrench.errors import InputError
+
+if TYPE_CHECKING:
+    from truewrench.calibration import Calibration
+
+__all__ = [
+    "DebugOption",
+    "JsonOption",
+    "LogsArgument",
+    "Outcome",
+    "OutputFolderOption",
+    "OutputLogOption",
+    "RigArgument",
+    "check_folder",
+    "progress_bar",
+    "report_left_out",
+    "verdict_of",
+]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command did: files, figures and verdict for programs, words for people."""
+
+    outputs: Sequence[str | Path] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    verdict: Mapping[str, Any] | None = None
+    words: Callable[[], Iterator[RenderableType]] = lambda: iter(())
+
+    @property
+    def status(self) -> int:
+        """3 when a verdict forbids the use of what was written."""
+        return 0 if self.verdict is None or self.verdict["usable"] else 3
+
+
+# Read by `main` from the command line itself, so that they hold for errors in its other options, too.
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+DebugOption = Annotated[bool, typer.Option("--debug", help="Show where in the program a fault arose.")]
+RigArgument = Annotated[Path, typer.Argument(metavar="RIG", help="YAML file of sensor, payloads and motion.")]
+OutputFolderOption = Annotated[
+    Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the results.")
+]
+OutputLogOption = Annotated[
+    Path, typer.Option("-o", "--output", metavar="FILE", help="CSV, or Parquet by its name.")
+]
+LogsArgument = Annotated[list[str], typer.Argument(metavar="LOG...", help="CSV or Parquet; LOG@PAYLOAD.")]
+
+
+def verdict_of(calibration: Calibration) -> dict[str, Any]:
+    """The verdict for programs."""
+    verdict: dict[str, Any] = dataclasses.asdict(calibration.verdict)
+    return verdict
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a file where results want a folder, before any work is done."""
+    if path.exists() and not path.is_dir():
+        raise InputError.at(path, "", "a file", "a folder, or a name that is free")
+
+
+def report_left_out(path: Path | None, dropped_rows: int, nan_counts: Mapping[str, int]) -> None:
+    """Say on standard error what of a log is not used."""
+    if dropped_rows:
+        print(f"{path}: {dropped_rows} rows without any measurement left out", file=sys.stderr)  # noqa: T201
+    for column, count in nan_counts.items():
+        print(f"{path}: column `{column}`: {count} NaN left out", file=sys.stderr)  # noqa: T201
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float | None], None]]:
+    """Calls with a phase and the share of it that is done, shown on a terminal only."""
+    if not sys.stderr.isatty():
+        yield lambda phase, share: None
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda phase, share: bar.update(
+            task, description=phase, completed=share or 0.0, total=None if share is None else 1.0
+        )

@@ -1,0 +1,118 @@
+"""Commands about the motion: plan it, follow it, simulate it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from truewrench.cli.common import (
+    DebugOption,
+    JsonOption,
+    Outcome,
+    OutputLogOption,
+    RigArgument,
+    progress_bar,
+)
+
+if TYPE_CHECKING:
+    from truewrench.arm_simulation import ArmRun
+    from truewrench.simulate import SimulatedRun
+
+__all__ = ["follow", "plan", "simulate"]
+
+
+def plan(
+    rig: RigArgument,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="PLAN", help="CSV, or Parquet by its name.")
+    ],
+    method: Annotated[
+        Literal["optimal", "wrench"], typer.Option(help="wrench: sinusoidal forces and moments.")
+    ] = "optimal",
+    criterion: Annotated[
+        Literal["A", "D"], typer.Option(help="A: RMS sigma of the gains; D: volume of their region.")
+    ] = "A",
+    payload: Annotated[str | None, typer.Option(help="Payload carried; the first of the rig.")] = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Plan a motion that calibrates well within the rig's limits, and say what it promises."""
+    from truewrench.planning.planner import plan as run
+    from truewrench.planning.words import plan_words
+    from truewrench.rig import load_rig
+
+    settings = load_rig(rig)
+    with progress_bar() as update:
+        planned = run(settings, method, criterion=criterion, payload=payload, progress=update)
+    figures = planned.to_mapping()
+    return Outcome(
+        outputs=planned.write(output),
+        verdict=figures.pop("verdict"),
+        figures=figures,
+        words=lambda: plan_words(planned),
+    )
+
+
+def follow(
+    rig: RigArgument,
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Table of the planned twist, vx ... wz.")],
+    output: OutputLogOption,
+    of: Annotated[
+        Literal["com", "sensor"], typer.Option(help="The point that the plan moves: mass or sensor.")
+    ] = "com",
+    payload: Annotated[str | None, typer.Option(help="Payload carried; the first of the rig.")] = None,
+    rate: Annotated[float, typer.Option(min=1.0, help="Commands a second [Hz].")] = 100.0,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Turn a planned twist into motions of an arm's joints, within their limits."""
+    from truewrench.follow import follow_plan
+    from truewrench.rig import load_rig
+
+    done = follow_plan(load_rig(rig), plan, of=of, payload=payload, rate=rate)
+    reasons = done.reasons
+    return Outcome(
+        outputs=done.write(output),
+        verdict={"usable": not reasons, "reasons": reasons},
+        figures={"linear_error": done.linear, "angular_error": done.angular},
+        words=lambda: iter(
+            [
+                f"the sensor follows to {done.motion.position_error.max():.1e} m",
+                *(f"not to be used as it stands: {reason}" for reason in reasons),
+            ]
+        ),
+    )
+
+
+def simulate(
+    rig: RigArgument,
+    output: OutputLogOption,
+    plan: Annotated[Path | None, typer.Argument(metavar="[PLAN]", help="Table of the motion.")] = None,
+    payload: Annotated[str | None, typer.Option(help="Payload carried; the first of the rig.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the rig's `simulate.seed`.")] = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Simulate a log, and write its truth beside it."""
+    from truewrench.rig import load_rig
+
+    settings = load_rig(rig)
+    simulated: ArmRun | SimulatedRun
+    if settings.motion.source == "joints":
+        from truewrench.arm_simulation import simulate_plan
+
+        simulated = simulate_plan(settings, plan, payload=payload, seed=seed)
+    else:
+        from truewrench.io.plans import read_plan
+        from truewrench.simulate import simulate as run
+
+        simulated = run(settings, None if plan is None else read_plan(plan), payload=payload, seed=seed)
+    log, truth = simulated.write(output)
+    rows = len(simulated.log.time_ns)
+    return Outcome(
+        outputs=[log, truth],
+        figures={"rows": rows, "duration": float(simulated.log.time[-1]), **simulated.figures()},
+        words=lambda: iter([f"{rows} rows with `{simulated.log.payload}`, and what they were made with"]),
+    )

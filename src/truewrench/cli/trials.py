@@ -1,0 +1,91 @@
+"""Commands that try out everything at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from truewrench.cli.common import (
+    DebugOption,
+    JsonOption,
+    Outcome,
+    OutputFolderOption,
+    RigArgument,
+    check_folder,
+    progress_bar,
+)
+
+__all__ = ["campaign", "demo"]
+
+
+def demo(
+    output: OutputFolderOption,
+    arm: Annotated[
+        str | None, typer.Option(metavar="ROBOT", help="A packaged arm, or a rig: plan, MuJoCo, calibrate.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of gain and noise.")] = 0,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Run the case of the paper, or a whole arm, from motion to pictures."""
+    check_folder(output)
+    with progress_bar() as update:
+        if arm is not None:
+            from truewrench.demo_arm import run_arm
+
+            result = run_arm(arm, output, seed=seed, progress=update)
+        else:
+            from truewrench.demo import run
+
+            result = run(output, seed=seed, progress=lambda phase: update(phase, None))
+    return Outcome(
+        outputs=result["outputs"],
+        figures=result["figures"],
+        verdict=result.get("verdict"),
+        words=lambda: iter([result["text"]]),
+    )
+
+
+def campaign(
+    rig: RigArgument,
+    trials: Annotated[int, typer.Option(min=1, help="Simulated calibrations.")],
+    output: OutputFolderOption,
+    plan: Annotated[Path | None, typer.Argument(metavar="[PLAN]", help="Table of the motion.")] = None,
+    estimator: Annotated[
+        Literal["map", "online", "ekf", "ls"], typer.Option(help="map, online; ekf and ls are references.")
+    ] = "map",
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
+    processes: Annotated[int | None, typer.Option(min=1, help="All cores; no effect on the rows.")] = None,
+    restart: Annotated[bool, typer.Option("--restart", help="Drop another campaign in DIR.")] = False,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Simulate and calibrate many times: accuracy, honesty, time. A rerun goes on where it stood."""
+    from truewrench.campaign import campaign as run
+    from truewrench.campaign_statistics import campaign_words
+    from truewrench.io.plans import read_plan
+    from truewrench.rig import load_rig
+
+    check_folder(output)
+    settings = load_rig(rig)
+    trajectory = None if plan is None else read_plan(plan)
+    with progress_bar() as update:
+        result = run(
+            settings,
+            trials,
+            output,
+            estimator,
+            seed,
+            processes,
+            update,
+            trajectory=trajectory,
+            restart=restart,
+        )
+    return Outcome(
+        outputs=result.outputs,
+        verdict=result.summary["verdict"],
+        figures=result.summary,
+        words=lambda: campaign_words(result),
+    )
