@@ -20,7 +20,7 @@ from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 
-__all__ = ["Applied", "apply"]
+__all__ = ["Applied", "apply", "corrector"]
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
@@ -80,7 +80,7 @@ class _Run:
     ) -> None:
         self.rows = 0
         self.corrected = 0
-        self._corrector = _corrector(calibration, table.path)
+        self._corrector = corrector(calibration, table.path)
         self._table = table
         self._raw = raw_columns(table, calibration.n)
         self._time = TimeReader(table)
@@ -122,12 +122,17 @@ class _Run:
             raise InputError.at(self._table.path, "", "no row", "at least one row below the header")
 
 
-def _corrector(calibration: Calibration, path: Path) -> _core.Corrector:
+def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
+    """What turns raw samples into wrenches and their 1 sigma.
+
+    Raises:
+        InputError: naming the source of the samples, if the gain cannot be inverted.
+    """
     noise = calibration.rig.sensor.noise_array
     try:
         return _core.Corrector(calibration.gain, calibration.offset, noise, calibration.covariance)
     except ValueError as error:
-        raise InputError(f"{path}: cannot be corrected: {error}") from error
+        raise InputError(f"{source}: cannot be corrected: {error}") from error
 
 
 def _as_csv(columns: FloatArray) -> list[bytes]:
