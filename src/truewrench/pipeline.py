@@ -25,6 +25,7 @@ from truewrench.estimate.least_squares import least_squares
 from truewrench.estimate.noise import estimate_with_noise, noise_figures, noise_notes, with_noise
 from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
+from truewrench.evidence import Evidence
 from truewrench.known_wrench import (
     compare_known_wrench,
     judge_known_wrench,
@@ -43,6 +44,7 @@ __all__ = ["calibrate"]
 Array = NDArray[np.float64]
 EstimatorName = Literal["map", "online", "ekf", "ls"]
 Progress = Callable[[str, float | None], None]
+Show = Callable[[Evidence], None]
 
 
 def calibrate(
@@ -58,6 +60,7 @@ def calibrate(
     smooth: Literal["spline"] | None = None,
     process_density: float | None = None,
     progress: Progress | None = None,
+    evidence: Callable[[Evidence], None] | None = None,
 ) -> Calibration:
     """Calibrate gain and offset of a rig's sensor from one log or several.
 
@@ -76,6 +79,7 @@ def calibrate(
         smooth: `ls` differentiates a spline and not the samples.
         process_density: of `ekf`.
         progress: called with a phase and the share of it that is done, if known.
+        evidence: called once with what the calibration rests on, for a report.
 
     Raises:
         InputError: for logs that do not fit the rig.
@@ -96,16 +100,17 @@ def calibrate(
         process_density=process_density,
     )
     report = progress or (lambda phase, share: None)
+    show = evidence or (lambda found: None)
     started = time.perf_counter()
     records = tracked(rig, records)
     if wrench_is_known(rig, records, estimator):
         if window is not None:
             raise UnsupportedError.at(None, "window", f"{window:g} s", "nothing for logs with ref_* columns")
-        return _from_known_wrench(rig, records, held_out, report)
+        return _from_known_wrench(rig, records, held_out, report, show)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
-        return _from_windows(rig, records, estimator, window, threads, held_out, rescale_noise, report)
-    return _from_reference(rig, records, estimator, published, smooth, process_density, started)
+        return _from_windows(rig, records, estimator, window, threads, held_out, rescale_noise, report, show)
+    return _from_reference(rig, records, estimator, published, smooth, process_density, started, show)
 
 
 def _from_windows(
@@ -117,6 +122,7 @@ def _from_windows(
     held_out: bool,
     rescale_noise: bool,
     report: Progress,
+    show: Show,
 ) -> Calibration:
     settings = _core.EstimatorSettings()
     settings.window = settings.window if window is None else window
@@ -151,6 +157,7 @@ def _from_windows(
     if isinstance(compared, str):
         compared = compare_in_sample(rig, logs, estimate, calibration.inverse, compared)
     clock.append(time.perf_counter())
+    show(Evidence(tuple(logs), estimate))
     reasons = (*verdict.reasons, *compared.reasons)
     return replace(
         calibration,
@@ -188,7 +195,9 @@ def _of_estimate(
     )
 
 
-def _from_known_wrench(rig: Rig, logs: Sequence[Log], held_out: bool, report: Progress) -> Calibration:
+def _from_known_wrench(
+    rig: Rig, logs: Sequence[Log], held_out: bool, report: Progress, show: Show
+) -> Calibration:
     report("estimating (reference wrenches)", None)
     clock = [time.perf_counter()]
     estimate = estimate_from_reference(rig, logs)
@@ -198,6 +207,7 @@ def _from_known_wrench(rig: Rig, logs: Sequence[Log], held_out: bool, report: Pr
     clock.append(time.perf_counter())
     compared = compare_known_wrench(rig, logs, estimate, held_out)
     clock.append(time.perf_counter())
+    show(Evidence(tuple(logs), estimate))
     reasons = (*verdict.reasons, *compared.reasons)
     stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
     wrenches = [
@@ -229,14 +239,17 @@ def _from_reference(
     smooth: Literal["spline"] | None,
     process_density: float | None,
     started: float,
+    show: Show,
 ) -> Calibration:
     figures: dict[str, Any] = {}
     if estimator == "ekf":
         ekf = estimate_ekf(rig, logs, published=published, process_density=process_density)
+        show(Evidence(tuple(logs), ekf))
         gain, covariance, offsets, samples = ekf.gain, ekf.covariance, ekf.offsets, ekf.samples
         figures["nis"] = float(ekf.nis.sum() / max(1, int(ekf.degrees_of_freedom.sum())))
     else:
         ls = least_squares(rig, logs, smooth)
+        show(Evidence(tuple(logs), ls))
         gain, covariance, offsets, samples = ls.gain, ls.covariance, ls.offsets, ls.samples
         figures["chi_square"] = ls.chi_square.tolist()
     n = rig.sensor.n

@@ -41,6 +41,7 @@ class Residuals:
     lagged: Array  # (LONGEST_LAG + 1, 6) mean motion covariance at 0, 1, ... rows
     period: float  # [s]
     time_offset: float
+    rows: NDArray[np.int64]  # (M,) of the log
 
 
 def tared(rig: Rig) -> bool:
@@ -98,6 +99,7 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
         lagged,
         float(np.median(np.diff(log.time[rows]))),
         tau,
+        rows,
     )
 
 

@@ -19,7 +19,7 @@ from truewrench.rig import Rig
 from truewrench.smooth import smooth_twist
 from truewrench.split import rows_of
 
-__all__ = ["Part", "links", "noise_behind_filter", "parts_of", "recorded"]
+__all__ = ["Part", "links", "noise_behind_filter", "parts_of", "recorded", "unfiltered"]
 
 Array = NDArray[np.float64]
 
@@ -124,7 +124,7 @@ def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]
             _add_specific_force(streams, rig, log, time, noise)
     raw, delay = log.raw, 0.0
     if rig.sensor.lowpass_hz is not None:
-        raw, delay = _unfiltered(log.raw, time, rig.sensor.lowpass_hz)
+        raw, delay = unfiltered(log.raw, time, rig.sensor.lowpass_hz)
     rows = np.flatnonzero(np.isfinite(raw).any(axis=1))
     if log.gravity is not None:
         known = np.isfinite(log.gravity).all(axis=1)
@@ -172,7 +172,7 @@ def noise_behind_filter(rig: Rig, logs: Sequence[Log]) -> float:
     return float(np.median(factors))
 
 
-def _unfiltered(raw: Array, time: Array, corner: float) -> tuple[Array, float]:
+def unfiltered(raw: Array, time: Array, corner: float) -> tuple[Array, float]:
     """Channels before a first-order low-pass, and how far before its time stamp each sample then lies [s].
 
     x_k - alpha x_{k-1} is (1 - alpha) times the mean of the input over the last period, weighted by

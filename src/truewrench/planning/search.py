@@ -22,7 +22,7 @@ Progress = Callable[[str, float | None], None]
 _ROUNDS = 6  # of tightening
 _SPARE = 1e-7  # of a limit
 _TRIES = 20
-_HOPELESS = 1.2  # use of a limit that a smaller motion is not tried for
+_SMALLEST = 0.8  # of the size found: smaller motions are not tried
 _LIVE = 0.7  # use of a limit by the best random motions from which on it is kept to from the start
 _LOOKED_AT = 5  # of these motions
 
@@ -34,15 +34,19 @@ class Effort:
     Attributes:
         random: motions that are drawn.
         starts: of them that are optimised.
-        iterations: of IPOPT from each of them,
-        again: and from an optimum, in every round of one with limits a little tighter.
-        rounds: in each, with the constraints that the one before came near.
-        excess: of a limit at which the motion is simply made smaller, which costs as much accuracy.
+        first: iterations of IPOPT from each of them,
+        finalists: how many of them are optimised further,
+        iterations: by so many,
+        again: and iterations from the best, in every round of one with limits a little tighter.
+        rounds: of each optimisation, with the constraints that the one before came near.
+        excess: of its size that a motion may lose to limits that it exceeds; sigma grows as much.
     """
 
     random: int = 200
     starts: int = 3
-    iterations: int = 150
+    first: int = 150
+    finalists: int = 0
+    iterations: int = 0
     again: int = 60
     rounds: int = 2
     excess: float = 0.003
@@ -109,14 +113,21 @@ def search(
     live = {use.limit for use in looked_at if use.limit in _KINDS and use.share > _LIVE}
     problem = problem_of(live)
     optima: list[Solution] = []
+    steps = effort.starts + effort.finalists
     for k, candidate in enumerate(drawn[: effort.starts]):
-        progress(f"optimum {k + 1} of {effort.starts}", k / effort.starts)
-        optima.append(solve(problem, candidate, limits, iterations=effort.iterations, rounds=effort.rounds))
+        progress(f"optimum {k + 1} of {effort.starts}", k / steps)
+        optima.append(solve(problem, candidate, limits, iterations=effort.first, rounds=effort.rounds))
+    for k in range(effort.finalists):
+        progress(f"further from the best, {k + 1} of {effort.finalists}", (effort.starts + k) / steps)
+        optima.sort(key=lambda optimum: optimum.value)
+        optima[k] = solve(
+            problem, optima[k], limits, iterations=effort.iterations, warm=True, rounds=effort.rounds
+        )
     best, tight = min(optima, key=lambda optimum: optimum.value), limits
     iterations = sum(optimum.iterations for optimum in optima) - best.iterations
     for k in range(_ROUNDS):
         usage = check(motion_of(best))
-        if max(use.share for use in usage) <= 1.0 + effort.excess:
+        if _size_within(usage, check(motion_of(_scaled(best, 0.0)))) >= 1.0 - effort.excess:
             break
         progress("limits between the nodes", k / _ROUNDS)
         exceeded = {use.limit for use in usage if use.share > 1.0} & set(_KINDS)
@@ -137,13 +148,28 @@ def search(
 
 def _shrunk(solution: Solution, check: Callable[[Solution], list[Usage]]) -> Solution:
     """The motion, a little smaller about its start, where it exceeds a limit by a little."""
+    rest = check(_scaled(solution, 0.0))
     for _ in range(_TRIES):
-        worst = max(use.share for use in check(solution))
-        if worst <= 1.0 or worst > _HOPELESS:
+        size = _size_within(check(solution), rest)
+        if size >= 1.0 or size < _SMALLEST:
             break
-        smaller = solution.coefficients * (1.0 - _SPARE) / worst
-        solution = replace(solution, coefficients=smaller)
+        solution = _scaled(solution, size * (1.0 - _SPARE))
     return solution
+
+
+def _scaled(solution: Solution, size: float) -> Solution:
+    return replace(solution, coefficients=size * solution.coefficients)
+
+
+def _size_within(usage: Sequence[Usage], rest: Sequence[Usage]) -> float:
+    """How large a motion may be for all limits, 1 is as it is, if their use grows from that at rest linearly."""
+    still = {(use.limit, use.axis): use.share for use in rest}
+    sizes = [1.0]
+    for use in usage:
+        if use.share > 1.0:
+            room = 1.0 - still[use.limit, use.axis]
+            sizes.append(max(room, 0.0) / (use.share - 1.0 + max(room, 0.0)))
+    return min(sizes)
 
 
 _KINDS = ("workspace", "torque", "clearance")
