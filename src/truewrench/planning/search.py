@@ -162,7 +162,7 @@ def _scaled(solution: Solution, size: float) -> Solution:
 
 
 def _size_within(usage: Sequence[Usage], rest: Sequence[Usage]) -> float:
-    """How large a motion may be for all limits, 1 is as it is, if their use grows from that at rest linearly."""
+    """Size of a motion, 1 is as it is, at which all limits hold if use grows linearly from that at rest."""
     still = {(use.limit, use.axis): use.share for use in rest}
     sizes = [1.0]
     for use in usage:
