@@ -31,6 +31,7 @@ FLOORS = [
     },
     {
         "files",
+        "ati_cal",
         "strict",
         "fields",
         "sections",
@@ -50,13 +51,13 @@ FLOORS = [
     },
     {"io"},
     {"truth"},
-    {"estimate", "simulate", "follow", "apply", "inspect_log", "bound", "figures", "inertial"},
+    {"estimate", "simulate", "follow", "apply", "inspect_log", "bound", "figures", "inertial", "exports"},
     {"setup_errors", "residuals", "advice", "arm_simulation", "figures_arm"},
     {"verdict", "validation"},
     {"summary", "comparison", "evidence"},
     {"known_wrench", "planning"},
     {"pipeline", "campaign_statistics", "report"},
-    {"figures_campaign", "trial"},
+    {"figures_campaign", "trial", "stream"},
     {"demo", "demo_arm", "campaign"},
     {"cli"},
 ]

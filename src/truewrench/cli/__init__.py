@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from truewrench.cli import calibrations, logs, motions, trials
+from truewrench.cli import calibrations, live, logs, motions, trials
 from truewrench.cli.common import Outcome
 from truewrench.cli.terminal import fail, show_outcome
 from truewrench.errors import InputError
@@ -36,6 +36,7 @@ for _command in (
     calibrations.calibrate,
     calibrations.validate,
     calibrations.apply,
+    live.stream,
     logs.inspect,
     trials.campaign,
 ):

@@ -42,6 +42,8 @@ class Outcome:
     figures: Mapping[str, Any] = field(default_factory=dict)
     verdict: Mapping[str, Any] | None = None
     words: Callable[[], Iterator[RenderableType]] = lambda: iter(())
+    aside: bool = False
+    """Whether the words go to standard error, since standard output has been a stream of data."""
 
     @property
     def status(self) -> int:

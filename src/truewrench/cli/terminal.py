@@ -26,10 +26,11 @@ def show_outcome(outcome: Outcome, as_json: bool) -> None:
     else:
         from truewrench.summary import show
 
+        to = sys.stderr if outcome.aside else sys.stdout
         # a pipe has no width: do not break lines for it
-        show(Console(highlight=False, width=None if sys.stdout.isatty() else 160), outcome.words())
+        show(Console(file=to, highlight=False, width=None if to.isatty() else 160), outcome.words())
         for output in outcome.outputs:
-            print(f"wrote {output}")  # noqa: T201
+            print(f"wrote {output}", file=to)
     sys.stdout.flush()
 
 

@@ -1,0 +1,146 @@
+"""JSON lines on standard input and output: wrenches of samples, or a calibration from them."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+from truewrench.apply import corrector
+from truewrench.calibration import AXES, Calibration
+from truewrench.errors import InputError
+from truewrench.stream.json_rows import LineError, Row, motion_of, read_row
+from truewrench.stream.lines import Output, batches
+from truewrench.stream.session import LiveCalibration, Progress
+from truewrench.stream.stop import Stop
+
+__all__ = ["INPUT", "Lines", "calibrate_lines", "correct_lines", "progress_line"]
+
+INPUT = "standard input"
+
+_KEYS = (*AXES, *(f"{axis}_std" for axis in AXES))
+_POLL = 0.2  # [s] between looks at a running estimate, where no line arrives
+
+Complain = Callable[[str], None]
+
+
+class Lines:
+    """What every line goes through.
+
+    Attributes:
+        read: lines so far, blank ones left out.
+        refused: how many of them were wrong.
+        first: number and fault of the first of these.
+    """
+
+    def __init__(self, output: Output, complain: Complain) -> None:
+        self.read = 0
+        self.refused = 0
+        self.first = ""
+        self._number = 0
+        self._output = output
+        self._complain = complain
+
+    def take(self, line: bytes, use: Callable[[bytes], None]) -> None:
+        """Use one line; where it is wrong, say so in its place."""
+        self._number += 1
+        if not line.strip():
+            return
+        self.read += 1
+        try:
+            use(line)
+        except LineError as error:
+            words = f"line {self._number}: {error}"
+            self.first = self.first or words
+            self.refused += 1
+            self._output.write(json.dumps({"line": self._number, "error": str(error)}))
+            self._complain(f"{INPUT}: {words}")
+
+
+def correct_lines(
+    calibration: Calibration, output: Output, stop: Stop, complain: Complain, source: int | None = None
+) -> Lines:
+    """Write the true wrench and its 1 sigma for every line, until the input ends or `stop`.
+
+    A line that is wrong gives `{"line": ..., "error": ...}` in its place, and never a wrench. One whose
+    channels are null, which have no sample, gives nulls.
+
+    Raises:
+        InputError: the gain of the calibration cannot be inverted.
+    """
+    correct = corrector(calibration, INPUT).correct
+    n = calibration.n
+    sample = np.empty((1, n))
+    lines, last = Lines(output, complain), -math.inf
+
+    def use(line: bytes) -> None:
+        nonlocal last
+        row = read_row(line, n)
+        if row.raw is None:
+            raise LineError(f"found no channel, expected `raw`, or raw_0 to raw_{n - 1}")
+        if row.time_ns <= last:
+            raise LineError(
+                f"`{row.stamp[0]}`: {row.time_ns} ns after {last} ns, expected time that increases"
+            )
+        sample[0] = row.raw
+        if math.isnan(sum(row.raw)):
+            values: list[float] = [math.nan] * len(_KEYS)
+        else:
+            wrench, std = correct(sample)
+            values = [*wrench[0].tolist(), *std[0].tolist()]
+            if not all(map(math.isfinite, values)):
+                raise LineError("found channels of such a size that no wrench can be told")
+        last = row.time_ns
+        output.write(_line(row, values))
+
+    for batch in batches(sys.stdin.fileno() if source is None else source, stop):
+        for line in batch:
+            lines.take(line, use)
+        if output.closed:
+            break
+    return lines
+
+
+def _line(row: Row, values: list[float]) -> str:
+    data: dict[str, float | None] = dict([row.stamp])
+    data.update((key, None if math.isnan(x) else x) for key, x in zip(_KEYS, values, strict=True))
+    return json.dumps(data)
+
+
+def calibrate_lines(
+    session: LiveCalibration, output: Output, stop: Stop, complain: Complain, source: int | None = None
+) -> Lines:
+    """Feed a calibration, until the input ends or `stop`; its progress goes to the output."""
+    n = session.rig.sensor.n
+    channels = tuple(f"raw_{i}" for i in range(n))
+    lines = Lines(output, complain)
+
+    def use(line: bytes) -> None:
+        row = read_row(line, n)
+        values = motion_of(row)
+        if row.raw is not None:
+            values |= zip(channels, row.raw, strict=True)
+        if not values:
+            raise LineError("found neither channels nor motion, expected columns of a log")
+        try:
+            session.record.add(tuple(values), row.time_ns, values.values())
+        except InputError as error:
+            raise LineError(str(error)) from None
+
+    for batch in batches(sys.stdin.fileno() if source is None else source, stop, _POLL):
+        for line in batch:
+            lines.take(line, use)
+        progress = session.poll()
+        if progress is not None:
+            output.write(progress_line(progress))
+        if output.closed:
+            break
+    return lines
+
+
+def progress_line(progress: Progress) -> str:
+    """An estimate as one JSON object."""
+    return json.dumps(progress.to_mapping(), allow_nan=False)
