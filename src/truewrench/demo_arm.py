@@ -58,12 +58,12 @@ def run_arm(
         raise UnsupportedError.at(rig.path, "motion.source", rig.motion.source, "`joints`: an arm")
     rig = _copy(rig, output)
     plan = make_plan(rig, progress=tell)
-    plan_path, promise_path = plan.write(output / "plan.csv")
-    files = [output / "rig.yaml", plan_path, promise_path]
+    plan_files = plan.write(output / "plan.csv")
+    files = [output / "rig.yaml", *plan_files]
     if not plan.feasible:
         return _result(files, {"predicted_rms": plan.predicted_rms}, plan.violations, _no_motion(plan))
     tell("the arm moves", None)
-    run = simulate_plan(rig, plan_path, seed=seed)
+    run = simulate_plan(rig, plan_files[0], seed=seed)
     log_path, truth_path = run.write(output / "run.csv")
     tell("calibration", None)
     calibration = calibrate(rig, read_log(log_path, rig))

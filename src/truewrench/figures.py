@@ -41,7 +41,8 @@ BLUE, GREEN, ORANGE, VERMILION, PURPLE, GREY = (
     "#CC79A7",
     "#595959",
 )
-_AXES_COLOURS = (BLUE, VERMILION, GREEN)
+AXES_COLOURS = (BLUE, VERMILION, GREEN)
+LINE_STYLES = ("-", "--", "-.", ":")
 _DPI = 160
 _FONT = 10
 
@@ -100,7 +101,7 @@ def path_figure(path: Path, time: Array, position: Array, rotation: Array, capti
     low, high = position.min(axis=0), position.max(axis=0)
     span, margin = (high - low).max(), 0.08 * (high - low).max()
     for k in np.searchsorted(time, np.arange(0.0, time[-1] + 1e-9, 1.0)):
-        for axis, colour in zip(rotation[k].T, _AXES_COLOURS, strict=True):
+        for axis, colour in zip(rotation[k].T, AXES_COLOURS, strict=True):
             ends = np.stack([position[k], position[k] + 0.07 * span * axis])
             ax.plot(*ends.T, color=colour, linewidth=1.6)
     for k, name in ((0, "start"), (-1, f"{time[-1]:.0f} s")):

@@ -14,18 +14,26 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
-from truewrench.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, finish
+from truewrench.figures import AXES_COLOURS, BLUE, GREEN, GREY, LINE_STYLES, ORANGE, PURPLE, VERMILION, finish
 
-__all__ = ["arm_figure", "driven_figure", "gain_figure"]
+__all__ = ["arm_figure", "colour_bar", "driven_figure", "gain_figure", "heat_map"]
 
 Array = NDArray[np.float64]
 
 _AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 _JOINT_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, GREY, "black", "#56B4E9")
-_STYLES = ("-", "--", "-.", ":")
 
 
-def arm_figure(path: Path, postures: Array, time: Array, sensor: Array, payload: Array, caption: str) -> None:
+def arm_figure(
+    path: Path,
+    postures: Array,
+    time: Array,
+    sensor: Array,
+    payload: Array,
+    caption: str,
+    *,
+    name: str = "arm",
+) -> None:
     """Draw an arm in space: some postures, and the paths of sensor and payload.
 
     Args:
@@ -35,13 +43,14 @@ def arm_figure(path: Path, postures: Array, time: Array, sensor: Array, payload:
         sensor: (N, 3) positions of the sensor [m].
         payload: (N, 3) positions of the payload's centre of mass [m].
         caption: what it shows.
+        name: of what the postures are.
     """
     figure = Figure(figsize=(8.2, 8.0))
     ax = figure.add_axes((0.0, 0.14, 0.84, 0.86), projection="3d")
     assert isinstance(ax, Axes3D)
     for k, posture in enumerate(postures):
         shade = f"{0.25 + 0.5 * k / max(1, len(postures) - 1):.2f}"
-        ax.plot(*posture.T, "-o", color=shade, linewidth=2.4, markersize=4, label="arm" if k == 0 else None)
+        ax.plot(*posture.T, "-o", color=shade, linewidth=2.4, markersize=4, label=name if k == 0 else None)
     ax.plot(*postures[0, :1].T, "s", color="black", markersize=9, label="root")
     ax.plot(*sensor.T, color=VERMILION, linewidth=1.2, label="sensor")
     points = payload[:, None, :]
@@ -85,13 +94,13 @@ def driven_figure(
     axes = figure.subplots(2, 2, sharex=True)
     figure.subplots_adjust(left=0.08, right=0.985, top=0.95, bottom=0.255, wspace=0.2, hspace=0.16)
     for k, name in enumerate(joints):
-        colour, style = _JOINT_COLOURS[k % 8], _STYLES[k % 4]
+        colour, style = _JOINT_COLOURS[k % 8], LINE_STYLES[k % 4]
         axes[0, 0].plot(time, velocity[:, k], style, color=colour, linewidth=1.3, label=name)
         axes[0, 1].plot(time, 1e3 * error[:, k], style, color=colour, linewidth=1.1)
     at, share = wrench
     for ax, first in ((axes[1, 0], 0), (axes[1, 1], 3)):
         for k in range(3):
-            colour, style = (BLUE, VERMILION, GREEN)[k], _STYLES[k]
+            colour, style = AXES_COLOURS[k], LINE_STYLES[k]
             ax.plot(
                 at, 100.0 * share[:, first + k], style, color=colour, linewidth=1.3, label=_AXES[first + k]
             )
@@ -135,22 +144,30 @@ def gain_figure(
     every = 1e3 * np.concatenate([values.ravel() for _, values in sigma])
     for ax, (title, values) in zip(axes, sigma, strict=False):
         norm = LogNorm(float(every.min()), float(every.max()))  # one for all
-        picture = _heat_map(ax, channels, 1e3 * values, "{:.2f}", norm)
+        picture = heat_map(ax, channels, 1e3 * values, "{:.2f}", norm)
         ax.set_title(title)
-        _bar(figure, ax, picture, "sigma of the normalised gain [0.001]")
+        colour_bar(figure, ax, picture, "sigma of the normalised gain [0.001]")
     deviation = error / sigma[-1][1]
     largest = max(3.0, float(np.abs(deviation).max()))
-    picture = _heat_map(
+    picture = heat_map(
         axes[-1], channels, deviation, "{:+z.1f}", norm=Normalize(-largest, largest), cmap="RdBu_r"
     )
     axes[-1].set_title("error of this run over its sigma")
-    _bar(figure, axes[-1], picture, "error / sigma [1]")
+    colour_bar(figure, axes[-1], picture, "error / sigma [1]")
     finish(figure, path, caption)
 
 
-def _heat_map(
-    ax: Axes, channels: Sequence[str], values: Array, form: str, norm: Any, cmap: str = "cividis"
+def heat_map(
+    ax: Axes,
+    channels: Sequence[str],
+    values: Array,
+    form: str,
+    norm: Any = None,
+    cmap: str = "cividis",
 ) -> Any:
+    """Draw values (n, 6) of gains, each with its number; logarithmic colours unless a norm is given."""
+    if norm is None:
+        norm = LogNorm(float(values.min()), float(values.max()) * 1.0001)
     picture = ax.imshow(values, norm=norm, cmap=cmap, aspect="auto")
     for (i, j), value in np.ndenumerate(values):
         red, green, blue, _ = picture.cmap(norm(value))
@@ -163,7 +180,8 @@ def _heat_map(
     return picture
 
 
-def _bar(figure: Figure, ax: Axes, picture: Any, label: str) -> None:
+def colour_bar(figure: Figure, ax: Axes, picture: Any, label: str) -> None:
+    """Draw the scale of a heat map below it."""
     bar = figure.colorbar(picture, ax=ax, orientation="horizontal", fraction=0.06, pad=0.2)
     bar.set_label(label)
     if isinstance(picture.norm, LogNorm):

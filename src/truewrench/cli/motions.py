@@ -35,6 +35,9 @@ def plan(
         Literal["A", "D"], typer.Option(help="A: RMS sigma of the gains; D: volume of their region.")
     ] = "A",
     payload: Annotated[str | None, typer.Option(help="Payload carried; the first of the rig.")] = None,
+    pictures: Annotated[
+        bool, typer.Option("--pictures/--no-pictures", help="Motion, limits, promise and path as PNG.")
+    ] = True,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -47,8 +50,13 @@ def plan(
     with progress_bar() as update:
         planned = run(settings, method, criterion=criterion, payload=payload, progress=update)
     figures = planned.to_mapping()
+    outputs = planned.write(output)
+    if pictures:
+        from truewrench.planning.pictures import draw_plan
+
+        outputs += draw_plan(planned, output)
     return Outcome(
-        outputs=planned.write(output),
+        outputs=outputs,
         verdict=figures.pop("verdict"),
         figures=figures,
         words=lambda: plan_words(planned),

@@ -78,7 +78,7 @@ def design_joints(rig: Rig, payload: str, criterion: Literal["A", "D"], progress
     for names, values in zip(joint_columns(robot.joints), blocks, strict=True):
         columns |= dict(zip(names, values.T, strict=True))
     preview = check_joints(rig, payload, robot, limits, motion, basis.period)
-    return Design(motion, columns, preview, basis.period, facts=found.facts())
+    return Design(motion, columns, preview, basis.period, facts=found.facts(), joints=robot.joints)
 
 
 def simulated_joints(rig: Rig, payload: str, motion: JointTrajectory) -> Log:

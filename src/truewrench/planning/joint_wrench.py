@@ -67,7 +67,9 @@ def design_joint_wrench(rig: Rig, payload: str, progress: Progress) -> Design:
     notes = ["the motion neither starts nor ends at rest: it has to be led into its initial twist"]
     if missed >= 0.05:
         notes.append(f"the joints miss up to {100 * missed:.0f} % of the twist that the wrench asks for")
-    return Design(joints, columns, preview, rig.plan.duration, tuple(notes), facts_of(found))
+    return Design(
+        joints, columns, preview, rig.plan.duration, tuple(notes), facts_of(found), joints=robot.joints
+    )
 
 
 def _of_hand(rig: Rig, robot: Robot, limits: Limits, start: Array) -> Limits:

@@ -20,6 +20,7 @@ __all__ = [
     "clearance_usage",
     "usage_of",
     "violations",
+    "wrench_fraction",
 ]
 
 Array = NDArray[np.float64]
@@ -29,6 +30,12 @@ DEFAULT_WRENCH_FRACTION = 0.8  # the rest of the range is for tracking errors, o
 TOLERANCE = 1e-6  # by which a limit may be exceeded, of the limit
 SMALLEST = 1e-9  # limit: what must not move at all
 _SPARE = 1e-6  # of a limit that is tightened
+
+
+def wrench_fraction(rig: Rig) -> float:
+    """Share of the sensor's range that a motion may use."""
+    stated = rig.limits.wrench_fraction
+    return DEFAULT_WRENCH_FRACTION if stated is None else stated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +72,6 @@ class Limits:
         def array(values: tuple[float, ...] | None) -> Array:
             return np.full(n, np.inf) if values is None else np.maximum(values, SMALLEST)
 
-        fraction = DEFAULT_WRENCH_FRACTION if limits.wrench_fraction is None else limits.wrench_fraction
         box = np.tile([-np.inf, np.inf], (3, 1))
         position = array(limits.position)
         return cls(
@@ -75,7 +81,7 @@ class Limits:
             acceleration=array(limits.acceleration),
             jerk=array(limits.jerk),
             torque=np.full(n, np.inf),
-            wrench=fraction * rig.sensor.range_array,
+            wrench=wrench_fraction(rig) * rig.sensor.range_array,
             workspace=box if limits.workspace is None else np.array(limits.workspace),
         )
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from truewrench.calibration import Verdict
 from truewrench.files import write_yaml
+from truewrench.io.joint_trajectory import write_joint_trajectory
+from truewrench.io.plans import joint_columns
 from truewrench.io.tables import write_table
 from truewrench.planning.check import Preview
 from truewrench.planning.limits import Usage, violations
@@ -39,6 +41,7 @@ class Design:
         notes: what is worth a look.
         facts: how it was found.
         obstacles: why no motion is possible at all, in words.
+        joints: n names, if it is a motion of joints.
     """
 
     motion: Trajectory | JointTrajectory
@@ -48,6 +51,7 @@ class Design:
     notes: tuple[str, ...] = ()
     facts: Mapping[str, Any] | None = None
     obstacles: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,14 +178,25 @@ class Plan:
             "seconds": self.seconds,
         }
 
-    def write(self, path: str | Path) -> tuple[Path, Path]:
-        """Write the table (CSV, or Parquet by its suffix) and PATH.plan.yaml beside it; return both paths."""
-        target = Path(path)
+    def write(self, path: str | Path) -> list[Path]:
+        """Write the table (CSV, or Parquet by its suffix) and what stands beside it; return all paths.
+
+        PATH.plan.yaml holds the verdict and the promise; PATH.trajectory.yaml, of joints, is one
+        `trajectory_msgs/msg/JointTrajectory`.
+        """
+        target, design = Path(path), self.design
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_table(target, dict(self.design.columns))
-        beside = target.with_name(target.name + ".plan.yaml")
-        write_yaml(beside, self.to_mapping())
-        return target, beside
+        write_table(target, dict(design.columns))
+        written = [target, target.with_name(target.name + ".plan.yaml")]
+        write_yaml(written[1], self.to_mapping())
+        if design.joints:
+            written.append(target.with_name(target.name + ".trajectory.yaml"))
+            blocks = [
+                np.column_stack([design.columns[name] for name in names])
+                for names in joint_columns(design.joints)
+            ]
+            write_joint_trajectory(written[-1], design.joints, design.columns["time_s"], *blocks)
+        return written
 
 
 _AXES = ("fx", "fy", "fz", "mx", "my", "mz")
