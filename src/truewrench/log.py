@@ -89,6 +89,7 @@ class Log:
         tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
         dropped_rows: rows without any measurement, which are not among the N.
+        notes: what is no fault of the log but worth a look.
     """
 
     path: Path | None
@@ -109,6 +110,7 @@ class Log:
     tracking: Tracking | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
+    notes: tuple[str, ...] = ()
 
     @property
     def time(self) -> FloatArray:

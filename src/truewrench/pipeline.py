@@ -167,7 +167,7 @@ def _from_windows(
             **_figures(rig, estimate),
             "noise": noise_figures(rig, noise),
             "held_out": compared.figures,
-            "notes": [*still_twists(logs), *still_bases(logs), *noise_notes(rig, noise)],
+            "notes": [*_log_notes(logs), *still_twists(logs), *still_bases(logs), *noise_notes(rig, noise)],
         },
         timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
     )
@@ -305,6 +305,10 @@ def _calibration(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         **rest,
     )
+
+
+def _log_notes(logs: Sequence[Log]) -> list[str]:
+    return [f"{log.path}: {note}" for log in logs for note in log.notes]
 
 
 def _check_supported(rig: Rig, estimator: EstimatorName) -> None:

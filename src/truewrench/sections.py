@@ -372,6 +372,10 @@ class SimulateSpec(Section):
 class RecordingSpec(Section):
     """Which topics of a recording hold sensor and motion."""
 
-    wrench_topic: Text | None = None
+    wrench_topic: Text | None = None  # a wrench, or an array of the raw channels
     joint_topic: Text | None = None
+    twist_topic: Text | None = None
+    imu_topic: Text | None = None
+    temperature_topic: Text | None = None
+    gravity_topic: Text | None = None
     stamps: Literal["header", "receive"] = "header"

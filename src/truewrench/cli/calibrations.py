@@ -72,7 +72,7 @@ def calibrate(
     target = output / "calibration.yaml"
     calibration.write_yaml(target)
     for record in records:
-        report_left_out(record.path, record.dropped_rows, record.nan_counts)
+        report_left_out(record)
     return Outcome(
         outputs=[target],
         verdict=verdict_of(calibration),
@@ -87,6 +87,7 @@ def calibrate(
             "timings": calibration.timings,
             "dropped_rows": {str(record.path): record.dropped_rows for record in records},
             "nan_counts": {str(record.path): record.nan_counts for record in records},
+            "log_notes": {str(record.path): record.notes for record in records},
         },
         words=lambda: calibration_summary(calibration),
     )
@@ -117,7 +118,7 @@ def validate(
         update("validating", None)
         validation = run(loaded, settings, records)
     for record in records:
-        report_left_out(record.path, record.dropped_rows, record.nan_counts)
+        report_left_out(record)
     outputs = [] if output is None else [output / "validation.yaml"]
     for target in outputs:
         validation.write_yaml(target)

@@ -18,6 +18,7 @@ from truewrench.errors import InputError
 
 if TYPE_CHECKING:
     from truewrench.calibration import Calibration
+    from truewrench.log import Log
 
 __all__ = [
     "DebugOption",
@@ -30,6 +31,7 @@ __all__ = [
     "check_folder",
     "progress_bar",
     "report_left_out",
+    "report_notes",
     "verdict_of",
 ]
 
@@ -76,12 +78,19 @@ def check_folder(path: Path) -> None:
         raise InputError.at(path, "", "a file", "a folder, or a name that is free")
 
 
-def report_left_out(path: Path | None, dropped_rows: int, nan_counts: Mapping[str, int]) -> None:
-    """Say on standard error what of a log is not used."""
-    if dropped_rows:
-        print(f"{path}: {dropped_rows} rows without any measurement left out", file=sys.stderr)  # noqa: T201
-    for column, count in nan_counts.items():
-        print(f"{path}: column `{column}`: {count} NaN left out", file=sys.stderr)  # noqa: T201
+def report_left_out(log: Log) -> None:
+    """Say on standard error what of a log is not used, and what is worth a look."""
+    if log.dropped_rows:
+        print(f"{log.path}: {log.dropped_rows} rows without any measurement left out", file=sys.stderr)  # noqa: T201
+    for column, count in log.nan_counts.items():
+        print(f"{log.path}: column `{column}`: {count} NaN left out", file=sys.stderr)  # noqa: T201
+    report_notes(log.path, log.notes)
+
+
+def report_notes(path: Path | str | None, notes: Sequence[str]) -> None:
+    """Say on standard error what is worth a look in a log."""
+    for note in notes:
+        print(f"{path}: {note}", file=sys.stderr)  # noqa: T201
 
 
 @contextmanager

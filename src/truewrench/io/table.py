@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -40,15 +41,22 @@ class Table(ABC):
     Attributes:
         path: of the file.
         names: of the columns, each once, in order.
+        notes: what is no fault but worth a look.
     """
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         self.path = path
         self.names = tuple(names)
+        self.notes: tuple[str, ...] = ()
         for i, name in enumerate(self.names):
             if name in self.names[:i]:
                 found = f"`{name}` a second time"
                 raise InputError.at(path, f"header, column {i + 1}", found, "every column name once")
+
+    def sha256(self) -> str:
+        """Of the file."""
+        with self.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
 
     @abstractmethod
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[Chunk]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -13,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from truewrench.errors import InputError, UnsupportedError
+from truewrench.errors import InputError
 from truewrench.io.cells import numbers, to_nanoseconds
 from truewrench.io.csv_table import CsvTable
 from truewrench.io.joints import check_attitude, joint_groups
 from truewrench.io.output import write_batches
 from truewrench.io.parquet_table import ParquetTable
+from truewrench.io.recordings.reader import is_recording
 from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST, Chunk, Table
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -38,23 +38,30 @@ __all__ = [
     "write_table",
 ]
 
-_RECORDINGS = (".mcap", ".db3", ".bag")
 
+def open_table(path: str | Path, rig: Rig | None = None, *, whole: bool = True) -> Table:
+    """A table file or a recording, its format recognised by its first bytes.
 
-def open_table(path: str | Path) -> Table:
-    """A table file, its format recognised by its first bytes.
+    Args:
+        path: of the file, or of a folder of rosbag2.
+        rig: which a recording is read by.
+        whole: whether motion that cannot be read from a recording is an error; else it is left out.
 
     Raises:
-        InputError: there is no such file, or it is not a table.
+        InputError: there is no such file, it is not a table, or a recording where none is of use.
     """
     path = Path(path)
+    if path.exists() and is_recording(path):
+        if rig is None:
+            raise InputError.at(path, "", "a recording", "a table: CSV or Parquet")
+        from truewrench.io.recordings.table import RecordingTable
+
+        return RecordingTable(path, rig, whole=whole)
     try:
         with path.open("rb") as file:
             magic = file.read(4)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    if path.suffix in _RECORDINGS:
-        raise UnsupportedError.at(path, "", f"a recording ({path.suffix})", "a table: CSV or Parquet")
     return ParquetTable(path) if magic == b"PAR1" else CsvTable(path)
 
 
@@ -144,14 +151,14 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     The motion is required, of a twist rig in gravity its direction too, unless there are reference columns.
 
     Args:
-        source: path of a CSV or Parquet file, or `path@payload`.
-        rig: says how many raw channels there are and whether gravity acts.
+        source: path of a CSV or Parquet file or of a recording, or `path@payload`.
+        rig: says how many raw channels there are and whether gravity acts; of a recording, its topics too.
 
     Raises:
         InputError: naming file, row and column, what was found and what was expected.
     """
     path, payload = split_payload(source, rig)
-    table = open_table(path)
+    table = open_table(path, rig)
     groups = _groups(table, rig)
     columns = [name for names in groups.values() for name in names]
     time_ns, values, nan_counts = _read_columns(table, columns)
@@ -170,12 +177,10 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     }
     if "base_attitude" in arrays:
         check_attitude(arrays["base_attitude"], path, time_ns[kept])
-    with path.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     log = Log(
         path=path,
         payload=payload,
-        sha256=sha256,
+        sha256=table.sha256(),
         time_ns=time_ns[kept],
         raw=arrays["raw"],
         twist=arrays.get("twist"),
@@ -190,6 +195,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         base_attitude=arrays.get("base_attitude"),
         nan_counts={name: count for name, count in nan_counts.items() if count},
         dropped_rows=int((~kept).sum()),
+        notes=table.notes,
     )
     return track(rig, log) if rig.motion.source == "joints" else log
 

@@ -1,0 +1,78 @@
+"""Which topics of a recording hold sensor and motion: found where there is one answer, else asked for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from truewrench.errors import InputError
+from truewrench.io.recordings.reader import Topic
+from truewrench.io.recordings.streams import Stream, role_of
+
+__all__ = ["KEYS", "commanded", "named_topic", "one_topic", "topics_in_words"]
+
+KEYS = {
+    "wrench": "wrench_topic",
+    "joints": "joint_topic",
+    "twist": "twist_topic",
+    "imu": "imu_topic",
+    "temperature": "temperature_topic",
+    "gravity": "gravity_topic",
+}
+"""Of the rig's `recording`, by role."""
+
+_COMMANDS = re.compile(r"(^|[/_])(cmd|command|commands|desired|target|goal|setpoint|reference)([/_]|$)")
+
+
+def commanded(topic: str) -> bool:
+    """Whether a topic's name says that it was not measured; it has to be chosen by name."""
+    return _COMMANDS.search(topic) is not None
+
+
+def named_topic(path: Path, topics: Sequence[Topic], name: str, role: str) -> Topic:
+    """The topic of this name.
+
+    Raises:
+        InputError: there is none, or it holds something else.
+    """
+    roles = ("wrench", "array") if role == "wrench" else (role,)
+    place = f"recording.{KEYS[role]}"
+    same = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
+    fitting = [topic for topic in same if role_of(topic.type_name) in roles]
+    candidates = [topic for topic in topics if role_of(topic.type_name) in roles]
+    if not same:
+        raise InputError.at(path, place, f"no topic `{name}`", _one_of(candidates))
+    if not fitting:
+        raise InputError.at(path, place, f"`{name}` of type {same[0].type_name}", _one_of(candidates))
+    if not fitting[0].messages:
+        raise InputError.at(path, place, f"no message on `{name}`", "a topic with messages")
+    return fitting[0]
+
+
+def one_topic(path: Path, streams: Sequence[Stream], role: str, what: str) -> Stream | None:
+    """The only stream, None where there is none.
+
+    Raises:
+        InputError: there are several; the text lists them.
+    """
+    if len(streams) > 1:
+        found = f"{len(streams)} topics that could hold {what}: {_listed(streams)}"
+        expected = f"the choice of one in the rig: `recording: {{{KEYS[role]}: {streams[0].topic.name}}}`"
+        raise InputError.at(path, "", found, expected)
+    return streams[0] if streams else None
+
+
+def topics_in_words(topics: Sequence[Topic]) -> str:
+    """What there is, for an error."""
+    return "; ".join(f"{t.name} ({t.type_name}, {t.messages} messages)" for t in topics) or "none"
+
+
+def _listed(streams: Sequence[Stream]) -> str:
+    return "; ".join(stream.words for stream in streams)
+
+
+def _one_of(topics: Sequence[Topic]) -> str:
+    if not topics:
+        return "a topic of this kind, of which the recording has none"
+    return f"one of: {topics_in_words(topics)}"

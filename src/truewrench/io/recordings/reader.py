@@ -1,0 +1,246 @@
+"""Serialised messages of a recording, by topic, through `rosbags`; every fault of a file in one form."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.errors import InputError
+from truewrench.io.recordings.layout import Definitions
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+__all__ = ["Batch", "Recording", "Topic", "is_recording", "open_recording", "sha256_of"]
+
+_MAGIC = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG ": ".bag", b"SQLite f": ".db3"}
+_FORMATS = {".mcap": "MCAP", ".bag": "ROS 1 bag", ".db3": "SQLite of rosbag2", "": "rosbag2"}
+_BATCH = 4096  # messages decoded at once,
+_BYTES = 4 << 20  # or as many as these bytes hold
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """Messages of one type on one name.
+
+    Attributes:
+        name: as it was published.
+        type_name: `geometry_msgs/msg/WrenchStamped`.
+        messages: how many, as the recording counts them.
+        publishers: known of ROS 1 only, else 1.
+        definitions: of the type and those in it.
+    """
+
+    name: str
+    type_name: str
+    messages: int
+    publishers: int = 1
+    definitions: Definitions = field(repr=False, default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Consecutive messages of a topic: when each was received [ns], and its bytes."""
+
+    topic: Topic
+    receive: npt.NDArray[np.int64]
+    messages: list[bytes]
+
+
+class Recording:
+    """A recording that is open.
+
+    Attributes:
+        path: of the file or folder.
+        format: in words.
+        ros1: whether it is of ROS 1.
+        topics: those that hold messages this package could read, and all others.
+    """
+
+    def __init__(self, path: Path, reader: Any, ros1: bool) -> None:
+        self.path, self.ros1 = path, ros1
+        self.format = _FORMATS["" if path.is_dir() else path.suffix.lower()]
+        self._reader = reader
+        self._connections: dict[str, list[Connection]] = {}
+        self._read: dict[str, int] = {}
+        for connection in reader.connections:
+            self._connections.setdefault(f"{connection.topic}\n{connection.msgtype}", []).append(connection)
+        self.topics = tuple(self._topic(connections) for connections in self._connections.values())
+
+    def _topic(self, connections: list[Connection]) -> Topic:
+        first = connections[0]
+        readable = self.ros1 or getattr(first.ext, "serialization_format", "") == "cdr"
+        return Topic(
+            name=first.topic,
+            type_name=first.msgtype,
+            messages=sum(connection.msgcount for connection in connections),
+            publishers=len({getattr(connection.ext, "callerid", None) for connection in connections}),
+            definitions=_definitions(first, self.ros1) if readable else {},
+        )
+
+    def batches(
+        self, topics: Iterable[Topic], progress: Callable[[int], object] | None = None
+    ) -> Iterator[Batch]:
+        """Messages of some topics in one pass, in the order of their receive stamps per topic.
+
+        Raises:
+            InputError: the file is broken, or holds other than it says.
+        """
+        chosen = {f"{topic.name}\n{topic.type_name}": topic for topic in topics}
+        connections = [c for key in chosen for c in self._connections[key]]
+        if not connections:
+            return
+        gathered: dict[str, tuple[list[int], list[bytes]]] = {key: ([], []) for key in chosen}
+        sizes = dict.fromkeys(chosen, 0)
+        keys = {(c.topic, c.msgtype): f"{c.topic}\n{c.msgtype}" for c in connections}
+        self._read = dict.fromkeys(chosen, 0)
+        for total, (connection, stamp, data) in enumerate(self._messages(connections), 1):
+            key = keys[connection.topic, connection.msgtype]
+            stamps, messages = gathered[key]
+            stamps.append(stamp)
+            messages.append(bytes(data))
+            sizes[key] += len(data)
+            self._read[key] += 1
+            if len(messages) >= _BATCH or sizes[key] >= _BYTES:
+                yield Batch(chosen[key], np.array(stamps, dtype=np.int64), messages)
+                gathered[key], sizes[key] = ([], []), 0
+                if progress is not None:
+                    progress(total)
+        for key, (stamps, messages) in gathered.items():
+            if messages:
+                yield Batch(chosen[key], np.array(stamps, dtype=np.int64), messages)
+
+    def miscounted(self) -> list[str]:
+        """Topics of which the last pass found another number of messages than the recording states."""
+        stated = {f"{topic.name}\n{topic.type_name}": topic for topic in self.topics}
+        return [
+            f"{stated[key].name}: {count} messages, though the recording counts {stated[key].messages}"
+            for key, count in self._read.items()
+            if count != stated[key].messages
+        ]
+
+    def _messages(self, connections: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        messages = self._reader.messages(connections=connections)
+        while True:
+            with _faults_of(self.path):
+                item = next(messages, None)
+            if item is None:
+                return
+            yield item
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file or folder is a recording, by its first bytes or its name."""
+    if path.is_dir():
+        return True
+    return path.suffix.lower() in _FORMATS or _suffix_by_content(path) is not None
+
+
+def _suffix_by_content(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            return _MAGIC.get(file.read(8))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+@contextmanager
+def open_recording(path: Path) -> Iterator[Recording]:
+    """Open a recording: a folder of rosbag2, or a file .mcap, .db3 or .bag.
+
+    Raises:
+        InputError: it is none, or broken.
+    """
+    _check(path)
+    ros1 = path.suffix.lower() == ".bag" and path.is_file()
+    with _faults_of(path):
+        if ros1:
+            from rosbags.rosbag1 import Reader as Reader1
+
+            reader: AbstractContextManager[Any] = Reader1(path)
+        else:
+            from rosbags.rosbag2 import Reader as Reader2
+
+            reader = Reader2(path)
+        opened = reader.__enter__()
+    try:
+        with _faults_of(path):
+            recording = Recording(path, opened, ros1)
+        yield recording
+    finally:
+        reader.__exit__(None, None, None)
+
+
+def _check(path: Path) -> None:
+    if path.is_dir():
+        if not (path / "metadata.yaml").is_file():
+            files = sorted(f.name for f in path.iterdir() if f.suffix in _FORMATS and f.suffix)
+            expected = "a rosbag2 folder" + (f", or one of its files: {', '.join(files)}" if files else "")
+            raise InputError.at(path, "", "a folder without metadata.yaml", expected)
+        for database in path.glob("*.db3"):
+            _check_closed(database)
+        return
+    suffix = _suffix_by_content(path)
+    if suffix is None:
+        found = "an empty file" if path.stat().st_size == 0 else "a file that does not begin like one"
+        raise InputError.at(path, "", found, f"a recording ({_FORMATS[path.suffix.lower()]})")
+    if suffix != path.suffix.lower():
+        raise InputError.at(path, "", f"{_FORMATS[suffix]} under this name", f"a name that ends in {suffix}")
+    if suffix == ".db3":
+        _check_closed(path)
+
+
+def _check_closed(database: Path) -> None:
+    """SQLite keeps what it has not yet merged in a file beside, which would be passed over."""
+    log = database.with_name(f"{database.name}-wal")
+    if log.is_file() and log.stat().st_size:
+        expected = f"one that was closed; `sqlite3 {database.name} 'PRAGMA wal_checkpoint(TRUNCATE)'` does so"
+        raise InputError.at(database, "", f"a recording that was cut off ({log.name} beside it)", expected)
+
+
+@contextmanager
+def _faults_of(path: Path) -> Iterator[None]:
+    """Whatever a foreign reader trips over is a fault of the file that it reads."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        suffix = path.suffix.lower()
+        remedy = {".mcap": "`mcap recover`", ".bag": "`rosbag reindex`"}.get(suffix, "`ros2 bag reindex`")
+        expected = f"a complete recording ({remedy} repairs one that was cut off)"
+        raise InputError.at(path, "", f"a broken recording ({reason})", expected) from error
+
+
+def _definitions(connection: Connection, ros1: bool) -> Definitions:
+    """As the recording states them, completed by those of the ROS distributions."""
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    standard: Definitions = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST).fielddefs
+    given = connection.msgdef
+    try:
+        if given.format == MessageDefinitionFormat.MSG:
+            return {**standard, **get_types_from_msg(given.data, connection.msgtype)}
+        if given.format == MessageDefinitionFormat.IDL and connection.msgtype not in standard:
+            return {**standard, **get_types_from_idl(given.data)}
+    except Exception:
+        return standard if connection.msgtype in standard else {}
+    return standard
+
+
+def sha256_of(path: Path) -> str:
+    """Of a file; of a folder, that of the lines that `sha256sum *` prints in it."""
+    if not path.is_dir():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    lines = [f"{sha256_of(file)}  {file.name}\n" for file in sorted(path.iterdir()) if file.is_file()]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()

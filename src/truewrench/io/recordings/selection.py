@@ -1,0 +1,248 @@
+"""What of a recording a rig needs: streams chosen, checked against one another, and named as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from truewrench.calibration import AXES
+from truewrench.errors import InputError
+from truewrench.io.recordings.choice import KEYS, commanded, named_topic, one_topic, topics_in_words
+from truewrench.io.recordings.reader import Recording, Topic
+from truewrench.io.recordings.streams import Stream, gather, role_of
+from truewrench.rig import Rig
+from truewrench.robot import robot_of
+
+__all__ = ["Selection", "select", "stream_notes"]
+
+_LARGE_DELAY = 0.1  # [s] from header stamp to receipt, worth a note,
+_DRIFT = 0.01  # [s] over the recording, likewise,
+_APART = 0.02  # [s] between the delays of sensor and motion, likewise
+_SURE = 5.0  # sigma of a drift
+_REPEATED = 0.01  # the largest share of samples that may repeat a stamp
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Streams; where columns are found: number of the stream, position in it; what is worth a look."""
+
+    streams: tuple[Stream, ...]
+    places: Mapping[str, tuple[int, int]]
+    notes: tuple[str, ...]
+
+
+def select(
+    recording: Recording, rig: Rig, whole: bool, progress: Callable[[int], object] | None = None
+) -> Selection:
+    """Read what the rig needs.
+
+    Args:
+        recording: open.
+        rig: with the names of topics where there is a choice.
+        whole: whether motion that cannot be read is an error, or left out.
+        progress: called with the number of messages read so far.
+
+    Raises:
+        InputError: the recording is broken, or does not tell which topics are meant.
+    """
+    topics = _topics(recording, rig)
+    joints = robot_of(rig).joints if whole and rig.motion.source == "joints" else None
+    streams = gather(
+        recording, topics, rig.recording.stamps, wanted=lambda t, c: _wanted(t, c, joints), progress=progress
+    )
+    notes = [*recording.miscounted()]
+    sensor = _sensor(recording, rig, streams)
+    chosen = [sensor]
+    for role in _roles(rig)[1:]:
+        try:
+            chosen += _of_role(recording, rig, role, streams, whole)
+        except InputError as error:
+            if whole:
+                raise
+            notes.append(f"left out: {error}")
+    if rig.recording.stamps == "header":
+        notes += _apart(recording, rig, chosen)
+    for stream in chosen:
+        _check(recording, rig, stream)
+        notes += stream_notes(stream)
+    if whole:
+        _check_overlap(recording, chosen)
+        notes += _check_joints(recording, chosen)
+    return Selection(tuple(chosen), _places(rig, chosen), tuple(dict.fromkeys(notes)))
+
+
+def _roles(rig: Rig) -> list[str]:
+    """The sensor first, then what the rig uses."""
+    roles = ["wrench", "joints" if rig.motion.source == "joints" else "twist"]
+    noise = rig.motion.acceleration_noise
+    if rig.recording.imu_topic or (noise is not None and len(noise) == 3):
+        roles.append("imu")
+    if rig.recording.temperature_topic or rig.temperature.prior > 0.0:
+        roles.append("temperature")
+    if rig.recording.gravity_topic:
+        roles.append("gravity")
+    return roles
+
+
+def _topics(recording: Recording, rig: Rig) -> list[Topic]:
+    """Those that are named, and all that could be meant where none is."""
+    topics: list[Topic] = []
+    for role in _roles(rig):
+        name = getattr(rig.recording, KEYS[role])
+        if name is not None:
+            topics.append(named_topic(recording.path, recording.topics, name, role))
+            continue
+        kinds = ("wrench", "array") if role == "wrench" else (role,)
+        topics += [
+            topic
+            for topic in recording.topics
+            if role_of(topic.type_name) in kinds and topic.messages and not commanded(topic.name)
+        ]
+    return list({(topic.name, topic.type_name): topic for topic in topics}.values())
+
+
+def _wanted(topic: Topic, columns: tuple[str, ...], joints: Sequence[str] | None) -> Sequence[int]:
+    if joints is None or role_of(topic.type_name) != "joints":
+        return range(len(columns))
+    return [i for i, column in enumerate(columns) if column.partition("_")[2] in joints]
+
+
+def _sensor(recording: Recording, rig: Rig, streams: Sequence[Stream]) -> Stream:
+    n = rig.sensor.n
+    wrenches = [s for s in streams if role_of(s.topic.type_name) == "wrench"]
+    arrays = [s for s in streams if role_of(s.topic.type_name) == "array" and len(s.columns) == n]
+    found = wrenches if n == 6 else []
+    if not found or rig.sensor.nominal_gain != "identity":
+        found = found + arrays
+    what = "the sensor" if n == 6 else f"the {n} raw channels"
+    stream = one_topic(recording.path, found, "wrench", what)
+    if stream is None:
+        wanted = "a wrench (WrenchStamped, Wrench), or an array of 6 numbers"
+        wanted = wanted if n == 6 else f"arrays of {n} numbers"
+        there = topics_in_words(recording.topics)
+        raise InputError.at(recording.path, "", f"none for {what} among {there}", f"a topic with {wanted}")
+    return stream
+
+
+def _of_role(
+    recording: Recording, rig: Rig, role: str, streams: Sequence[Stream], whole: bool
+) -> list[Stream]:
+    found = [s for s in streams if role_of(s.topic.type_name) == role]
+    if role == "joints":
+        found = [s for s in found if not s.spool.all_nan]  # drivers fill in what they do not measure
+        _check_publishers(recording, found)
+        return found
+    stream = one_topic(recording.path, found, role, {"imu": "the accelerometer"}.get(role, f"the {role}"))
+    if stream is None and whole:
+        expected = f"a topic with the {role}, which the rig uses"
+        raise InputError.at(recording.path, "", f"none among {topics_in_words(recording.topics)}", expected)
+    return [] if stream is None else [stream]
+
+
+def _check_publishers(recording: Recording, streams: Sequence[Stream]) -> None:
+    """Every joint comes from one topic, and there from one publisher."""
+    owner: dict[str, Stream] = {}
+    for stream in streams:
+        for column in stream.columns:
+            other = owner.setdefault(column, stream)
+            if other is stream:
+                continue
+            joint = column.partition("_")[2]
+            if other.topic.name != stream.topic.name:
+                listed = "; ".join(dict.fromkeys(s.words for s in streams))
+                found = f"joint `{joint}` on several topics: {listed}"
+                expected = f"the choice of one: `recording: {{{KEYS['joints']}: {stream.topic.name}}}`"
+            else:
+                found = f"joint `{joint}` in messages with different sets of joints (several publishers?)"
+                expected = "each joint of the arm from one publisher"
+            raise InputError.at(recording.path, f"topic {stream.topic.name}", found, expected)
+
+
+def _check(recording: Recording, rig: Rig, stream: Stream) -> None:
+    spool = stream.spool
+    if spool.repeated > _REPEATED * (spool.rows + spool.repeated):
+        total = spool.rows + spool.repeated
+        found = f"{spool.repeated} of {total} messages with a stamp that another one has"
+        expected = "a stamp for every message"
+        if rig.recording.stamps == "header" and stream.headers:
+            expected += "; where the driver does not set them: `recording: {stamps: receive}` in the rig"
+        raise InputError.at(recording.path, f"topic {stream.topic.name}", found, expected)
+
+
+def _check_overlap(recording: Recording, chosen: Sequence[Stream]) -> None:
+    sensor = chosen[0]
+    for other in chosen[1:]:
+        a, b = sensor.spool, other.spool
+        if a.last < b.first or b.last < a.first:
+            found = f"{sensor.topic.name} from {a.first} to {a.last} ns, "
+            found += f"but {other.topic.name} from {b.first} to {b.last} ns"
+            expected = (
+                "streams that overlap; of clocks that differ, `recording: {stamps: receive}` in the rig"
+            )
+            raise InputError.at(recording.path, "", found, expected)
+
+
+def _check_joints(recording: Recording, chosen: Iterable[Stream]) -> list[str]:
+    """A row counts where all joints have a sample: publishers of parts of an arm have to share stamps."""
+    notes = []
+    for prefix in ("q_", "dq_"):
+        streams = [stream for stream in chosen if stream.columns[0].startswith(prefix)]
+        if len(streams) < 2:
+            continue
+        common: np.ndarray | None = None
+        for stream in streams:
+            time = np.concatenate([block[0] for block in stream.spool.blocks()])
+            common = time if common is None else np.intersect1d(common, time, assume_unique=True)
+        most = max(stream.spool.rows for stream in streams)
+        parts = " and ".join(", ".join(c.partition("_")[2] for c in s.columns) for s in streams)
+        if common is None or not len(common):
+            expected = "all joints of the arm with the same stamps"
+            raise InputError.at(recording.path, "", f"no stamp in common for the joints {parts}", expected)
+        if len(common) < most:
+            notes.append(f"{len(common)} of {most} stamps have samples of the joints {parts}")
+    return notes
+
+
+def stream_notes(stream: Stream) -> list[str]:
+    """What is worth a look in one stream: order, repetitions, clocks."""
+    topic, spool = stream.topic.name, stream.spool
+    notes = []
+    if spool.late:
+        notes.append(f"{topic}: {spool.late} messages came late and were sorted in by their stamps")
+    if spool.repeated:
+        notes.append(f"{topic}: {spool.repeated} messages with the stamp of an earlier one left out")
+    delay, (drift, sigma) = stream.clocks.delay, stream.clocks.drift
+    if abs(delay) > _LARGE_DELAY:
+        notes.append(f"{topic}: header stamps are {delay:.6g} s before those of receipt on average")
+    if abs(drift) > max(_DRIFT, _SURE * sigma):
+        notes.append(f"{topic}: header stamps drift by {drift:.3g} s against those of receipt")
+    return notes
+
+
+def _apart(recording: Recording, rig: Rig, chosen: Sequence[Stream]) -> list[str]:
+    """Sensor and motion whose stamps are further apart than the rig's clock offset allows for."""
+    sensor, allowed = chosen[0], max(_APART, 3.0 * rig.sensor.time_offset_prior)
+    notes = []
+    for other in chosen[1:]:
+        apart = sensor.clocks.delay - other.clocks.delay
+        if role_of(other.topic.type_name) in ("joints", "twist") and abs(apart) > allowed:
+            which = "header" if sensor.headers and other.headers else "header and receive"
+            notes.append(
+                f"{sensor.topic.name} and {other.topic.name}: their {which} stamps are {apart:.3g} s apart "
+                "by their times of receipt, more than the rig expects (sensor.time_offset_prior)"
+            )
+    return notes
+
+
+def _places(rig: Rig, chosen: Sequence[Stream]) -> dict[str, tuple[int, int]]:
+    """Columns by name, the sensor's channels by the axes they are called after, if they are."""
+    n, channels = rig.sensor.n, rig.sensor.channels
+    order = list(range(n))
+    if role_of(chosen[0].topic.type_name) == "wrench" and set(channels) == set(AXES):
+        order = [AXES.index(channel) for channel in channels]
+    places = {f"raw_{i}": (0, order[i]) for i in range(n)}
+    for k, stream in enumerate(chosen[1:], 1):
+        places |= {column: (k, j) for j, column in enumerate(stream.columns)}
+    return places
