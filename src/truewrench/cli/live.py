@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,7 +17,9 @@ from truewrench.errors import InputError, UnsupportedError
 if TYPE_CHECKING:
     from truewrench.calibration import Calibration
     from truewrench.rig import Rig
+    from truewrench.stream.ros2 import Topics
     from truewrench.stream.session import Progress
+    from truewrench.stream.stop import Stop
 
 __all__ = ["stream"]
 
@@ -35,61 +40,127 @@ def stream(
     payload: Annotated[
         str | None, typer.Option(metavar="NAME", help="--calibrate: what the arm carries.")
     ] = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Topics of ROS 2, which need not be installed.")
+    ] = False,
+    wrench_topic: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="--ros2: the sensor's; found by itself if the only one."),
+    ] = None,
+    joint_topic: Annotated[
+        str | None, typer.Option(metavar="NAME", help="--ros2 --calibrate: the joints' (or the twist's).")
+    ] = None,
+    output_topic: Annotated[
+        str | None, typer.Option(metavar="NAME", help="--ros2: corrected wrench; /truewrench/wrench.")
+    ] = None,
+    reliable: Annotated[
+        bool, typer.Option("--reliable", help="--ros2: lose no message, where publishers are reliable.")
+    ] = False,
+    seconds: Annotated[
+        float | None, typer.Option("--duration", min=0.0, help="--ros2: end after so long [s].")
+    ] = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
-    """Correct samples as they arrive, as JSON lines on standard input and output; or calibrate from them."""
+    """Correct samples as they arrive, or calibrate from them: JSON lines from a pipe into one, or ROS 2.
+
+    Ends with its input, after --duration, or at Ctrl-C, and then writes the last result.
+    """
     if (calibration is None) == (rig is None):
         found = "neither" if calibration is None else "both"
         raise InputError.at(None, "arguments", found, "a CALIBRATION or --calibrate RIG")
-    if rig is None:
-        for name, value in (("--output", output), ("--payload", payload)):
-            if value is not None:
-                raise UnsupportedError.at(None, name, "without --calibrate", "this option with --calibrate")
-        assert calibration is not None
-        from truewrench.calibration import load_calibration
-
-        return _correct(load_calibration(calibration), as_json)
+    _check_belongs(
+        "--calibrate",
+        rig is not None,
+        {"--output": output, "--payload": payload, "--joint-topic": joint_topic},
+    )
+    _check_belongs("CALIBRATION", rig is None, {"--output-topic": output_topic})
+    of_ros = {"--wrench-topic": wrench_topic, "--joint-topic": joint_topic, "--output-topic": output_topic}
+    _check_belongs("--ros2", ros2, {**of_ros, "--reliable": reliable or None, "--duration": seconds})
+    from truewrench.calibration import load_calibration
     from truewrench.rig import load_rig
 
+    made = None if calibration is None else load_calibration(calibration)
+    settings = load_rig(rig) if rig is not None else made.rig if made is not None else None
+    assert settings is not None
+    topics = None
+    if ros2:
+        from truewrench.stream.ros2 import OUTPUT, Topics
+
+        topics = Topics(
+            wrench_topic or settings.recording.wrench_topic,
+            joint_topic or settings.recording.joint_topic,
+            output_topic or OUTPUT,
+            reliable,
+        )
+    limit = math.inf if seconds is None else seconds
+    if made is not None:
+        return _correct(made, topics, limit, as_json)
     if output is not None:
         check_folder(output)
-    return _calibrate(load_rig(rig), payload, output, as_json)
+    return _calibrate(settings, payload, output, topics, limit, as_json)
 
 
-def _correct(calibration: Calibration, as_json: bool) -> Outcome:
-    from truewrench.stream.json_lines import INPUT, correct_lines
-    from truewrench.stream.lines import Output
+def _check_belongs(to: str, given: bool, options: Mapping[str, object]) -> None:
+    for name, value in options.items():
+        if value is not None and not given:
+            raise UnsupportedError.at(None, name, f"without {to}", f"this option with {to} only")
+
+
+def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as_json: bool) -> Outcome:
     from truewrench.stream.stop import Stop
 
     for reason in calibration.verdict.reasons:
         _say(f"not to be used as it stands: {reason}")
     with Stop() as stop:
-        lines = correct_lines(calibration, Output(silent=as_json), stop, _Complaints())
-    if lines.refused:
-        found = f"{lines.refused} of {lines.read} lines that are none, the first: {lines.first}"
-        raise InputError(f"{INPUT}: {found}")
-    return Outcome(verdict=verdict_of(calibration), figures={"lines": lines.read}, aside=True)
+        if topics is not None:
+            from truewrench.stream.ros2 import correct_topic
+
+            counts = correct_topic(calibration, topics, stop, _Complaints(), seconds)
+            figures = dataclasses.asdict(counts)
+        else:
+            figures = _correct_lines(calibration, stop, as_json)
+    words = ", ".join(f"{count} {name}" for name, count in figures.items())
+    return Outcome((), figures, verdict_of(calibration), lambda: iter([words]), aside=True)
 
 
-def _calibrate(rig: Rig, payload: str | None, folder: Path | None, as_json: bool) -> Outcome:
-    from truewrench.stream.json_lines import calibrate_lines, progress_line
+def _correct_lines(calibration: Calibration, stop: Stop, as_json: bool) -> dict[str, int]:
+    from truewrench.stream.json_lines import INPUT, correct_lines
     from truewrench.stream.lines import Output
-    from truewrench.stream.session import LiveCalibration, payload_of
+
+    lines = correct_lines(calibration, Output(silent=as_json), stop, _Complaints())
+    if lines.refused:
+        found = f"{lines.refused} of {lines.read} lines refused, the first: {lines.first}"
+        raise InputError(f"{INPUT}: {found}")
+    return {"lines": lines.read}
+
+
+def _calibrate(
+    rig: Rig, payload: str | None, folder: Path | None, topics: Topics | None, seconds: float, as_json: bool
+) -> Outcome:
+    from truewrench.stream.session import CALIBRATION, RECORD, LiveCalibration, payload_of
     from truewrench.stream.stop import Stop
-
-    out = Output(silent=as_json)
-    with Stop() as stop, LiveCalibration(rig, payload_of(rig, payload)) as session:
-        lines = calibrate_lines(session, out, stop, _Complaints())
-        final = session.finish(folder)
-        out.write(progress_line(final))
-    return _result(final, folder, {"lines": lines.read, "refused": lines.refused})
-
-
-def _result(final: Progress, folder: Path | None, figures: dict[str, Any]) -> Outcome:
-    from truewrench.stream.session import CALIBRATION, RECORD
     from truewrench.summary import calibration_summary
 
+    with Stop() as stop, LiveCalibration(rig, payload_of(rig, payload)) as session:
+        if topics is not None:
+            from truewrench.stream.ros2 import calibrate_topics
+
+            counts, publish = calibrate_topics(session, topics, stop, _Complaints(), seconds)
+            figures = dataclasses.asdict(counts)
+        else:
+            from truewrench.stream.json_lines import calibrate_lines, progress_line
+            from truewrench.stream.lines import Output
+
+            out = Output(silent=as_json)
+            lines = calibrate_lines(session, out, stop, _Complaints())
+            figures = {"lines": lines.read, "refused": lines.refused}
+
+            def publish(progress: Progress) -> None:
+                out.write(progress_line(progress))
+
+        final = session.finish(folder)
+        publish(final)
     calibration = final.calibration
     assert calibration is not None
     found = {key: value for key, value in final.to_mapping().items() if key not in ("usable", "reasons")}

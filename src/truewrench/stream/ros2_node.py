@@ -1,0 +1,206 @@
+"""A participant in ROS 2 without ROS: the environment that ROS programs obey, endpoints, discovery."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Iterator
+from typing import Any, TypeVar
+
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.core import (
+    DDSException,
+    InstanceState,
+    Policy,
+    Qos,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from truewrench.errors import InputError
+from truewrench.stream.ros2_types import TYPE_HASHES
+from truewrench.stream.stop import Stop
+
+__all__ = ["Node", "configuration", "domain_id", "lost", "ros_type", "taken", "unreliable"]
+
+_LARGEST_DOMAIN = 232
+_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_PREFIX = "rt/"  # of a ROS topic among those of DDS
+_TAKEN_AT_ONCE = 256
+_WRITTEN = 1000  # messages kept for a reader that is slow
+_MOST_INDEX = 32  # as many participants on this machine are looked for, where there is no multicast
+
+_Message = TypeVar("_Message", bound=IdlStruct)
+
+
+def domain_id() -> int:
+    """What ROS_DOMAIN_ID says.
+
+    Raises:
+        InputError: it is no domain.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isdecimal() or int(text) > _LARGEST_DOMAIN:
+        raise InputError.at(None, "ROS_DOMAIN_ID", f"`{text}`", f"a number from 0 to {_LARGEST_DOMAIN}")
+    return int(text)
+
+
+def configuration() -> str | None:
+    """Cyclone's settings for ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and ROS_STATIC_PEERS.
+
+    None for its own, or those of CYCLONEDDS_URI, which come first.
+    """
+    if os.environ.get("CYCLONEDDS_URI"):
+        return None
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
+    local = reach == "LOCALHOST" or (not reach and os.environ.get("ROS_LOCALHOST_ONLY") == "1")
+    peers = [peer for peer in os.environ.get("ROS_STATIC_PEERS", "").split(";") if peer.strip()]
+    for peer in peers:
+        if not re.fullmatch(r"[\w.:%-]+", peer.strip()):
+            raise InputError.at(None, "ROS_STATIC_PEERS", f"`{peer}`", "addresses with semicolons between")
+    if not local and not peers:
+        return None
+    interfaces = '<Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
+    peers += ["127.0.0.1"] if local else []
+    return (
+        f'<CycloneDDS><Domain Id="any"><General>{interfaces * local}'
+        f"<AllowMulticast>{'false' if local else 'true'}</AllowMulticast></General>"
+        f"<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+        f"<MaxAutoParticipantIndex>{_MOST_INDEX}</MaxAutoParticipantIndex>"
+        f"<Peers>{''.join(f'<Peer Address={_quoted(peer)}/>' for peer in peers)}</Peers></Discovery>"
+        f"</Domain></CycloneDDS>"
+    )
+
+
+def _quoted(peer: str) -> str:
+    return f'"{peer.strip()}"'
+
+
+def ros_type(kind: type[IdlStruct]) -> str:
+    """`geometry_msgs/msg/WrenchStamped` of a message class."""
+    return _as_ros(kind.__idl__.idl_transformed_typename)
+
+
+def _as_ros(dds_type: str) -> str:
+    return dds_type.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
+
+
+class Node:
+    """Readers and writers of ROS topics in the domain of ROS_DOMAIN_ID.
+
+    Raises:
+        InputError: the domain cannot be joined.
+    """
+
+    def __init__(self) -> None:
+        domain, settings = domain_id(), configuration()
+        try:
+            self._domain = None if settings is None else Domain(domain, settings)
+            self._participant = DomainParticipant(domain, qos=Qos(Policy.Userdata(b"enclave=/;")))
+            self._publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        except DDSException as error:
+            raise InputError(f"ROS 2: domain {domain} cannot be joined: {error}") from error
+        self._waitset = WaitSet(self._participant)
+        self._found: dict[str, set[str]] = {}
+
+    def reader(self, topic: str, kind: type[_Message], reliable: bool) -> DataReader[_Message]:
+        """Subscribe; messages that have arrived are kept until they are taken."""
+        quality = _reliable() if reliable else Policy.Reliability.BestEffort
+        qos = Qos(quality, Policy.History.KeepAll, *_common(kind))
+        reader = DataReader(self._participant, Topic(self._participant, _dds_name(topic), kind), qos=qos)
+        states = ViewState.Any | InstanceState.Any | SampleState.NotRead
+        self._waitset.attach(ReadCondition(reader, states))
+        return reader
+
+    def writer(self, topic: str, kind: type[_Message]) -> DataWriter[_Message]:
+        """Publish, for readers of either reliability; one that is slow holds nobody up."""
+        qos = Qos(_reliable(), Policy.History.KeepLast(_WRITTEN), *_common(kind))
+        return DataWriter(self._participant, Topic(self._participant, _dds_name(topic), kind), qos=qos)
+
+    def wait(self, seconds: float) -> None:
+        """Until a message has arrived, at most so long."""
+        self._waitset.wait(duration(seconds=seconds))
+
+    def topics(self) -> dict[str, set[str]]:
+        """Topics that somebody publishes, by name, and their types; ROS topics alone."""
+        for found in self._publications.take(_TAKEN_AT_ONCE):
+            name, kind = getattr(found, "topic_name", ""), getattr(found, "type_name", "")
+            if name.startswith(_PREFIX):
+                self._found.setdefault(name.removeprefix(_PREFIX[:-1]), set()).add(_as_ros(kind))
+        return self._found
+
+    def find(self, kind: type[IdlStruct], without: set[str], patience: float, stop: Stop) -> str:
+        """The one topic of a type.
+
+        Args:
+            kind: of the messages.
+            without: topics that are not meant.
+            patience: how long to wait for a first one [s]; then a little more for others.
+            stop: ends the search.
+
+        Raises:
+            InputError: there is none, or there are several.
+        """
+        wanted, end = ros_type(kind), time.monotonic() + patience
+        others = 1.0  # [s] that may pass between the discovery of two
+        matching: list[str] = []
+        while time.monotonic() < end and not stop.requested:
+            time.sleep(0.05)
+            before = matching
+            matching = sorted(t for t, kinds in self.topics().items() if wanted in kinds and t not in without)
+            if matching and not before:
+                end = time.monotonic() + others
+        if len(matching) == 1:
+            return matching[0]
+        seen = ", ".join(f"{topic} ({', '.join(sorted(of))})" for topic, of in sorted(self.topics().items()))
+        found = f"the topics {', '.join(matching)}" if matching else f"no topic of type {wanted}"
+        expected = "one, or the name of one as an option" if matching else "a publisher of one"
+        raise InputError.at(
+            None, f"ROS 2, domain {domain_id()}", found, f"{expected}; seen: {seen or 'none'}"
+        )
+
+
+def taken(reader: DataReader[_Message]) -> Iterator[tuple[_Message, Any]]:
+    """Messages that have arrived, each with what DDS says of it."""
+    sample: Any
+    for sample in reader.take(_TAKEN_AT_ONCE):
+        info = sample.sample_info
+        if info.valid_data:  # else it tells of a publisher that has gone
+            yield sample, info
+
+
+def lost(reader: Any) -> int:
+    """Messages that a reliable publisher no longer had."""
+    return int(reader.get_sample_lost_status().total_count)
+
+
+def unreliable(reader: Any) -> bool:
+    """Whether there is a publisher that offers less than the reader asks for."""
+    return bool(reader.get_requested_incompatible_qos_status().total_count)
+
+
+def _reliable() -> Any:
+    return Policy.Reliability.Reliable(duration(milliseconds=100))
+
+
+def _common(kind: type[IdlStruct]) -> list[Any]:
+    return [
+        Policy.Durability.Volatile,
+        Policy.Userdata(f"typehash=RIHS01_{TYPE_HASHES[kind]};".encode()),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    ]
+
+
+def _dds_name(topic: str) -> str:
+    if not _NAME.fullmatch(topic):
+        raise InputError.at(None, "ROS 2 topic", f"`{topic}`", "a name such as /ft/wrench_raw")
+    return _PREFIX + topic.removeprefix("/")
