@@ -12,19 +12,34 @@ from truewrench.cli.common import (
     DebugOption,
     JsonOption,
     Outcome,
+    progress_bar,
+    report_notes,
 )
 
 __all__ = ["inspect"]
 
 
 def inspect(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV or Parquet.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV, Parquet, or a recording.")],
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
-    """Show what is in a log: streams, rates, gaps, ranges."""
+    """Show what is in a log: streams, rates, gaps, ranges; of a recording, its topics too."""
     from truewrench.inspect_log import inspect_log
+    from truewrench.io.recordings.reader import is_recording
     from truewrench.summary import log_summary
 
+    if log.exists() and is_recording(log):
+        return _inspect_recording(log)
     content = inspect_log(log)
     return Outcome(figures=dataclasses.asdict(content), words=lambda: log_summary(content))
+
+
+def _inspect_recording(log: Path) -> Outcome:
+    from truewrench.inspect_recording import inspect_recording
+    from truewrench.recording_summary import recording_summary
+
+    with progress_bar() as update:
+        content = inspect_recording(log, lambda messages: update(f"{messages} messages", None))
+    report_notes(log, content.notes)
+    return Outcome(figures=dataclasses.asdict(content), words=lambda: recording_summary(content))

@@ -11,16 +11,13 @@ from truewrench.calibration import AXES
 from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS, commanded, named_topic, one_topic, topics_in_words
 from truewrench.io.recordings.reader import Recording, Topic
-from truewrench.io.recordings.streams import Stream, gather, role_of
+from truewrench.io.recordings.streams import Stream, clock_notes, gather, role_of
 from truewrench.rig import Rig
 from truewrench.robot import robot_of
 
-__all__ = ["Selection", "select", "stream_notes"]
+__all__ = ["Selection", "select"]
 
-_LARGE_DELAY = 0.1  # [s] from header stamp to receipt, worth a note,
-_DRIFT = 0.01  # [s] over the recording, likewise,
-_APART = 0.02  # [s] between the delays of sensor and motion, likewise
-_SURE = 5.0  # sigma of a drift
+_APART = 0.02  # [s] between the delays of sensor and motion, worth a note
 _REPEATED = 0.01  # the largest share of samples that may repeat a stamp
 
 
@@ -66,7 +63,7 @@ def select(
         notes += _apart(recording, rig, chosen)
     for stream in chosen:
         _check(recording, rig, stream)
-        notes += stream_notes(stream)
+        notes += _stream_notes(stream)
     if whole:
         _check_overlap(recording, chosen)
         notes += _check_joints(recording, chosen)
@@ -205,7 +202,7 @@ def _check_joints(recording: Recording, chosen: Iterable[Stream]) -> list[str]:
     return notes
 
 
-def stream_notes(stream: Stream) -> list[str]:
+def _stream_notes(stream: Stream) -> list[str]:
     """What is worth a look in one stream: order, repetitions, clocks."""
     topic, spool = stream.topic.name, stream.spool
     notes = []
@@ -213,12 +210,7 @@ def stream_notes(stream: Stream) -> list[str]:
         notes.append(f"{topic}: {spool.late} messages came late and were sorted in by their stamps")
     if spool.repeated:
         notes.append(f"{topic}: {spool.repeated} messages with the stamp of an earlier one left out")
-    delay, (drift, sigma) = stream.clocks.delay, stream.clocks.drift
-    if abs(delay) > _LARGE_DELAY:
-        notes.append(f"{topic}: header stamps are {delay:.6g} s before those of receipt on average")
-    if abs(drift) > max(_DRIFT, _SURE * sigma):
-        notes.append(f"{topic}: header stamps drift by {drift:.3g} s against those of receipt")
-    return notes
+    return notes + clock_notes(topic, stream.clocks)
 
 
 def _apart(recording: Recording, rig: Rig, chosen: Sequence[Stream]) -> list[str]:

@@ -16,11 +16,14 @@ from truewrench.io.recordings.reader import Batch, Recording, Topic
 from truewrench.io.recordings.spool import Spool
 from truewrench.io.table import GRAVITY, SPECIFIC_FORCE, TWIST
 
-__all__ = ["Clocks", "Stream", "gather", "role_of", "samples_of"]
+__all__ = ["Clocks", "Stream", "clock_notes", "gather", "role_of", "samples_of"]
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+_LARGE_DELAY = 0.1  # [s] from header stamp to receipt, worth a note,
+_DRIFT = 0.01  # [s] over the recording, likewise
+_SURE = 5.0  # sigma of a drift
 _XYZ = ("x", "y", "z")
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 _ARRAY = re.compile(r"std_msgs/msg/(Float32|Float64|Int8|Int16|Int32|UInt8|UInt16|UInt32)MultiArray")
@@ -173,7 +176,18 @@ class Clocks:
             return 0.0, math.inf
         slope = (xy - x * y / self._n) / spread
         scatter = max(yy - y * y / self._n - slope**2 * spread, 0.0) / (self._n - 2)
-        return slope * self._latest, math.sqrt(scatter / spread) * self._latest
+        return float(slope * self._latest), math.sqrt(scatter / spread) * self._latest
+
+
+def clock_notes(topic: str, clocks: Clocks) -> list[str]:
+    """What is worth a look in the stamps of a topic."""
+    notes = []
+    delay, (drift, sigma) = clocks.delay, clocks.drift
+    if abs(delay) > _LARGE_DELAY:
+        notes.append(f"{topic}: header stamps are {delay:.6g} s before those of receipt on average")
+    if abs(drift) > max(_DRIFT, _SURE * sigma):
+        notes.append(f"{topic}: header stamps drift by {drift:.3g} s against those of receipt")
+    return notes
 
 
 @dataclass(slots=True)

@@ -1,0 +1,314 @@
+"""What is in a recording: topics, rates, gaps, stamps, and what would be taken for what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.errors import InputError
+from truewrench.inspect_log import GAP_PERIODS, ColumnContent, Gap
+from truewrench.io.recordings.choice import KEYS, commanded
+from truewrench.io.recordings.layout import Layout
+from truewrench.io.recordings.reader import Batch, Recording, Topic, open_recording
+from truewrench.io.recordings.streams import Clocks, clock_notes, role_of, samples_of
+
+__all__ = ["RecordingContent", "StreamContent", "TopicContent", "inspect_recording"]
+
+IntArray = npt.NDArray[np.int64]
+
+_FIRST = 1024  # periods whose median is the nominal one
+_LISTED = 100  # gaps that are named one by one
+
+_TAKEN = {
+    "wrench": "sensor",
+    "array": "raw channels",
+    "joints": "joints",
+    "twist": "twist",
+    "imu": "accelerometer",
+    "temperature": "temperature",
+    "gravity": "gravity",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StreamContent:
+    """Columns that come together.
+
+    Attributes:
+        columns: with their ranges.
+        samples: how many messages have them.
+        rate: samples a second, from the median of the first periods; 0 with fewer than two samples.
+        jitter: standard deviation of the period over its median, gaps left out.
+        gaps: the first pauses of more than five nominal periods.
+        gap_count: how many there are.
+        late: samples stamped earlier than one before them.
+        repeated: samples with the stamp of the one before.
+    """
+
+    columns: tuple[ColumnContent, ...]
+    samples: int
+    rate: float
+    jitter: float
+    gaps: tuple[Gap, ...]
+    gap_count: int
+    late: int
+    repeated: int
+
+
+@dataclass(frozen=True, slots=True)
+class TopicContent:
+    """One topic.
+
+    Attributes:
+        topic: its name.
+        type: of its messages.
+        publishers: known of ROS 1 only, else 1.
+        messages: as counted.
+        rate: of receipt.
+        stamps: `header`, `receive` where the messages have no header, None where they are not read.
+        delay: mean time from header stamp to receipt [s], None without headers.
+        drift: how much that grows over the recording [s], likewise.
+        streams: what is read of it, stamped by headers if there are any.
+        taken_as: what a rig without topics of its own would take it for, or why it would not.
+    """
+
+    topic: str
+    type: str
+    publishers: int
+    messages: int
+    rate: float
+    stamps: str | None
+    delay: float | None
+    drift: float | None
+    streams: tuple[StreamContent, ...]
+    taken_as: str
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingContent:
+    """A whole recording; its start and duration are those of the stamps of receipt."""
+
+    path: Path
+    format: str
+    messages: int
+    start_ns: int
+    duration: float
+    topics: tuple[TopicContent, ...]
+    notes: tuple[str, ...]
+
+
+def inspect_recording(path: str | Path, progress: Callable[[int], object] | None = None) -> RecordingContent:
+    """Read a recording once and say what is in it; no rig is needed.
+
+    Raises:
+        InputError: it is broken.
+    """
+    path = Path(path)
+    with open_recording(path) as recording:
+        counters = {(topic.name, topic.type_name): _TopicCounter(topic) for topic in recording.topics}
+        for batch in recording.batches(recording.topics, progress):
+            counters[batch.topic.name, batch.topic.type_name].add(batch, recording)
+        notes = recording.miscounted()
+    counted = [counter for counter in counters.values() if counter.receive.samples]
+    if not counted:
+        raise InputError.at(path, "", "no message", "at least one")
+    start = min(counter.receive.first for counter in counted)
+    taken = _taken([counter for counter in counters.values()])
+    topics = [c.content(start, words) for c, words in zip(counters.values(), taken, strict=True)]
+    for counter in counted:
+        notes += clock_notes(counter.topic.name, counter.clocks)
+    return RecordingContent(
+        path=path,
+        format=recording.format,
+        messages=sum(topic.messages for topic in topics),
+        start_ns=start,
+        duration=(max(counter.receive.last for counter in counted) - start) * 1e-9,
+        topics=tuple(topics),
+        notes=tuple(notes),
+    )
+
+
+def _taken(counters: Sequence[_TopicCounter]) -> list[str]:
+    words = []
+    for counter in counters:
+        role = role_of(counter.topic.type_name)
+        if role is None:
+            words.append("")
+        elif not counter.receive.samples:
+            words.append("no message")
+        elif commanded(counter.topic.name):
+            words.append(
+                f"a command, by its name; unless named in recording.{KEYS.get(role, KEYS['wrench'])}"
+            )
+        else:
+            rivals = [c for c in counters if c is not counter and _rivals(c, counter)]
+            meant = _TAKEN[role]
+            if role == "array":
+                meant += " of a rig with n = " + " or ".join(str(len(c)) for c in counter.streams)
+            if rivals:
+                meant += f", if named in recording.{KEYS.get(role, KEYS['wrench'])}: "
+                meant += f"{', '.join(c.topic.name for c in rivals)} could be, too"
+            words.append(meant)
+    return words
+
+
+def _rivals(a: _TopicCounter, b: _TopicCounter) -> bool:
+    """Whether a rig could take either for the same thing."""
+    if not a.receive.samples or commanded(a.topic.name) or role_of(a.topic.type_name) is None:
+        return False
+    roles = {role_of(a.topic.type_name), role_of(b.topic.type_name)}
+    if roles in ({"joints"}, {"array"}):
+        columns = [{column for columns in c.streams for column in columns} for c in (a, b)]
+        return bool(columns[0] & columns[1]) if roles == {"joints"} else bool(set(a.streams) & set(b.streams))
+    return len(roles) == 1
+
+
+class _Stamps:
+    """Count, rate and gaps of stamps that are passed over once."""
+
+    def __init__(self) -> None:
+        self.samples = self.late = self.repeated = self.gap_count = 0
+        self.first = self.last = 0
+        self.gaps: list[tuple[int, int]] = []
+        self._waiting: list[IntArray] = []
+        self._nominal = 0.0
+        self._steady = np.zeros(3)  # periods that are no gap: number, sum and sum of squares over nominal
+
+    def add(self, stamps: IntArray) -> None:
+        if not len(stamps):
+            return
+        if not self.samples:
+            self.first, self.last = int(stamps[0]), int(stamps[0])
+            period = np.diff(stamps)
+        else:
+            period = np.diff(stamps, prepend=self.last)
+        self.samples += len(stamps)
+        self.first = min(self.first, int(stamps.min()))
+        self._count(period, stamps[len(stamps) - len(period) :] - period)
+        self.last = max(self.last, int(stamps.max()))
+
+    def _count(self, period: IntArray, begin: IntArray) -> None:
+        self.late += int((period < 0).sum())
+        self.repeated += int((period == 0).sum())
+        if not self._nominal:
+            self._waiting.append(np.stack([period, begin]))
+            if sum(block.shape[1] for block in self._waiting) < _FIRST:
+                return
+            self.settle()
+            return
+        pause = period > GAP_PERIODS * self._nominal
+        self.gap_count += int(pause.sum())
+        room = _LISTED - len(self.gaps)
+        self.gaps += list(zip(begin[pause][:room].tolist(), period[pause][:room].tolist(), strict=True))
+        steady = period[~pause & (period > 0)] / self._nominal
+        self._steady += [len(steady), steady.sum(), steady @ steady]
+
+    def settle(self) -> None:
+        """Take the periods so far for nominal; nothing if that is done."""
+        waiting, self._waiting = self._waiting, []
+        if self._nominal or not waiting:
+            return
+        period, begin = np.concatenate(waiting, axis=1)
+        positive = period[period > 0]
+        if len(positive):
+            self._nominal = float(np.median(positive))
+            late, repeated = self.late, self.repeated
+            self._count(period, begin)
+            self.late, self.repeated = late, repeated
+
+    @property
+    def rate(self) -> float:
+        """Samples a second."""
+        return 1e9 / self._nominal if self._nominal else 0.0
+
+    @property
+    def jitter(self) -> float:
+        """Of periods that are no gap, over the nominal one."""
+        n, total, squares = self._steady
+        return float(np.sqrt(max(squares / n - (total / n) ** 2, 0.0))) if n else 0.0
+
+
+class _StreamCounter:
+    def __init__(self, width: int) -> None:
+        self.stamps = _Stamps()
+        self._smallest = np.full(width, np.inf)
+        self._largest = np.full(width, -np.inf)
+        self._numbers = np.zeros(width, dtype=np.int64)
+
+    def add(self, stamps: IntArray, values: npt.NDArray[np.float64]) -> None:
+        self.stamps.add(stamps)
+        self._smallest = np.fmin(self._smallest, np.fmin.reduce(values, axis=0, initial=np.inf))
+        self._largest = np.fmax(self._largest, np.fmax.reduce(values, axis=0, initial=-np.inf))
+        self._numbers += (~np.isnan(values)).sum(axis=0)
+
+    def content(self, names: Sequence[str], start: int) -> StreamContent:
+        stamps = self.stamps
+        stamps.settle()
+        numbers = self._numbers.tolist()
+        columns = tuple(
+            ColumnContent(
+                name=name,
+                smallest=float(self._smallest[j]) if numbers[j] else np.nan,
+                largest=float(self._largest[j]) if numbers[j] else np.nan,
+                numbers=numbers[j],
+                empty=0,
+                nan=stamps.samples - numbers[j],
+            )
+            for j, name in enumerate(names)
+        )
+        return StreamContent(
+            columns,
+            stamps.samples,
+            stamps.rate,
+            stamps.jitter,
+            tuple(Gap((begin - start) * 1e-9, length * 1e-9) for begin, length in stamps.gaps),
+            stamps.gap_count,
+            stamps.late,
+            stamps.repeated,
+        )
+
+
+class _TopicCounter:
+    """What one pass over the batches gathers of a topic."""
+
+    def __init__(self, topic: Topic) -> None:
+        self.topic = topic
+        self.receive = _Stamps()
+        self.clocks = Clocks()
+        self.streams: dict[tuple[str, ...], _StreamCounter] = {}
+        self._headers: bool | None = None
+        self._layouts: list[Layout] = []
+
+    def add(self, batch: Batch, recording: Recording) -> None:
+        if role_of(self.topic.type_name) is not None:
+            for samples in samples_of(batch, self._layouts, recording, self.receive.samples):
+                counter = self.streams.setdefault(samples.columns, _StreamCounter(len(samples.columns)))
+                self._headers = samples.header is not None
+                if samples.header is not None:
+                    self.clocks.add(samples.receive, samples.header)
+                counter.add(samples.receive if samples.header is None else samples.header, samples.values)
+        self.receive.add(batch.receive)
+
+    def content(self, start: int, taken_as: str) -> TopicContent:
+        self.receive.settle()
+        headers = bool(self._headers)
+        origins = [counter.stamps.first for counter in self.streams.values()]
+        return TopicContent(
+            topic=self.topic.name,
+            type=self.topic.type_name,
+            publishers=self.topic.publishers,
+            messages=self.receive.samples,
+            rate=self.receive.rate,
+            stamps=None if self._headers is None else "header" if headers else "receive",
+            delay=self.clocks.delay if headers else None,
+            drift=self.clocks.drift[0] if headers else None,
+            streams=tuple(
+                counter.content(names, min(origins) if headers else start)
+                for names, counter in self.streams.items()
+            ),
+            taken_as=taken_as,
+        )

@@ -1,0 +1,75 @@
+"""What is in a recording, in tables that a person reads in a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rich import box
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from truewrench.inspect_recording import RecordingContent, StreamContent
+
+__all__ = ["recording_summary"]
+
+
+def recording_summary(content: RecordingContent) -> Iterator[RenderableType]:
+    """Topics and what they would be taken for, then rates, gaps and ranges of what can be read."""
+    size = f"{content.messages} messages in {content.duration:.6g} s"
+    yield Text(f"{content.path}: {content.format}, {size}")
+    topics = _table("Topics", ["topic", "type", "messages", "rate, Hz", "header to receipt, s", "taken as"])
+    streams = _table("Streams", ["columns", "samples", "rate, Hz", "jitter", "gaps", "longest, s", "late"])
+    columns = _table("Columns", ["column", "smallest", "largest", "numbers", "NaN"])
+    for topic in content.topics:
+        delay = "-" if topic.delay is None else f"{topic.delay:.4g}"
+        publishers = f" ({topic.publishers} publishers)" if topic.publishers > 1 else ""
+        topics.add_row(
+            Text(topic.topic),
+            Text(topic.type + publishers),
+            str(topic.messages),
+            f"{topic.rate:.6g}",
+            delay,
+            Text(topic.taken_as or "-"),
+        )
+        for stream in topic.streams:
+            streams.add_row(Text(f"{topic.topic}: {_named(stream)}"), *_figures(stream))
+            for column in stream.columns:
+                columns.add_row(
+                    Text(column.name),
+                    f"{column.smallest:.6g}",
+                    f"{column.largest:.6g}",
+                    str(column.numbers),
+                    str(column.nan),
+                )
+    yield topics
+    if columns.rows:
+        yield streams
+        yield columns
+
+
+def _figures(stream: StreamContent) -> list[str]:
+    longest = max((gap.duration for gap in stream.gaps), default=0.0)
+    return [
+        str(stream.samples),
+        f"{stream.rate:.6g}",
+        f"{100 * stream.jitter:.2g} %",
+        str(stream.gap_count),
+        f"{longest:.4g}" if stream.gaps else "-",
+        str(stream.late),
+    ]
+
+
+def _named(stream: StreamContent) -> str:
+    first, last = stream.columns[0].name, stream.columns[-1].name
+    return first if len(stream.columns) == 1 else f"{first} ... {last}"
+
+
+def _table(title: str, columns: list[str]) -> Table:
+    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold", pad_edge=False)
+    for i, column in enumerate(columns):
+        words = i == 0 or column in ("type", "taken as")
+        table.add_column(
+            column, justify="left" if words else "right", overflow="fold" if words else "ellipsis"
+        )
+    return table
