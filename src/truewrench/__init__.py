@@ -14,6 +14,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from truewrench.ati_cal import AtiCalibration, read_ati_cal
     from truewrench.calibration import Calibration, Verdict, load_calibration
     from truewrench.errors import InputError, TruewrenchError, UnsupportedError
     from truewrench.io.tables import read_log
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __version__ = version("truewrench")
 
 _HOMES = {
+    "AtiCalibration": "ati_cal",
     "Calibration": "calibration",
     "InputError": "errors",
     "Log": "log",
@@ -40,11 +42,13 @@ _HOMES = {
     "load_calibration": "calibration",
     "load_rig": "rig",
     "plan": "planning.planner",
+    "read_ati_cal": "ati_cal",
     "read_log": "io.tables",
     "validate": "validation",
 }
 
 __all__ = [
+    "AtiCalibration",
     "Calibration",
     "InputError",
     "Log",
@@ -59,6 +63,7 @@ __all__ = [
     "load_calibration",
     "load_rig",
     "plan",
+    "read_ati_cal",
     "read_log",
     "validate",
 ]

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, BeforeValidator, model_validator
+from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_validator
 
+from truewrench.ati_cal import read_ati_cal
 from truewrench.strict import (
     Listed,
+    Mapped,
     Matrix,
     NonNegative,
     NonNegatives,
@@ -54,6 +57,33 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 
 
+class AtiGain(Section):
+    """The nominal gain as ATI's calibration file states it."""
+
+    ati_cal: Text
+    calibration: PositiveInteger = 1  # which one of the file
+
+
+def _gain_rows(value: Any, info: ValidationInfo) -> Any:
+    if not isinstance(value, AtiGain):
+        return value
+    stated = read_ati_cal((info.context or {}).get("folder", Path()) / value.ati_cal, value.calibration)
+    if stated.matrix.shape != (6, 6):
+        found = f"{stated.matrix.shape[1]} gauges"
+        raise refuse("ati_cal", found, "6: of more gauges such a file does not tell the gain, but an inverse")
+    return tuple(map(tuple, stated.gain.tolist()))
+
+
+if TYPE_CHECKING:
+    NominalGain = Literal["identity"] | Matrix
+else:
+    NominalGain = Annotated[
+        Annotated[Literal["identity"], Word] | Annotated[Matrix, Listed] | Annotated[AtiGain, Mapped],
+        choice("`identity`, rows of 6 or {ati_cal: FILE}"),
+        AfterValidator(_gain_rows),
+    ]
+
+
 class SensorSpec(Section):
     """The sensor: n >= 6 channels, raw = gain @ w + offset."""
 
@@ -61,9 +91,7 @@ class SensorSpec(Section):
     feels: Literal["payload_on_sensor", "sensor_on_payload"]
     noise: Positives
     range: SixPositives
-    nominal_gain: Annotated[
-        Annotated[Literal["identity"], Word] | Annotated[Matrix, Listed], choice("`identity` or rows of 6")
-    ] = "identity"
+    nominal_gain: NominalGain = "identity"
     gain_prior: Positive = 0.3
     offset_prior: (
         Annotated[

@@ -28,6 +28,7 @@ from truewrench.files import Locate
 
 __all__ = [
     "Listed",
+    "Mapped",
     "Matrix",
     "NonNegative",
     "NonNegatives",
@@ -117,16 +118,18 @@ Matrix = tuple[SixNumbers, ...]
 def _choice(value: Any) -> str | None:
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return "<zero>" if value == 0 else None
+    if isinstance(value, Mapping):
+        return "<mapping>"
     return "<word>" if isinstance(value, str) else "<list>"
 
 
 def choice(expected: str) -> Discriminator:
-    """Tells apart the fields that hold a `Word`, a `Zero` or a `Listed` value."""
+    """Tells apart the fields that hold a `Word`, a `Zero`, a `Listed` or a `Mapped` value."""
     return Discriminator(_choice, custom_error_type="choice", custom_error_message=expected)
 
 
-Word, Zero, Listed = Tag("<word>"), Tag("<zero>"), Tag("<list>")
-_TAGS = ("<word>", "<zero>", "<list>", "[key]", "<body>", "<urdf>", "<franka>", "<ur>")
+Word, Zero, Listed, Mapped = Tag("<word>"), Tag("<zero>"), Tag("<list>"), Tag("<mapping>")
+_TAGS = ("<word>", "<zero>", "<list>", "<mapping>", "[key]", "<body>", "<urdf>", "<franka>", "<ur>")
 
 
 def input_error(

@@ -7,16 +7,25 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from rich import box
 from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from truewrench.calibration import AXES, Calibration, LogReport
+from truewrench.exports import Exports
 from truewrench.inspect_log import LogContent
 from truewrench.validation import Validation
 
-__all__ = ["calibration_summary", "log_summary", "show", "validation_summary", "with_uncertainty"]
+__all__ = [
+    "calibration_summary",
+    "exports_summary",
+    "log_summary",
+    "show",
+    "validation_summary",
+    "with_uncertainty",
+]
 
 SHOWN = 10  # rows that are named one by one
 
@@ -171,6 +180,23 @@ def _outliers(calibration: Calibration) -> RenderableType:
     ]
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
     return Text(f"Rows left out because they contradict the others: {', '.join(found[:SHOWN])}{more}.")
+
+
+def exports_summary(exports: Exports) -> Iterator[RenderableType]:
+    """What files in the formats of others lose or could not hold; nothing where there is nothing to say."""
+    lines = [
+        f"{name} cannot hold the whole gain: within the range it errs by up to {_largest(loss.worst)}, "
+        f"RMS {_largest(loss.rms)}; without calibration up to {_largest(loss.worst_before)}, "
+        f"RMS {_largest(loss.rms_before)}."
+        for name, loss in exports.loss.items()
+    ]
+    lines += [f"No {name}: {reason}." for name, reason in exports.left_out.items()]
+    if lines:
+        yield Text("\n".join(lines))
+
+
+def _largest(error: NDArray[np.float64]) -> str:
+    return f"{error[:3].max():.3g} N and {error[3:].max():.3g} N m"
 
 
 def validation_summary(validation: Validation) -> Iterator[RenderableType]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -47,10 +48,11 @@ def calibrate(
     debug: DebugOption = False,
 ) -> Outcome:
     """Calibrate gain and offset from one or more logs."""
+    from truewrench.exports import write_exports
     from truewrench.io.tables import read_log
     from truewrench.pipeline import calibrate as run
     from truewrench.rig import load_rig
-    from truewrench.summary import calibration_summary
+    from truewrench.summary import calibration_summary, exports_summary
 
     check_folder(output)
     settings = load_rig(rig)
@@ -71,10 +73,11 @@ def calibrate(
         )
     target = output / "calibration.yaml"
     calibration.write_yaml(target)
+    exports = write_exports(calibration, output)
     for record in records:
         report_left_out(record)
     return Outcome(
-        outputs=[target],
+        outputs=[target, *exports.written],
         verdict=verdict_of(calibration),
         figures={
             "gain": calibration.gain,
@@ -88,8 +91,9 @@ def calibrate(
             "dropped_rows": {str(record.path): record.dropped_rows for record in records},
             "nan_counts": {str(record.path): record.nan_counts for record in records},
             "log_notes": {str(record.path): record.notes for record in records},
+            "exports": {"left_out": exports.left_out, "loss": exports.loss},
         },
-        words=lambda: calibration_summary(calibration),
+        words=lambda: chain(calibration_summary(calibration), exports_summary(exports)),
     )
 
 
