@@ -152,7 +152,7 @@ def _from_windows(
         compared = "no window of motion fits"
     elif held_out:
         report("comparing", None)
-        undisturbed = [_undisturbed(log, k, estimate) for k, log in enumerate(logs)]
+        undisturbed = [estimate.undisturbed(log, k) for k, log in enumerate(logs)]
         compared = compare_held_out(rig, undisturbed, without_the_part)
     if isinstance(compared, str):
         compared = compare_in_sample(rig, logs, estimate, calibration.inverse, compared)
@@ -381,13 +381,6 @@ def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
         dropped_rows=log.dropped_rows,
         nan_counts=log.nan_counts,
     )
-
-
-def _undisturbed(log: Log, k: int, estimate: WindowEstimate) -> Log:
-    """The log without the sensor's samples that were left out as disturbances."""
-    raw = log.raw.copy()
-    raw[estimate.wrench_rows[k][estimate.left_out[k]]] = np.nan
-    return replace(log, raw=raw)
 
 
 def _intervals(time: Array, marked: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:

@@ -103,6 +103,12 @@ class WindowEstimate:
         """1 sigma of the normalised gain (n, 6) that each source alone accounts for."""
         return {} if self.sources is None else self.sources.sigma()
 
+    def undisturbed(self, log: Log, k: int) -> Log:
+        """The k-th log without the sensor's samples that were left out as disturbances."""
+        raw = log.raw.copy()
+        raw[self.wrench_rows[k][self.left_out[k]]] = np.nan
+        return replace(log, raw=raw)
+
 
 def estimate_windows(
     rig: Rig,

@@ -1,0 +1,26 @@
+"""What a calibration rests on, kept for those who want to look into it; a calibration alone is small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from truewrench.estimate.ekf import EkfEstimate
+from truewrench.estimate.least_squares import LeastSquaresEstimate
+from truewrench.estimate.reference import ReferenceEstimate
+from truewrench.estimate.windows import WindowEstimate
+from truewrench.log import Log
+
+__all__ = ["Evidence"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Logs and estimate behind a calibration.
+
+    Attributes:
+        logs: in the order of the calibration's reports, their joints followed.
+        estimate: what the estimator found, with the motion behind it.
+    """
+
+    logs: tuple[Log, ...]
+    estimate: WindowEstimate | ReferenceEstimate | EkfEstimate | LeastSquaresEstimate

@@ -1,0 +1,125 @@
+"""How the gain settled as the record went on.
+
+The gain from the first part of the record alone, motion (or reference) taken as the whole record gave it:
+sums over the rows in the order of time, solved again and again. That costs almost nothing beside a second
+estimate, and leaves out what payload and clock add to the uncertainty, which no longer record takes away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.calibration import Calibration
+from truewrench.estimate.ekf import EkfEstimate
+from truewrench.estimate.windows import WindowEstimate
+from truewrench.evidence import Evidence
+from truewrench.report.series import Record
+
+__all__ = ["Convergence", "convergence"]
+
+Array = NDArray[np.float64]
+
+_STEPS = 80
+_MOST = 400  # points of an estimator's own history
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Convergence:
+    """RMS over the normalised gains, as shares of full scale.
+
+    Attributes:
+        time: (K,) on the common time axis [s].
+        distance: (K,) of the gain so far from that of all rows.
+        sigma: (K,) of the gain so far, by noise alone.
+        final: stated 1 sigma of the final gain, with all that is uncertain.
+        history_time: (H,) of the estimator's own history, empty where it has none.
+        history: (H,) distance of its gain from its final one.
+    """
+
+    time: Array
+    distance: Array
+    sigma: Array
+    final: float
+    history_time: Array
+    history: Array
+
+
+def convergence(calibration: Calibration, evidence: Evidence, record: Record) -> Convergence | None:
+    """None where no row of the record has residuals."""
+    if record.none_because:
+        return None
+    sensor = calibration.rig.sensor
+    n, scale, span = sensor.n, sensor.channel_scale, sensor.range_array
+    logs = len(record.logs)
+    with_offset = bool(sensor.offset_prior_array.any())
+    size = 6 + logs * with_offset
+    nominal = sensor.nominal_gain_array * span / scale[:, None]
+    prior = np.full((n, size), sensor.gain_prior)
+    prior[:, 6:] = (sensor.offset_prior_array / scale)[:, None]
+    noise = sensor.noise_array / scale
+    gram, right = np.zeros((size, size)), np.zeros((size, n))
+    end = record.logs[-1].begin + record.logs[-1].duration
+    times, gains, sigmas = [], [], []
+    for k, series in enumerate(record.logs):
+        known = np.isfinite(series.residual).all(axis=1)
+        rows = np.zeros((int(known.sum()), size))
+        rows[:, :6] = series.wrench[known] / span
+        if with_offset:
+            rows[:, 6 + k] = 1.0
+        departure = series.raw[known] / scale - rows[:, :6] @ nominal.T
+        stamps = series.time[known] + series.begin
+        edges = np.searchsorted(stamps, np.linspace(0.0, end, _STEPS + 1)[1:], side="right")
+        first = 0
+        for last in (*edges, len(stamps)):
+            if last <= first:
+                continue
+            gram += rows[first:last].T @ rows[first:last]
+            right += rows[first:last].T @ departure[first:last]
+            gain, variance = _solved(gram, right, noise, prior)
+            times.append(float(stamps[last - 1]))
+            gains.append(gain)
+            sigmas.append(float(np.sqrt(np.mean(variance))))
+            first = last
+    history_time, history = _history(calibration, evidence, record)
+    return Convergence(
+        np.array(times),
+        np.sqrt(np.mean((np.array(gains) - gains[-1]) ** 2, axis=(1, 2))) if gains else np.zeros(0),
+        np.array(sigmas),
+        _rms(calibration.gain_std_normalised),
+        history_time,
+        history,
+    )
+
+
+def _solved(gram: Array, right: Array, noise: Array, prior: Array) -> tuple[Array, Array]:
+    """Departure of the gain (n, 6) and its variance, channel by channel, with the rig's priors."""
+    gain, variance = np.zeros((len(noise), 6)), np.zeros((len(noise), 6))
+    for i, sigma in enumerate(noise):
+        exists = prior[i] > 0.0
+        information = gram / sigma**2 + np.diag(np.where(exists, prior[i], 1.0) ** -2.0)
+        inverse = np.linalg.inv(information[np.ix_(exists, exists)])
+        gain[i] = (inverse @ (right[exists, i] / sigma**2))[:6]
+        variance[i] = np.diag(inverse)[:6]
+    return gain, variance
+
+
+def _history(calibration: Calibration, evidence: Evidence, record: Record) -> tuple[Array, Array]:
+    estimate = evidence.estimate
+    if not isinstance(estimate, WindowEstimate | EkfEstimate) or not estimate.history_time.size:
+        return np.zeros(0), np.zeros(0)
+    every = max(1, estimate.history_time.size // _MOST)
+    begins = np.array([series.begin for series in record.logs])
+    sensor = calibration.rig.sensor
+    departure = (estimate.history_gain[::every] - calibration.gain) * sensor.range_array
+    departure = departure / sensor.channel_scale[:, None]
+    return (
+        estimate.history_time[::every] + begins[estimate.history_log[::every]],
+        np.sqrt(np.mean(departure**2, axis=(1, 2))),
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,134 @@
+"""The page: sections in the order in which a person asks, figures with captions, all in one file.
+
+No script of Bokeh is part of this package: that of the installed one is written into the page. The page's
+policy allows the two scripts by their hashes and nothing from outside.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import yaml
+from bokeh.embed.util import OutputDocumentFor, standalone_docs_json_and_render_items
+from bokeh.plotting import figure
+from bokeh.resources import Resources
+from markupsafe import Markup
+
+from truewrench import _core
+from truewrench.calibration import Calibration
+from truewrench.evidence import Evidence
+from truewrench.report import findings, tables
+from truewrench.report.contents import sections
+
+__all__ = ["page"]
+
+_FOLDER = Path(__file__).parent
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a figure of Bokeh goes."""
+
+    element: str
+    label: str
+
+
+def page(calibration: Calibration, evidence: Evidence) -> str:
+    """The whole report as HTML."""
+    shown = sections(calibration, evidence)
+    figures = [f for section in shown for f in section.figures]
+    documents, places, where = _embedded([f.plot for f in figures])
+    scripts = [*_bokeh(), _own("report.js")] if figures else []
+    return _template().render(
+        c=calibration,
+        policy=_policy(scripts),
+        style=Markup(_own("report.css")),
+        scripts=[Markup(script) for script in scripts],
+        documents=_json(documents),
+        places=_json(places),
+        places_of={id(f): _Place(where[k], f.label) for k, f in enumerate(figures)},
+        identity=id,
+        sections=shown,
+        helps=list(findings.helps(calibration)) if not calibration.verdict.usable else [],
+        undetermined=findings.undetermined_words(calibration),
+        notes=calibration.figures.get("notes") or [],
+        stated=float(np.sqrt(np.mean(calibration.gain_std_normalised**2))),
+        gain=tables.gain_table(calibration),
+        offset=tables.offset_table(calibration),
+        settings=yaml.safe_dump(
+            calibration.rig.to_mapping(),
+            sort_keys=False,
+            allow_unicode=True,
+            default_flow_style=None,
+            width=100,
+        ),
+        versions={
+            "TrueWrench": calibration.version,
+            "core": _core.variant,
+            "Python": platform.python_version(),
+            **{name: version(name) for name in ("numpy", "scipy", "bokeh")},
+        },
+    )
+
+
+def _embedded(plots: Sequence[figure]) -> tuple[Any, Any, list[str]]:
+    """Bokeh's documents and places, and the element of each plot; one document, so that ranges are shared."""
+    if not plots:
+        return {}, [], []
+    with OutputDocumentFor(plots):
+        documents, (item,) = standalone_docs_json_and_render_items(plots)
+    place = item.to_json()
+    return documents, [place], [place["roots"][plot.id] for plot in plots]
+
+
+@cache
+def _bokeh() -> tuple[str, ...]:
+    raw: Sequence[str] = Resources(mode="inline", components=["bokeh"], log_level="error").js_raw
+    return ("\n".join(raw).replace("\r", ""),)
+
+
+@cache
+def _own(name: str) -> str:
+    return (_FOLDER / name).read_text(encoding="utf-8")
+
+
+def _policy(scripts: Sequence[str]) -> str:
+    """Nothing from outside, no script but ours; Bokeh sets styles as it draws, and draws icons from data."""
+    hashes = " ".join(
+        f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+        for script in scripts
+    )
+    allowed = hashes or "'none'"
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def _json(value: Any) -> Markup:
+    """JSON that no text in it can end the script element of."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_FOLDER),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template("report.html.j2")

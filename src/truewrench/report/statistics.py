@@ -1,0 +1,182 @@
+"""What is drawn of residuals: envelope over time, density over frequency, histogram."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from truewrench.report.series import Record, Series
+
+__all__ = ["Envelope", "Histogram", "Spectrum", "envelope", "histogram", "spectrum"]
+
+Array = NDArray[np.float64]
+
+BUCKETS = 1500  # of the time axis: about the pixels of a wide screen
+_LONGEST = 2048  # samples of a transform
+_SHORTEST = 128
+_BANDS = 100  # of frequency, equal on a logarithmic axis
+_IRREGULAR = 1.5  # periods between two samples that end a run
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Envelope:
+    """Residuals over the common time axis.
+
+    Attributes:
+        time: (K,) [s]; NaN breaks the line.
+        values: (K, 6): where decimated, smallest and largest in turns.
+        bucket: length of a bucket [s], None where every sample is there.
+    """
+
+    time: Array
+    values: Array
+    bucket: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """Power density of the residuals over the one expected of their noise.
+
+    Attributes:
+        frequency: (K,) [Hz].
+        ratio: (K, 6).
+        spread: (K,) 1 sigma of the ratio by chance.
+    """
+
+    frequency: Array
+    ratio: Array
+    spread: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Histogram:
+    """Of residuals in units of their sigma.
+
+    Attributes:
+        edges: (B + 1,).
+        density: (B, 6) per sigma.
+        within: (6,) share of the samples within 1.96 sigma.
+        outside: (6,) samples beyond the edges.
+        size: (6,) RMS.
+    """
+
+    edges: Array
+    density: Array
+    within: Array
+    outside: NDArray[np.int64]
+    size: Array
+
+
+def envelope(record: Record) -> Envelope:
+    """Every sample, or where these are too many, smallest and largest of each of `BUCKETS` stretches."""
+    total = sum(len(series.time) for series in record.logs)
+    end = max(series.begin + series.duration for series in record.logs)
+    width = end / BUCKETS if total > 2 * BUCKETS else None
+    times, values = [], []
+    for series in record.logs:
+        if len(series.time) == 0:
+            continue
+        time, found = (series.time, series.residual)
+        if width is not None:
+            time, found = _decimated(series, width)
+        times += [time + series.begin, np.array([np.nan])]
+        values += [found, np.full((1, 6), np.nan)]
+    return Envelope(np.concatenate(times), np.concatenate(values), width)
+
+
+def _decimated(series: Series, width: float) -> tuple[Array, Array]:
+    bucket = np.where(np.isnan(series.time), -1.0, np.floor(np.nan_to_num(series.time) / width)).astype(int)
+    known = bucket >= 0
+    bucket, residual = bucket[known], series.residual[known]
+    starts = np.flatnonzero(np.diff(bucket, prepend=-1))
+    empty = np.isnan(residual)
+    low = np.minimum.reduceat(np.where(empty, np.inf, residual), starts, axis=0)
+    high = np.maximum.reduceat(np.where(empty, -np.inf, residual), starts, axis=0)
+    time, values = np.empty(2 * starts.size), np.empty((2 * starts.size, 6))
+    time[::2], time[1::2] = (bucket[starts] + 0.25) * width, (bucket[starts] + 0.75) * width
+    values[::2], values[1::2] = low, high
+    values[np.isinf(values)] = np.nan
+    gaps = np.flatnonzero(np.diff(bucket[starts]) > 1) + 1  # buckets without any row: the line breaks
+    return np.insert(time, 2 * gaps, np.nan), np.insert(values, 2 * gaps, np.nan, axis=0)
+
+
+def spectrum(record: Record) -> Spectrum | None:
+    """Mean over all unbroken runs of all logs; None where no run is long enough."""
+    runs = [(series, run) for series in record.logs for run in _runs(series)]
+    if not runs:
+        return None
+    size = min(_LONGEST, max(run.stop - run.start for _, run in runs))
+    period = float(np.median([np.median(np.diff(series.time[run])) for series, run in runs]))
+    total, segments = np.zeros((size // 2 + 1, 6)), 0
+    frequency = np.zeros(0)
+    for series, run in runs:
+        if run.stop - run.start < size:
+            continue
+        u = series.residual[run] / np.sqrt(
+            np.mean(np.broadcast_to(series.sigma, series.residual.shape)[run] ** 2, axis=0)
+        )
+        frequency, density = welch(u, 1.0 / period, nperseg=size, detrend="constant", axis=0)
+        count = 2 * (run.stop - run.start) // size - 1
+        total += count * density / _expected(series, run, frequency, period)
+        segments += count
+    ratio = total / segments
+    return _banded(frequency[1:-1], ratio[1:-1], segments)
+
+
+def _expected(series: Series, run: slice, frequency: Array, period: float) -> Array:
+    """(F, 6) one-sided density of the noise, of which 1 is the variance; white but for `lagged`."""
+    variance = np.mean(np.broadcast_to(series.sigma, series.residual.shape)[run] ** 2, axis=0)
+    lags = np.arange(1, len(series.lagged))
+    shape = 1.0 + 2.0 * np.cos(2.0 * np.pi * frequency[:, None] * lags * period) @ (
+        series.lagged[1:] / variance
+    )
+    white = np.maximum(1.0 - series.lagged[0] / variance, 0.01)
+    return np.asarray(2.0 * period * np.maximum(shape, white))
+
+
+def _banded(frequency: Array, ratio: Array, segments: int) -> Spectrum:
+    edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, _BANDS + 1)
+    band = np.searchsorted(edges, frequency, side="right")
+    starts = np.flatnonzero(np.diff(band, prepend=-1))
+    count = np.diff(np.append(starts, band.size))
+    mean = np.add.reduceat(ratio, starts, axis=0) / count[:, None]
+    middle = np.add.reduceat(frequency, starts) / count
+    # overlapping halves under Hann's window: 1.06 times as many averages as half the segments
+    return Spectrum(middle, mean, 1.0 / np.sqrt(count * max(1.0, 0.53 * segments)))
+
+
+def _runs(series: Series) -> list[slice]:
+    """Stretches of samples at equal distances, without a gap."""
+    if len(series.time) < _SHORTEST:
+        return []
+    known = np.isfinite(series.residual).all(axis=1) & np.isfinite(series.time)
+    step = np.diff(series.time)
+    usual = float(np.nanmedian(step))
+    broken = np.append(True, ~known[1:] | ~known[:-1] | ~(step < _IRREGULAR * usual))
+    edges = np.append(np.flatnonzero(broken), len(known))
+    return [slice(int(a), int(b)) for a, b in pairwise(edges) if b - a >= _SHORTEST and known[a]]
+
+
+def histogram(record: Record) -> Histogram:
+    """Of all samples of all logs."""
+    u = np.concatenate([series.normalised for series in record.logs])
+    u = u[np.isfinite(u).all(axis=1)]
+    edges = np.linspace(-5.0, 5.0, 41)
+    counts = np.column_stack([np.histogram(column, edges)[0] for column in u.T])
+    return Histogram(
+        edges,
+        counts / (len(u) * 0.25),
+        np.mean(np.abs(u) <= 1.96, axis=0),
+        np.asarray(len(u) - counts.sum(axis=0), dtype=np.int64),
+        np.sqrt(np.mean(u**2, axis=0)),
+    )
+
+
+def steps(edges: Array, heights: Sequence[float] | Array) -> tuple[Array, Array]:
+    """The outline of a histogram."""
+    return np.repeat(edges, 2)[1:-1], np.repeat(np.asarray(heights, dtype=np.float64), 2)
