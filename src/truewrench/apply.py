@@ -20,7 +20,7 @@ from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 
-__all__ = ["Applied", "apply", "corrector"]
+__all__ = ["Applied", "Run", "apply", "corrector"]
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
@@ -29,10 +29,11 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """What `apply` did: rows of the log, and how many of them have a wrench."""
+    """What was done: rows of the log, how many of them have a wrench, and what is worth a look."""
 
     rows: int
     corrected: int
+    notes: tuple[str, ...] = ()
 
 
 def apply(
@@ -50,7 +51,7 @@ def apply(
 
     Args:
         calibration: gives the rig's channels, gain, offset and uncertainty.
-        log: CSV or Parquet.
+        log: CSV, Parquet, or a recording, whose rows are the union of the stamps of its streams.
         output: CSV, or Parquet where the name ends so; appears whole or not at all.
         progress: called with the number of rows done so far.
 
@@ -58,39 +59,66 @@ def apply(
         InputError: naming file, row and column.
     """
     source = named_payload(log, calibration.rig)[0]
-    table = open_table(source)
-    if Path(output).exists() and Path(output).samefile(source):
-        raise InputError.at(output, "", "the log itself", "another file to write")
+    run = Run(calibration, source, output, progress)
+    table = run.table
     for name in NEW_COLUMNS:
         if name in table.names:
             raise InputError.at(source, f"column `{name}`", "a column to be written", "a log without it")
-    run = _Run(calibration, table, progress)
     if isinstance(table, CsvTable) and not is_parquet(output):
         write_lines(output, run.lines(table))
     else:
         write_batches(output, run.batches())
-    return Applied(run.rows, run.corrected)
+    return run.applied
 
 
-class _Run:
-    """One pass over a table."""
+class Run:
+    """One pass over a log.
+
+    Args:
+        calibration: gives the rig's channels, gain, offset and uncertainty.
+        source: of the log, without a payload.
+        output: that will be written.
+        progress: called with the number of rows done so far.
+
+    Raises:
+        InputError: the log cannot be read, lacks channels, or is the output.
+    """
 
     def __init__(
-        self, calibration: Calibration, table: Table, progress: Callable[[int], object] | None
+        self,
+        calibration: Calibration,
+        source: Path,
+        output: str | Path,
+        progress: Callable[[int], object] | None,
     ) -> None:
-        self.rows = 0
-        self.corrected = 0
-        self._corrector = corrector(calibration, table.path)
-        self._table = table
-        self._raw = raw_columns(table, calibration.n)
-        self._time = TimeReader(table)
+        self.table: Table = open_table(source, calibration.rig, whole=False)
+        if Path(output).exists() and Path(output).samefile(source):
+            raise InputError.at(output, "", "the log itself", "another file to write")
+        self._rows = 0
+        self._corrected = 0
+        self._corrector = corrector(calibration, source)
+        self._raw = raw_columns(self.table, calibration.n)
+        self._time = TimeReader(self.table)
         self._progress = progress
+
+    @property
+    def applied(self) -> Applied:
+        """What has been done so far."""
+        return Applied(self._rows, self._corrected, self.table.notes)
+
+    def samples(self) -> Iterator[tuple[npt.NDArray[np.int64], FloatArray, FloatArray]]:
+        """Stamps (N,), raw (N, n), wrenches and their sigma (N, 12), where all channels have a sample."""
+        for chunk in self.table.chunks([self._time.name, *self._raw]):
+            time, raw, new = self._correct(chunk)
+            complete = ~np.isnan(new[:, 0])
+            yield time[complete], raw[complete], new[complete]
+        self._check_rows()
 
     def lines(self, table: CsvTable) -> Iterator[bytes]:
         """The log's own lines, the new cells at their ends."""
         yield table.header + b"," + ",".join(NEW_COLUMNS).encode() + table.newline
         for chunk in table.chunks([self._time.name, *self._raw]):
-            cells = _as_csv(self._new_columns(chunk))
+            cells = _as_csv(self._correct(chunk)[2])
             yield b"".join(
                 line + b"," + new + table.newline for line, new in zip(chunk.lines, cells, strict=True)
             )
@@ -98,28 +126,28 @@ class _Run:
 
     def batches(self) -> Iterator[pa.RecordBatch]:
         """The log's batches, the new columns at their ends."""
-        for chunk in self._table.chunks():
+        for chunk in self.table.chunks():
             batch = chunk.batch()
-            for name, column in zip(NEW_COLUMNS, self._new_columns(chunk).T, strict=True):
+            for name, column in zip(NEW_COLUMNS, self._correct(chunk)[2].T, strict=True):
                 batch = batch.append_column(name, pa.array(column, from_pandas=True))
             yield batch
         self._check_rows()
 
-    def _new_columns(self, chunk: Chunk) -> FloatArray:
-        self._time.read(chunk)
+    def _correct(self, chunk: Chunk) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+        time = self._time.read(chunk)
         raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
         new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
         complete = ~np.isnan(raw).any(axis=1)
         new[complete] = np.hstack(self._corrector.correct(raw[complete]))
-        self.rows += chunk.rows
-        self.corrected += int(complete.sum())
+        self._rows += chunk.rows
+        self._corrected += int(complete.sum())
         if self._progress is not None:
-            self._progress(self.rows)
-        return new
+            self._progress(self._rows)
+        return time, raw, new
 
     def _check_rows(self) -> None:
-        if self.rows == 0:
-            raise InputError.at(self._table.path, "", "no row", "at least one row below the header")
+        if self._rows == 0:
+            raise InputError.at(self.table.path, "", "no row", "at least one row below the header")
 
 
 def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:

@@ -19,6 +19,7 @@ from truewrench.cli.common import (
     check_folder,
     progress_bar,
     report_left_out,
+    report_notes,
     verdict_of,
 )
 
@@ -137,22 +138,32 @@ def validate(
 
 def apply(
     calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml.")],
-    log: Annotated[str, typer.Argument(metavar="LOG", help="CSV or Parquet.")],
+    log: Annotated[str, typer.Argument(metavar="LOG", help="CSV, Parquet, or a recording.")],
     output: OutputLogOption,
+    predict: Annotated[
+        bool, typer.Option(help="Of MCAP: with what the motion predicts, which needs memory for the log.")
+    ] = True,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
-    """Write a log with the true wrench and its 1 sigma added."""
+    """Write a log with the true wrench and its 1 sigma added, or, as FILE.mcap, a recording of both."""
     from truewrench.apply import apply as run
     from truewrench.calibration import load_calibration
 
     loaded = load_calibration(calibration)
     with progress_bar() as update:
-        done = run(loaded, log, output, progress=lambda rows: update(f"{rows} rows", None))
+        show = lambda rows: update(f"{rows} rows", None)  # noqa: E731
+        if output.suffix.lower() == ".mcap":
+            from truewrench.apply_recording import apply_to_recording
+
+            done = apply_to_recording(loaded, log, output, predict=predict, progress=show)
+        else:
+            done = run(loaded, log, output, progress=show)
+    report_notes(log, done.notes)
     return Outcome(
         outputs=[output],
         verdict=verdict_of(loaded),
-        figures={"rows": done.rows, "corrected": done.corrected},
+        figures={"rows": done.rows, "corrected": done.corrected, "notes": done.notes},
         words=lambda: iter(
             [
                 f"{output}: {done.corrected} of {done.rows} rows with the true wrench",

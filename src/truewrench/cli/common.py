@@ -63,7 +63,9 @@ OutputFolderOption = Annotated[
 OutputLogOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="FILE", help="CSV, or Parquet by its name.")
 ]
-LogsArgument = Annotated[list[str], typer.Argument(metavar="LOG...", help="CSV or Parquet; LOG@PAYLOAD.")]
+LogsArgument = Annotated[
+    list[str], typer.Argument(metavar="LOG...", help="CSV, Parquet or a recording; LOG@PAYLOAD.")
+]
 
 
 def verdict_of(calibration: Calibration) -> dict[str, Any]:
