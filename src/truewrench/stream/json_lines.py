@@ -6,6 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +15,10 @@ from truewrench.calibration import AXES, Calibration
 from truewrench.errors import InputError
 from truewrench.stream.json_rows import LineError, Row, motion_of, read_row
 from truewrench.stream.lines import Output, batches
-from truewrench.stream.session import LiveCalibration, Progress
 from truewrench.stream.stop import Stop
+
+if TYPE_CHECKING:  # all that an estimate needs takes a second to import
+    from truewrench.stream.session import LiveCalibration, Progress
 
 __all__ = ["INPUT", "Lines", "calibrate_lines", "correct_lines", "progress_line"]
 

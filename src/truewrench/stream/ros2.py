@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from cyclonedds.idl import IdlStruct
@@ -31,8 +31,10 @@ from truewrench.stream.ros2_types import (
     TwistStamped,
     WrenchStamped,
 )
-from truewrench.stream.session import LiveCalibration, Progress
 from truewrench.stream.stop import Stop
+
+if TYPE_CHECKING:  # all that an estimate needs takes a second to import
+    from truewrench.stream.session import LiveCalibration, Progress
 
 __all__ = ["OUTPUT", "Counts", "Topics", "calibrate_topics", "correct_topic"]
 

@@ -1,0 +1,269 @@
+"""JSON lines: what a pipeline gets for good and for bad lines, and when it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from truewrench.calibration import AXES, Calibration, Verdict, load_calibration
+from truewrench.pipeline import calibrate
+from truewrench.rig import Rig
+from truewrench.simulate import simulate
+from truewrench.stream.json_lines import correct_lines
+from truewrench.stream.lines import LONGEST, Output, batches
+from truewrench.stream.stop import Stop
+
+COMMAND = Path(sys.executable).with_name("truewrench")
+SAMPLE = [1.5, -2.0, 30.0, 0.25, -0.5, 0.125]
+
+
+class Corrected:
+    """What came of lines."""
+
+    def __init__(self, lines: list[dict[str, Any]], complaints: list[str]) -> None:
+        self.lines = lines
+        self.complaints = complaints
+
+
+@pytest.fixture
+def correct(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Send bytes through a pipe that then ends."""
+
+    def run(text: bytes) -> Corrected:
+        complaints: list[str] = []
+        source, sink = os.pipe()
+        os.write(sink, text)
+        os.close(sink)
+        with Stop() as stop:
+            correct_lines(calibration, Output(), stop, complaints.append, source)
+        os.close(source)
+        return Corrected([json.loads(line) for line in capsys.readouterr().out.splitlines()], complaints)
+
+    return run
+
+
+def line(time_ns: int, raw: list[float] | None = None, **more: Any) -> bytes:
+    return json.dumps({"time_ns": time_ns, "raw": raw or SAMPLE, **more}).encode() + b"\n"
+
+
+def test_wrench_and_sigma_are_those_of_linear_algebra(correct: Any, calibration: Calibration) -> None:
+    raw = np.random.default_rng(3).normal(scale=50.0, size=(5, 6))
+    by_name = [{f"raw_{i}": x for i, x in enumerate(row)} for row in raw.tolist()]
+    text = b"".join(json.dumps({"time_ns": 10 * k, **row}).encode() + b"\n" for k, row in enumerate(by_name))
+    found = correct(text).lines
+    wrench = np.linalg.solve(calibration.gain, (raw - calibration.offset).T).T
+    np.testing.assert_allclose(
+        [[out[axis] for axis in AXES] for out in found], wrench, rtol=1e-12, atol=1e-12
+    )
+    for w, out in zip(wrench, found, strict=True):
+        J = np.hstack([np.kron(np.eye(6), w), np.eye(6)])  # of raw by [gain row by row, offset]
+        of_raw = J @ calibration.covariance @ J.T + np.diag(calibration.rig.sensor.noise_array**2)
+        inverse = np.linalg.inv(calibration.gain)
+        std = np.sqrt(np.diag(inverse @ of_raw @ inverse.T))
+        np.testing.assert_allclose([out[f"{axis}_std"] for axis in AXES], std, rtol=1e-9)
+    assert [out["time_ns"] for out in found] == [0, 10, 20, 30, 40]
+
+
+def test_array_seconds_unknown_keys_and_a_missing_line_end_are_understood(correct: Any) -> None:
+    first = {"time_s": 1.25, "raw": SAMPLE, "note": "x", "vx": "not asked for"}
+    second = {f"raw_{i}": x for i, x in enumerate(SAMPLE)} | {"time_s": 1.5}
+    found = correct(json.dumps(first).encode() + b"\r\n\n" + json.dumps(second).encode()).lines
+    assert [out["time_s"] for out in found] == [1.25, 1.5]
+    assert [found[0][axis] for axis in AXES] == [found[1][axis] for axis in AXES]
+
+
+def test_null_channels_have_no_wrench_and_are_no_fault(correct: Any) -> None:
+    done = correct(b'{"time_ns": 1, "raw": [1, 2, null, 4, 5, 6]}\n')
+    assert not done.complaints
+    assert set(done.lines[0].values()) == {1, None}
+
+
+WRONG = {
+    b"garbage": "not JSON",
+    b"\xff\xfe": "UTF-8",
+    b"[1, 2]": "JSON object",
+    b'{"time_ns": 5, "raw": [1, 2, 3, 4, 5]}': "5 entries",
+    b'{"time_ns": 5, "raw": [1, 2, 3, 4, 5, NaN]}': "NaN",
+    b'{"time_ns": 5, "raw": [1, 2, 3, 4, 5, 1e999]}': "finite number",
+    b'{"time_ns": 5, "raw": [1, 2, 3, 4, 5, "6"]}': "'6'",
+    b'{"time_ns": 5, "raw": [1, 2, 3, 4, 5, true]}': "true",
+    b'{"time_ns": 5, "raw": [1e308, 1e308, 1e308, 1e308, 1e308, 1e308]}': "no wrench can be told",
+    b'{"time_ns": 5, "raw_0": 1, "raw_1": 1, "raw_2": 1, "raw_3": 1, "raw_5": 1}': "no `raw_4`",
+    b'{"time_ns": 5, "raw": [1, 2, 3, 4, 5, 6], "raw_0": 1}': "one of the two",
+    b'{"time_ns": 5, "raw_0":1,"raw_1":1,"raw_2":1,"raw_3":1,"raw_4":1,"raw_5":1,"raw_6":1}': "too many",
+    b'{"time_ns": 5, "raw": [1, 2, 3, 4, 5, 6], "raw": [0, 0, 0, 0, 0, 0]}': "a second time",
+    b'{"time_ns": 5, "vx": 1}': "no channel",
+    b'{"raw": [1, 2, 3, 4, 5, 6]}': "no time",
+    b'{"time_ns": 5.5, "raw": [1, 2, 3, 4, 5, 6]}': "whole nanoseconds",
+    b'{"time_ns": 99999999999999999999, "raw": [1, 2, 3, 4, 5, 6]}': "64-bit",
+    b'{"time_s": null, "raw": [1, 2, 3, 4, 5, 6]}': "seconds",
+    b'{"time_ns": 1, "raw": [1, 2, 3, 4, 5, 6]}': "time that increases",
+    b'{"time_ns": 0, "raw": [1, 2, 3, 4, 5, 6]}': "time that increases",
+    b'{"time_ns": 5, "raw": [1, 2, 3, 4, 5, 6': "not JSON",
+}
+
+
+def test_wrong_line_gets_an_error_in_its_place_and_no_wrench(correct: Any) -> None:
+    done = correct(line(1) + b"".join(bad + b"\n" for bad in WRONG) + line(9))
+    assert "fx" in done.lines[0]
+    assert "fx" in done.lines[-1]
+    for k, (out, words) in enumerate(zip(done.lines[1:-1], WRONG.values(), strict=True)):
+        assert set(out) == {"line", "error"}
+        assert out["line"] == k + 2
+        assert words in out["error"]
+        assert f"line {k + 2}: " in done.complaints[k]
+
+
+def test_line_without_an_end_costs_no_more_memory_than_its_limit(correct: Any) -> None:
+    source, sink = os.pipe()
+    writer = subprocess.Popen(
+        [sys.executable, "-c", f"print('7' * {3 * LONGEST}); print('{{}}')"], stdout=sink
+    )
+    os.close(sink)
+    with Stop() as stop:
+        found = [text for batch in batches(source, stop) for text in batch]
+    writer.wait()
+    assert len(found) == 2
+    assert LONGEST < len(found[0]) < 2 * LONGEST
+    assert found[1] == b"{}"
+
+
+def start(*words: object) -> subprocess.Popen[bytes]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen([COMMAND, "stream", *map(str, words)], stdin=pipe, stdout=pipe, stderr=pipe)
+
+
+@pytest.fixture
+def calibration_file(tmp_path: Path, calibration: Calibration) -> Path:
+    path = tmp_path / "calibration.yaml"
+    calibration.write_yaml(path)
+    return path
+
+
+@pytest.fixture
+def live(calibration_file: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A stream that has answered once."""
+    process = start(calibration_file)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(line(1))
+    process.stdin.flush()
+    assert "fx" in json.loads(process.stdout.readline())  # though the input has not ended
+    yield process
+    process.kill()
+    process.communicate()
+
+
+@pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_a_stream_with_the_status_of_the_verdict(
+    live: subprocess.Popen[bytes], signal_: signal.Signals
+) -> None:
+    live.send_signal(signal_)
+    assert live.wait(10) == 0
+    assert live.stderr is not None
+    assert live.stderr.read() == b"1 lines\n"
+
+
+def test_reader_that_goes_away_ends_a_stream_without_a_fault(live: subprocess.Popen[bytes]) -> None:
+    assert live.stdin is not None
+    assert live.stdout is not None
+    live.stdout.close()
+    live.stdin.write(line(2) + line(3))
+    live.stdin.flush()
+    assert live.wait(10) == 0
+    assert live.stderr is not None
+    assert b"Traceback" not in live.stderr.read()
+
+
+def test_wrong_lines_and_unusable_calibrations_show_in_the_exit_status(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    path = tmp_path / "unusable.yaml"
+    replace(calibration, verdict=Verdict(False, ("the moment was never excited",))).write_yaml(path)
+    out, err = (process := start(path, "--json")).communicate(line(1) + line(2))
+    assert process.returncode == 3
+    assert b"the moment was never excited" in err
+    assert json.loads(out)["figures"] == {"lines": 2}
+    out, err = (process := start(path)).communicate(line(1) + b"{}\n")
+    assert process.returncode == 2
+    assert b"line 2: found no time" in err
+    assert "fx" in json.loads(out.splitlines()[0])
+
+
+@pytest.fixture(scope="module")
+def run(valid_settings: dict[str, Any]) -> Any:
+    """A short run, whose gains are found."""
+    exact = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+    settings = {
+        **valid_settings,
+        "sensor": {**valid_settings["sensor"], "time_offset_prior": 0},
+        "payloads": {"default": {**valid_settings["payloads"]["default"], "uncertainty": exact}},
+        "required": 0.1,
+        "plan": {"duration": 6},
+    }
+    return settings, simulate(Rig.from_mapping(settings))
+
+
+def test_signal_ends_a_calibration_with_that_of_the_whole_record(run: Any, tmp_path: Path) -> None:
+    settings, simulated = run
+    rig_file, folder = tmp_path / "rig.yaml", tmp_path / "out"
+    rig_file.write_text(yaml.safe_dump(settings))
+    log = simulated.log
+    process = start("--calibrate", rig_file, "-o", folder)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    half = len(log.time_ns) // 2
+    for k, (at, raw, twist) in enumerate(zip(log.time_ns, log.raw.tolist(), log.twist.tolist(), strict=True)):
+        motion = dict(zip(("vx", "vy", "vz", "wx", "wy", "wz"), twist, strict=True))
+        process.stdin.write(line(int(at), raw))  # sensor and motion on lines of their own
+        process.stdin.write(json.dumps({"time_ns": int(at), **motion}).encode() + b"\n")
+        if k == half:
+            process.stdin.write(b"garbage\n")
+            process.stdin.flush()
+            progress = json.loads(process.stdout.readline())
+            while "seconds" not in progress:
+                progress = json.loads(process.stdout.readline())
+            assert not progress["final"]
+    process.stdin.flush()
+    time.sleep(0.5)  # for the rest to be read
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    final = json.loads(out.splitlines()[-1])
+    assert process.returncode == 0, err
+    assert final["final"]
+    assert b"not JSON" in err
+    assert b"wrote" in err
+    made = load_calibration(folder / "calibration.yaml")
+    record = pq.read_table(folder / "record.parquet")
+    assert record.num_rows == len(log.time_ns)
+    assert np.array_equal(record["raw_3"].to_numpy(), log.raw[:, 3])
+    assert np.array_equal(record["wz"].to_numpy(), log.twist[:, 5])
+    expected = calibrate(made.rig, log, "online")
+    np.testing.assert_allclose(made.gain, expected.gain, rtol=1e-9, atol=1e-12)
+    assert made.gain.tolist() == final["gain"]
+    departure = (made.gain - simulated.truth.gain) / made.gain_std
+    assert np.abs(departure).max() < 5.0
+    assert made.logs[0].path == folder / "record.parquet"
+
+
+def test_calibration_from_nothing_writes_nothing(run: Any, tmp_path: Path) -> None:
+    rig_file = tmp_path / "rig.yaml"
+    rig_file.write_text(yaml.safe_dump(run[0]))
+    out, err = (process := start("--calibrate", rig_file, "-o", tmp_path / "out")).communicate(b"")
+    assert process.returncode == 2
+    assert b"no sample has arrived" in err
+    assert not out
+    assert not (tmp_path / "out").exists()
