@@ -43,12 +43,12 @@ class Effort:
     """
 
     random: int = 200
-    starts: int = 3
-    first: int = 150
-    finalists: int = 0
-    iterations: int = 0
-    again: int = 60
-    rounds: int = 2
+    starts: int = 6
+    first: int = 30
+    finalists: int = 2
+    iterations: int = 60
+    again: int = 30
+    rounds: int = 1
     excess: float = 0.003
 
 
@@ -119,11 +119,11 @@ def search(
         optima.append(solve(problem, candidate, limits, iterations=effort.first, rounds=effort.rounds))
     for k in range(effort.finalists):
         progress(f"further from the best, {k + 1} of {effort.finalists}", (effort.starts + k) / steps)
-        optima.sort(key=lambda optimum: optimum.value)
+        optima.sort(key=lambda optimum: optimum.merit)
         optima[k] = solve(
             problem, optima[k], limits, iterations=effort.iterations, warm=True, rounds=effort.rounds
         )
-    best, tight = min(optima, key=lambda optimum: optimum.value), limits
+    best, tight = min(optima, key=lambda optimum: optimum.merit), limits
     iterations = sum(optimum.iterations for optimum in optima) - best.iterations
     for k in range(_ROUNDS):
         usage = check(motion_of(best))

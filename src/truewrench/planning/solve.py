@@ -16,7 +16,8 @@ __all__ = ["Solution", "candidates", "solve"]
 
 Array = NDArray[np.float64]
 
-_SIZES = 0.5 ** np.arange(0.0, 6.0, 0.5)  # of a random motion, in units of the largest that its series may be
+_SIZES = 0.5 ** np.arange(0.0, 6.0, 0.5)  # of a random motion, in units of the largest that its series may be,
+_TYPICAL = 4.0  # or of typical velocities, where that is less
 _FREE = 1e3  # [rad, m] stands for no limit
 _NEAR = 0.3  # [rad, m] 1 sigma of random starts about a given one
 _FEASIBLE = 1e-6  # of a limit
@@ -41,6 +42,11 @@ class Solution:
     value: float
     worst: float
     iterations: int = 0
+
+    @property
+    def merit(self) -> float:
+        """What the criterion would be of a motion made smaller until it keeps to the limits, about."""
+        return self.value + float(np.log(max(self.worst, 1.0)))
 
 
 def candidates(
@@ -76,7 +82,7 @@ def candidates(
             problem.linear @ problem.pack(*at) for at in ((start, 0.0 * drawn), (0.0 * start, drawn))
         )
         room_there = np.where(moving > 0.0, upper[:L] - still, still - lower[:L])
-        largest = float(np.min(room_there / np.maximum(np.abs(moving), 1e-12), initial=_FREE))
+        largest = float(np.min(room_there / np.maximum(np.abs(moving), 1e-12), initial=_TYPICAL))
         for size in _SIZES:
             coefficients = size * largest * drawn
             x = problem.pack(start, coefficients)
