@@ -65,7 +65,7 @@ def select(
         _check(recording, rig, stream)
         notes += _stream_notes(stream)
     if whole:
-        _check_overlap(recording, chosen)
+        _check_overlap(recording, rig, chosen)
         notes += _check_joints(recording, chosen)
     return Selection(tuple(chosen), _places(rig, chosen), tuple(dict.fromkeys(notes)))
 
@@ -168,16 +168,16 @@ def _check(recording: Recording, rig: Rig, stream: Stream) -> None:
         raise InputError.at(recording.path, f"topic {stream.topic.name}", found, expected)
 
 
-def _check_overlap(recording: Recording, chosen: Sequence[Stream]) -> None:
+def _check_overlap(recording: Recording, rig: Rig, chosen: Sequence[Stream]) -> None:
     sensor = chosen[0]
     for other in chosen[1:]:
         a, b = sensor.spool, other.spool
         if a.last < b.first or b.last < a.first:
             found = f"{sensor.topic.name} from {a.first} to {a.last} ns, "
             found += f"but {other.topic.name} from {b.first} to {b.last} ns"
-            expected = (
-                "streams that overlap; of clocks that differ, `recording: {stamps: receive}` in the rig"
-            )
+            expected = "streams that overlap"
+            if rig.recording.stamps == "header":
+                expected += "; of clocks that differ, `recording: {stamps: receive}` in the rig"
             raise InputError.at(recording.path, "", found, expected)
 
 
