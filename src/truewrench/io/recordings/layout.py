@@ -78,6 +78,7 @@ class _Walk:
     numbers: dict[str, Numbers] = field(default_factory=dict)
     texts: dict[str, list[str]] = field(default_factory=dict)
     structure: list[int] = field(default_factory=list)
+    lengths: int = 0  # of texts and lists, that were read
 
     def message(self, name: str, path: str) -> None:
         for member, (kind, what) in self.definitions[name][1]:
@@ -118,6 +119,7 @@ class _Walk:
             raise ValueError(f"{len(self.data)} bytes, fewer than its type has")
 
     def length(self) -> int:
+        self.lengths += 1
         self.align(4)
         at = self.at
         self.skip(4)
@@ -147,7 +149,9 @@ def read_layout(data: bytes, type_name: str, definitions: Definitions, ros1: boo
             raise ValueError(f"an encoding {data[:2].hex() or 'of no byte'}, which is not plain CDR")
         walk = _Walk(data, definitions, "<" if data[1] else ">", 4, True, 4, structure=[0, 1])
     walk.message(type_name, "")
-    if len(data) - walk.at > (0 if ros1 else 3):  # CDR may be padded to a multiple of 4
+    # CDR may be padded to a multiple of 4, and ROS 2 reserves the alignment of the numbers in empty lists
+    spare = 0 if ros1 else 3 + 8 * walk.lengths
+    if len(data) - walk.at > spare:
         raise ValueError(f"{len(data)} bytes, more than the {walk.at} of its type")
     return Layout(
         message=np.frombuffer(data, np.uint8),
