@@ -136,7 +136,7 @@ def _taken(counters: Sequence[_TopicCounter]) -> list[str]:
     words = []
     for counter in counters:
         role = role_of(counter.topic.type_name)
-        if role is None:
+        if role is None or (role == "array" and counter.receive.samples and not counter.streams):
             words.append("")
         elif not counter.receive.samples:
             words.append("no message")

@@ -23,6 +23,7 @@ IntArray = npt.NDArray[np.int64]
 
 _LARGE_DELAY = 0.1  # [s] from header stamp to receipt, worth a note,
 _DRIFT = 0.01  # [s] over the recording, likewise
+_MOST_CHANNELS = 256
 _SURE = 5.0  # sigma of a drift
 _XYZ = ("x", "y", "z")
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
@@ -132,9 +133,10 @@ def _values(
                 columns = tuple(prefix + names[i] for i in order)
                 yield columns, layout.read(messages, path).astype(np.float64)[:, order]
     elif _ARRAY.fullmatch(type_name):
-        values = layout.read(messages, "data").astype(np.float64)
-        if values.shape[1]:
-            yield tuple(f"raw_{i}" for i in range(values.shape[1])), values
+        count = layout.numbers["data"].count
+        if 0 < count <= _MOST_CHANNELS:  # more is a picture, or a scan
+            columns = tuple(f"raw_{i}" for i in range(count))
+            yield columns, layout.read(messages, "data").astype(np.float64)
     else:
         role, paths = _VECTORS[type_name]
         missing = [path for path in paths if path not in layout.numbers]
