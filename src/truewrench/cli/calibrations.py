@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,6 +24,10 @@ from truewrench.cli.common import (
     report_notes,
     verdict_of,
 )
+
+if TYPE_CHECKING:
+    from truewrench.calibration import Calibration
+    from truewrench.evidence import Evidence
 
 __all__ = ["apply", "calibrate", "validate"]
 
@@ -45,6 +51,7 @@ def calibrate(
         bool,
         typer.Option("--held-out/--no-held-out", help="Compare with the nominal gain on unseen data."),
     ] = True,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -57,6 +64,7 @@ def calibrate(
 
     check_folder(output)
     settings = load_rig(rig)
+    found: list[Evidence] = []
     with progress_bar() as update:
         records = [read_log(log, settings) for log in logs]
         calibration = run(
@@ -71,14 +79,17 @@ def calibrate(
             smooth=smooth,
             process_density=process_density,
             progress=update,
+            evidence=found.append if report else None,
         )
-    target = output / "calibration.yaml"
-    calibration.write_yaml(target)
+        target = output / "calibration.yaml"
+        calibration.write_yaml(target)
+        update("reporting", None)
+        reports = _report(output / "report.html", calibration, found)
     exports = write_exports(calibration, output)
     for record in records:
         report_left_out(record)
     return Outcome(
-        outputs=[target, *exports.written],
+        outputs=[target, *reports, *exports.written],
         verdict=verdict_of(calibration),
         figures={
             "gain": calibration.gain,
@@ -96,6 +107,20 @@ def calibrate(
         },
         words=lambda: chain(calibration_summary(calibration), exports_summary(exports)),
     )
+
+
+def _report(target: Path, calibration: Calibration, evidence: Sequence[Evidence]) -> list[Path]:
+    """Write the report, if there is evidence for one; its failure costs no more than the report."""
+    try:
+        target.unlink(missing_ok=True)  # of an earlier calibration: it would contradict this one
+        from truewrench.report import write_report
+
+        for found in evidence:
+            write_report(target, calibration, found)
+    except Exception as error:
+        print(f"{target}: not written: {type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
+        return []
+    return [target for _ in evidence]
 
 
 def validate(

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from bokeh.models import Range1d
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -30,6 +29,7 @@ _SHOWN = 200  # intervals and rows that are listed one by one
 class Figure:
     """A plot, its name for those who cannot see it, and what to conclude from it."""
 
+    key: str
     plot: figure
     label: str
     caption: str = ""
@@ -45,7 +45,7 @@ class Section:
         words: paragraphs; what to conclude comes first.
         tables: after them.
         figures: after these; a figure without a caption belongs to the next one that has.
-        time_axis: whether the figures share the time axis, so that its buttons stand here.
+        time_axis: end of the time axis [s] that figures over time share, where its buttons stand, else 0.
         lists: title and lines of lists that can be opened.
     """
 
@@ -54,23 +54,22 @@ class Section:
     words: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     figures: tuple[Figure, ...] = ()
-    time_axis: bool = False
+    time_axis: float = 0.0
     lists: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
 
 def sections(calibration: Calibration, evidence: Evidence) -> list[Section]:
     """All sections behind verdict and gain, in order."""
     record = record_of(calibration, evidence)
-    # bokeh: figures that share a range show the same stretch
-    time = plots.time_range(max(1e-9, *(log.time[-1] for log in evidence.logs), record.end))
+    end = max(1e-9, record.end, *(float(log.time[-1]) for log in evidence.logs))
     return [
         _improvement(calibration),
         _limits(calibration),
-        _residuals(calibration, record, time),
+        _residuals(calibration, record, end),
         _noise(calibration, record),
-        _consistency(calibration, evidence, record, time),
+        _consistency(calibration, evidence, record, end),
         _excitation(calibration, record),
-        _convergence(calibration, evidence, record, time),
+        _convergence(calibration, evidence, record, end),
         _left_out(calibration, record),
     ]
 
@@ -132,7 +131,7 @@ def _limits(c: Calibration) -> Section:
     return Section("limits", "What limits the accuracy", tuple(words), tuple(t for t in found if t))
 
 
-def _residuals(c: Calibration, record: Record, time: Range1d) -> Section:
+def _residuals(c: Calibration, record: Record, end: float) -> Section:
     title = "Residuals over time"
     if record.none_because:
         return Section("residuals", title, (f"No residuals: {record.none_because}.",))
@@ -176,13 +175,15 @@ def _residuals(c: Calibration, record: Record, time: Range1d) -> Section:
         for s, log in zip(record.logs, c.logs, strict=True)
         for a, b in log.disturbances
     ]
-    drawn = plots.residual_plots(curve, record, sigma, disturbed, time)
+    drawn = plots.residual_plots(curve, record, sigma, disturbed, end)
     figures = [
-        Figure(plot, f"Residual of {axis} over time, RMS {value:.3g} {tables.UNITS[axis]}")
+        Figure(
+            f"residual-{axis}", plot, f"Residual of {axis} over time, RMS {value:.3g} {tables.UNITS[axis]}"
+        )
         for axis, plot, value in zip(AXES, drawn, rms, strict=True)
     ]
-    figures[-1] = Figure(figures[-1].plot, figures[-1].label, caption)
-    return Section("residuals", title, tuple(words), (), tuple(figures), time_axis=True)
+    figures[-1] = replace(figures[-1], caption=caption)
+    return Section("residuals", title, tuple(words), (), tuple(figures), time_axis=end)
 
 
 def _noise(c: Calibration, record: Record) -> Section:
@@ -201,18 +202,29 @@ def _noise(c: Calibration, record: Record) -> Section:
             conclusion = findings.spectrum_words(density)
             for axes, name in halves:
                 figures.append(
-                    Figure(plots.spectrum_plot(density, axes), f"Spectra of the {name}' residuals")
+                    Figure(
+                        f"spectrum-{name}",
+                        plots.spectrum_plot(density, axes),
+                        f"Spectra of the {name}' residuals",
+                    )
                 )
             caption = (
                 "Spectra: power density of the residuals over that of the expected noise, forces, then "
                 "moments; "
-                f"shaded: ±2 sigma by chance. {conclusion} Below 1 at the lowest frequencies is normal: the "
+                f"shaded: what chance does to 95 of 100. {conclusion} Below 1 at the lowest frequencies is "
+                "normal: the "
                 "fitted motion takes up some noise there."
             )
-            figures[-1] = Figure(figures[-1].plot, figures[-1].label, caption)
+            figures[-1] = replace(figures[-1], caption=caption)
         conclusion = findings.histogram_words(counts)
         for axes, name in halves:
-            figures.append(Figure(plots.histogram_plot(counts, axes), f"Histograms of the {name}' residuals"))
+            figures.append(
+                Figure(
+                    f"histogram-{name}",
+                    plots.histogram_plot(counts, axes),
+                    f"Histograms of the {name}' residuals",
+                )
+            )
         outside = int(counts.outside.sum())
         caption = (
             "Histograms of residuals in units of their expected sigma, forces, then moments; shaded: the "
@@ -221,7 +233,7 @@ def _noise(c: Calibration, record: Record) -> Section:
             "stated too "
             "small, or gain and motion do not fit; tails alone: spikes or contact."
         )
-        figures[-1] = Figure(figures[-1].plot, figures[-1].label, caption)
+        figures[-1] = replace(figures[-1], caption=caption)
     if table:
         words.append(
             "Found noise is what the residuals show, corrected for what the fit took up; colour is its "
@@ -231,15 +243,18 @@ def _noise(c: Calibration, record: Record) -> Section:
     return Section("noise", title, tuple(words), shown, tuple(figures))
 
 
-def _consistency(c: Calibration, evidence: Evidence, record: Record, time: Range1d) -> Section:
+def _consistency(c: Calibration, evidence: Evidence, record: Record, end: float) -> Section:
     title, found = "Normalised squares (NIS)", consistency(c, evidence, record)
     if not found:
         return Section("nis", title, ("None can be shown: nothing of the record was fitted.",))
     figures = [
         Figure(
-            plots.consistency_plot(stream, time), f"Mean squares over time, {stream.name}", f"{stream.name}."
+            f"nis-{k}",
+            plots.consistency_plot(stream, end),
+            f"Mean squares over time, {stream.name}",
+            f"{stream.name[0].upper()}{stream.name[1:]}: mean squares; {stream.outside} outside.",
         )
-        for stream in found
+        for k, stream in enumerate(found)
     ]
     what = {
         "map": "of the residuals in every window of motion",
@@ -253,7 +268,7 @@ def _consistency(c: Calibration, evidence: Evidence, record: Record, time: Range
         "which "
         f"chance keeps {100 * (1 - CHANCE):.0f} %. Triangles lie outside.",
     )
-    return Section("nis", title, words, (), tuple(figures), time_axis=False)
+    return Section("nis", title, words, (), tuple(figures))
 
 
 def _excitation(c: Calibration, record: Record) -> Section:
@@ -288,10 +303,12 @@ def _excitation(c: Calibration, record: Record) -> Section:
     plot = plots.information_plot(np.maximum(shares, 1e-7), UNDETERMINED, c.rig.required / sensor.gain_prior)
     label = f"Sigma over prior sigma of {size} directions, from {shares.min():.2g} to {shares.max():.2g}"
     lists = (("Directions that are not determined", tuple(open_ones)),) if open_ones else ()
-    return Section("excitation", title, tuple(words), shown, (Figure(plot, label, caption),), lists=lists)
+    return Section(
+        "excitation", title, tuple(words), shown, (Figure("directions", plot, label, caption),), lists=lists
+    )
 
 
-def _convergence(c: Calibration, evidence: Evidence, record: Record, time: Range1d) -> Section:
+def _convergence(c: Calibration, evidence: Evidence, record: Record, end: float) -> Section:
     title, found = "Convergence of the gain", convergence(c, evidence, record)
     if found is None or not found.time.size:
         return Section("convergence", title, (f"Cannot be shown: {record.none_because or 'no rows'}.",))
@@ -309,10 +326,10 @@ def _convergence(c: Calibration, evidence: Evidence, record: Record, time: Range
         "longer "
         "record of the same kind changes nothing."
     )
-    plot = plots.convergence_plot(found, c.rig.required, time)
+    plot = plots.convergence_plot(found, c.rig.required, end)
     label = f"Distance of the gain so far from the final gain, over time; stated sigma {found.final:.2g}"
     words = (findings.convergence_words(found, c.rig.required),)
-    return Section("convergence", title, words, (), (Figure(plot, label, caption),))
+    return Section("convergence", title, words, (), (Figure("settling", plot, label, caption),))
 
 
 def _left_out(c: Calibration, record: Record) -> Section:

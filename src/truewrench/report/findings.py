@@ -113,9 +113,7 @@ def spectrum_words(found: Spectrum) -> str:
     low = found.frequency <= found.frequency[-1] / 10.0
     low = low if low.any() else np.ones_like(low)
     raised = [axis for i, axis in enumerate(AXES) if np.median(found.ratio[low, i]) > _COLOURED]
-    sharp = [
-        axis for i, axis in enumerate(AXES) if np.any(found.ratio[:, i] > 1.0 + 8.0 * found.spread + 0.5)
-    ]
+    sharp = [axis for i, axis in enumerate(AXES) if np.any(found.ratio[:, i] > 2.5 * found.high)]
     if raised:
         return (
             f"{axes_listed(raised)} {_has(raised)} more than the expected noise at low frequencies: the "
@@ -147,7 +145,7 @@ def histogram_words(found: Histogram) -> str:
 
 def consistency_words(found: tuple[Consistency, ...]) -> str:
     """How many values lie outside, and how many may."""
-    parts = [f"{stream.name}: {stream.outside} of {len(stream.value)} outside" for stream in found]
+    parts = [f"{stream.name} {stream.outside} of {len(stream.value)}" for stream in found]
     surprising = [stream.name for stream in found if stream.outside > 3.0 + 3.0 * CHANCE * len(stream.value)]
     end = (
         f"More than chance allows in {', '.join(surprising)}: there the noise is not as stated, or something "
@@ -155,7 +153,7 @@ def consistency_words(found: tuple[Consistency, ...]) -> str:
         if surprising
         else "No more than chance allows: the noise is as stated all along."
     )
-    return f"{'; '.join(parts)}. {end}"
+    return f"{end} Outside their bounds: {'; '.join(parts)}."
 
 
 def convergence_words(found: Convergence, required: float) -> str:

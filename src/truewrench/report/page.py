@@ -11,7 +11,6 @@ import hashlib
 import json
 import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +20,6 @@ import jinja2
 import numpy as np
 import yaml
 from bokeh.embed.util import OutputDocumentFor, standalone_docs_json_and_render_items
-from bokeh.plotting import figure
 from bokeh.resources import Resources
 from markupsafe import Markup
 
@@ -29,36 +27,24 @@ from truewrench import _core
 from truewrench.calibration import Calibration
 from truewrench.evidence import Evidence
 from truewrench.report import findings, tables
-from truewrench.report.contents import sections
+from truewrench.report.contents import Figure, sections
 
 __all__ = ["page"]
 
 _FOLDER = Path(__file__).parent
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Where a figure of Bokeh goes."""
-
-    element: str
-    label: str
-
-
 def page(calibration: Calibration, evidence: Evidence) -> str:
     """The whole report as HTML."""
     shown = sections(calibration, evidence)
-    figures = [f for section in shown for f in section.figures]
-    documents, places, where = _embedded([f.plot for f in figures])
+    figures = {f.key: _embedded(f) for section in shown for f in section.figures}
     scripts = [*_bokeh(), _own("report.js")] if figures else []
     return _template().render(
         c=calibration,
         policy=_policy(scripts),
         style=Markup(_own("report.css")),
         scripts=[Markup(script) for script in scripts],
-        documents=_json(documents),
-        places=_json(places),
-        places_of={id(f): _Place(where[k], f.label) for k, f in enumerate(figures)},
-        identity=id,
+        figures=_json(figures),
         sections=shown,
         helps=list(findings.helps(calibration)) if not calibration.verdict.usable else [],
         undetermined=findings.undetermined_words(calibration),
@@ -82,14 +68,13 @@ def page(calibration: Calibration, evidence: Evidence) -> str:
     )
 
 
-def _embedded(plots: Sequence[figure]) -> tuple[Any, Any, list[str]]:
-    """Bokeh's documents and places, and the element of each plot; one document, so that ranges are shared."""
-    if not plots:
-        return {}, [], []
-    with OutputDocumentFor(plots):
-        documents, (item,) = standalone_docs_json_and_render_items(plots)
+def _embedded(shown: Figure) -> dict[str, Any]:
+    """Bokeh's document of one figure and its place: each is drawn when it comes into sight."""
+    with OutputDocumentFor([shown.plot]):
+        documents, (item,) = standalone_docs_json_and_render_items([shown.plot])
     place = item.to_json()
-    return documents, [place], [place["roots"][plot.id] for plot in plots]
+    place["roots"] = {shown.plot.id: shown.key}
+    return {"documents": documents, "place": place}
 
 
 @cache

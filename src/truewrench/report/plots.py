@@ -29,7 +29,6 @@ __all__ = [
     "information_plot",
     "residual_plots",
     "spectrum_plot",
-    "time_range",
 ]
 
 Array = NDArray[np.float64]
@@ -39,28 +38,24 @@ BLUE, VERMILION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#808080"
 _CURVES = ((BLUE, "solid"), (VERMILION, "dashed"), (GREEN, "dotdash"))
 _UNITS = ("N", "N", "N", "N m", "N m", "N m")
 _BAND = 2.0  # sigma
-
-
-def time_range(end: float) -> Range1d:
-    """The time axis that all figures over time share."""
-    return Range1d(0.0, end, name="time", bounds=(0.0, end))
+_LEGEND = ".bk-label { color: var(--ink) !important; }"  # it is no part of the canvas
 
 
 def residual_plots(
-    curve: Envelope, record: Record, sigma: Array, disturbed: Sequence[Span_], time: Range1d
+    curve: Envelope, record: Record, sigma: Array, disturbed: Sequence[Span_], end: float
 ) -> list[figure]:
     """One figure per wrench axis; where samples were left out is shaded."""
-    source = ColumnDataSource(
-        {"t": curve.time, **{axis: curve.values[:, i].astype(np.float32) for i, axis in enumerate(AXES)}}
-    )
+    time = curve.time.astype(np.float32)
     rejected = [(s.begin + a, s.begin + b) for s in record.logs for a, b in s.rejected]
     plots = []
     for i, axis in enumerate(AXES):
         largest = np.nanmax(np.abs(curve.values[:, i]), initial=3.0 * sigma[i])
-        p = _figure(190, time, Range1d(-1.05 * largest, 1.05 * largest), "time [s]", f"{axis} [{_UNITS[i]}]")
+        p = _figure(
+            190, _time(end), Range1d(-1.05 * largest, 1.05 * largest), "time [s]", f"{axis} [{_UNITS[i]}]"
+        )
         _strips(p, rejected, GREY, 0.25, "/")
         _strips(p, disturbed, VERMILION, 0.3, "")
-        p.line("t", axis, source=source, line_color=BLUE, line_width=1.2)
+        p.line(time, curve.values[:, i].astype(np.float32), line_color=BLUE, line_width=1.2)
         for level in (-_BAND * sigma[i], _BAND * sigma[i]):
             p.add_layout(_level(level, GREY, "dashed"))
         for series in record.logs[1:]:
@@ -71,15 +66,14 @@ def residual_plots(
 
 def spectrum_plot(found: Spectrum, axes: slice) -> figure:
     """Density over the expected one, three axes."""
-    band = slice(0, len(found.frequency))
-    top = max(3.0, 1.2 * float(found.ratio[band].max()))
-    bottom = min(0.3, 0.8 * max(1e-4, float(found.ratio[band].min())))
+    top = max(3.0, 1.2 * float(found.ratio.max()))
+    bottom = min(0.3, 0.8 * max(1e-4, float(found.ratio.min())))
     p = _figure(
         280, DataRange1d(range_padding=0.02), Range1d(bottom, top), "frequency [Hz]",
         "density / expected [1]", x_axis_type="log", y_axis_type="log",
     )  # fmt: skip
-    low = np.maximum(1.0 - 2.0 * found.spread, bottom)
-    p.varea(x=found.frequency, y1=low, y2=1.0 + 2.0 * found.spread, fill_color=GREY, fill_alpha=0.3)
+    low = np.maximum(found.low, bottom)
+    p.varea(x=found.frequency, y1=low, y2=found.high, fill_color=GREY, fill_alpha=0.3)
     _curves(p, found.frequency, found.ratio[:, axes], AXES[axes])
     p.add_layout(_level(1.0, GREY, "dashed"))
     return p
@@ -101,15 +95,16 @@ def histogram_plot(found: Histogram, axes: slice) -> figure:
     return p
 
 
-def consistency_plot(found: Consistency, time: Range1d) -> figure:
+def consistency_plot(found: Consistency, end: float) -> figure:
     """Mean squares over time, round inside and triangular outside of their bounds."""
-    values = np.concatenate([found.value, found.low, found.high])
-    values = values[values > 0.0]
-    y = Range1d(
-        min(0.5, 0.8 * float(values.min(initial=0.5))), max(2.0, 1.25 * float(values.max(initial=2.0)))
-    )
-    p = _figure(190, time, y, "time [s]", "mean square [1]", y_axis_type="log")
-    least = 0.002 * float(time.end)  # what can still be seen
+    largest = float(np.abs(np.concatenate([found.value, found.low, found.high]) - 1.0).max())
+    if largest < 0.9:
+        y, kind = Range1d(1.0 - 1.3 * largest, 1.0 + 1.3 * largest), "linear"
+    else:
+        least_value = float(found.value[found.value > 0.0].min(initial=0.5))
+        y, kind = Range1d(0.8 * least_value, 1.3 * (1.0 + largest)), "log"
+    p = _figure(190, _time(end), y, "time [s]", "mean square [1]", y_axis_type=kind)
+    least = 0.002 * end  # what can still be seen
     p.quad(
         left=found.begin, right=np.maximum(found.end, found.begin + least),
         bottom=np.maximum(found.low, float(y.start)), top=found.high,
@@ -159,7 +154,7 @@ def information_plot(shares: Array, undetermined: float, required: float) -> fig
     return p
 
 
-def convergence_plot(found: Convergence, required: float, time: Range1d) -> figure:
+def convergence_plot(found: Convergence, required: float, end: float) -> figure:
     """Distance from the final gain and sigma of the gain so far, over time."""
     curves = [
         ("distance from final", found.time, found.distance, BLUE, "solid"),
@@ -171,13 +166,13 @@ def convergence_plot(found: Convergence, required: float, time: Range1d) -> figu
     values = values[values > 0.0]
     low = max(1e-3 * found.final, float(values.min()))
     y = Range1d(0.5 * min(low, found.final, required), 2.0 * max(float(values.max()), found.final, required))
-    p = _figure(300, time, y, "time [s]", "share of full scale [1]", y_axis_type="log")
+    p = _figure(300, _time(end), y, "time [s]", "share of full scale [1]", y_axis_type="log")
     for label, x, values, colour, dash in curves:
         shown = np.where(values > 0.0, values, np.nan)
         p.line(x, shown, line_color=colour, line_dash=dash, line_width=2, legend_label=label)
         if len(x) < 3:
             p.scatter(x, shown, color=colour, size=7)
-    ends = [0.0, float(time.end)]
+    ends = [0.0, end]
     p.line(
         ends,
         [found.final] * 2,
@@ -198,7 +193,7 @@ def _figure(
     p = figure(
         height=height, sizing_mode="stretch_width", x_range=x, y_range=y, tools=[zoom], toolbar_location=None,
         active_drag=None, background_fill_color=None, border_fill_color=None, outline_line_color=None,
-        min_border_left=58, min_border_right=8, min_border_top=4, x_axis_label=x_label, y_axis_label=y_label,
+        min_border_left=70, min_border_right=8, min_border_top=4, x_axis_label=x_label, y_axis_label=y_label,
         **kinds,
     )  # fmt: skip
     for axis in (p.xaxis, p.yaxis):
@@ -210,6 +205,11 @@ def _figure(
     p.yaxis.ticker.desired_num_ticks = 4
     p.xgrid.grid_line_color = None
     return p
+
+
+def _time(end: float) -> Range1d:
+    """The time axis of one figure; the page keeps those of this name alike."""
+    return Range1d(0.0, end, name="time", bounds=(0.0, end))
 
 
 def _level(at: float, colour: str, dash: str) -> Span:
@@ -240,4 +240,5 @@ def _legend_above(p: figure) -> None:
     p.add_layout(legend, "above")
     legend.orientation, legend.ncols = "horizontal", 3
     legend.background_fill_color = legend.border_line_color = None
+    legend.stylesheets = [_LEGEND]
     legend.label_text_font_size, legend.padding, legend.margin = "13px", 2, 0

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
+from scipy.stats import chi2
 
 from truewrench.report.series import Record, Series
 
@@ -45,12 +46,14 @@ class Spectrum:
     Attributes:
         frequency: (K,) [Hz].
         ratio: (K, 6).
-        spread: (K,) 1 sigma of the ratio by chance.
+        low: (K,) bounds between which chance keeps 95 of 100 ratios.
+        high: (K,).
     """
 
     frequency: Array
     ratio: Array
-    spread: Array
+    low: Array
+    high: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +150,9 @@ def _banded(frequency: Array, ratio: Array, segments: int) -> Spectrum:
     mean = np.add.reduceat(ratio, starts, axis=0) / count[:, None]
     middle = np.add.reduceat(frequency, starts) / count
     # overlapping halves under Hann's window: 1.06 times as many averages as half the segments
-    return Spectrum(middle, mean, 1.0 / np.sqrt(count * max(1.0, 0.53 * segments)))
+    freedom = 2.0 * count * max(1.0, 0.53 * segments)
+    low, high = (chi2.ppf(q, freedom) / freedom for q in (0.025, 0.975))
+    return Spectrum(middle, mean, low, high)
 
 
 def _runs(series: Series) -> list[slice]:
