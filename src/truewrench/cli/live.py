@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from truewrench.calibration import Calibration
     from truewrench.rig import Rig
     from truewrench.stream.ros2 import Topics
-    from truewrench.stream.session import Progress
     from truewrench.stream.stop import Stop
 
 __all__ = ["stream"]
@@ -146,21 +145,14 @@ def _calibrate(
         if topics is not None:
             from truewrench.stream.ros2 import calibrate_topics
 
-            counts, publish = calibrate_topics(session, topics, stop, _Complaints(), seconds)
+            counts, final = calibrate_topics(session, folder, topics, stop, _Complaints(), seconds)
             figures = dataclasses.asdict(counts)
         else:
-            from truewrench.stream.json_lines import calibrate_lines, progress_line
+            from truewrench.stream.json_lines import calibrate_lines
             from truewrench.stream.lines import Output
 
-            out = Output(silent=as_json)
-            lines = calibrate_lines(session, out, stop, _Complaints())
+            lines, final = calibrate_lines(session, folder, Output(silent=as_json), stop, _Complaints())
             figures = {"lines": lines.read, "refused": lines.refused}
-
-            def publish(progress: Progress) -> None:
-                out.write(progress_line(progress))
-
-        final = session.finish(folder)
-        publish(final)
     calibration = final.calibration
     assert calibration is not None
     found = {key: value for key, value in final.to_mapping().items() if key not in ("usable", "reasons")}

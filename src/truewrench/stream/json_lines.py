@@ -6,6 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,12 +16,13 @@ from truewrench.calibration import AXES, Calibration
 from truewrench.errors import InputError
 from truewrench.stream.json_rows import LineError, Row, motion_of, read_row
 from truewrench.stream.lines import Output, batches
+from truewrench.stream.progress import Progress
 from truewrench.stream.stop import Stop
 
 if TYPE_CHECKING:  # all that an estimate needs takes a second to import
-    from truewrench.stream.session import LiveCalibration, Progress
+    from truewrench.stream.session import LiveCalibration
 
-__all__ = ["INPUT", "Lines", "calibrate_lines", "correct_lines", "progress_line"]
+__all__ = ["INPUT", "Lines", "calibrate_lines", "correct_lines"]
 
 INPUT = "standard input"
 
@@ -114,9 +116,20 @@ def _line(row: Row, values: list[float]) -> str:
 
 
 def calibrate_lines(
-    session: LiveCalibration, output: Output, stop: Stop, complain: Complain, source: int | None = None
-) -> Lines:
-    """Feed a calibration, until the input ends or `stop`; its progress goes to the output."""
+    session: LiveCalibration,
+    folder: Path | None,
+    output: Output,
+    stop: Stop,
+    complain: Complain,
+    source: int | None = None,
+) -> tuple[Lines, Progress]:
+    """Feed a calibration until the input ends or `stop`, then finish it in a folder.
+
+    What is known on the way, and the result, go to the output.
+
+    Raises:
+        InputError: no calibration can be made of the lines.
+    """
     n = session.rig.sensor.n
     channels = tuple(f"raw_{i}" for i in range(n))
     lines = Lines(output, complain)
@@ -138,12 +151,13 @@ def calibrate_lines(
             lines.take(line, use)
         progress = session.poll()
         if progress is not None:
-            output.write(progress_line(progress))
+            output.write(_progress(progress))
         if output.closed:
             break
-    return lines
+    final = session.finish(folder)
+    output.write(_progress(final))
+    return lines, final
 
 
-def progress_line(progress: Progress) -> str:
-    """An estimate as one JSON object."""
+def _progress(progress: Progress) -> str:
     return json.dumps(progress.to_mapping(), allow_nan=False)

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.table import TWIST
 from truewrench.rig import Rig
 from truewrench.robot import robot_of
+from truewrench.stream.progress import Progress
 from truewrench.stream.ros2_node import Node, lost, taken, unreliable
 from truewrench.stream.ros2_types import (
     DiagnosticArray,
@@ -34,7 +36,7 @@ from truewrench.stream.ros2_types import (
 from truewrench.stream.stop import Stop
 
 if TYPE_CHECKING:  # all that an estimate needs takes a second to import
-    from truewrench.stream.session import LiveCalibration, Progress
+    from truewrench.stream.session import LiveCalibration
 
 __all__ = ["OUTPUT", "Counts", "Topics", "calibrate_topics", "correct_topic"]
 
@@ -233,15 +235,19 @@ class _Motion:
 
 
 def calibrate_topics(
-    session: LiveCalibration, topics: Topics, stop: Stop, complain: Complain, seconds: float = math.inf
-) -> tuple[Counts, Callable[[Progress], None]]:
-    """Feed a calibration from the sensor's topic and the motion's, and publish diagnostics, until `stop`.
+    session: LiveCalibration,
+    folder: Path | None,
+    topics: Topics,
+    stop: Stop,
+    complain: Complain,
+    seconds: float = math.inf,
+) -> tuple[Counts, Progress]:
+    """Feed a calibration from the sensor's topic and the motion's until `stop`, then finish it in a folder.
 
-    Returns:
-        What arrived, and what publishes the final result.
+    What is known on the way, and the result, are published as diagnostics.
 
     Raises:
-        InputError: no topic is found.
+        InputError: no topic is found, or no calibration can be made of what arrived.
     """
     rig = session.rig
     sensor, motion, counts = _Sensor(rig), _Motion(rig), Counts()
@@ -258,11 +264,6 @@ def calibrate_topics(
     def of_sensor(message: Any, info: Any) -> tuple[tuple[str, ...], int, Any]:
         _, stamp, values = sensor.read(message, info)
         return channels, stamp, values
-
-    def publish(progress: Progress) -> None:
-        writer.write(_diagnostics(rig, progress))
-        if progress.final:
-            writer.wait_for_acks(duration(seconds=1))
 
     begun = time.monotonic()
     told, progress, silent = begun, Progress(0, 0.0, 0, reason="no sample yet"), True
@@ -282,10 +283,13 @@ def calibrate_topics(
         found = session.poll()
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress
-            publish(progress)
+            writer.write(_diagnostics(rig, progress))
         silent = _told_silence(silent, counts, begun, readers, complain)
     counts.lost = sum(lost(reader) for _, reader in readers)
-    return counts, publish
+    final = session.finish(folder)
+    writer.write(_diagnostics(rig, final))
+    writer.wait_for_acks(duration(seconds=1))
+    return counts, final
 
 
 def _diagnostics(rig: Rig, progress: Progress) -> DiagnosticArray:

@@ -37,6 +37,7 @@ _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _PREFIX = "rt/"  # of a ROS topic among those of DDS
 _TAKEN_AT_ONCE = 256
 _WRITTEN = 1000  # messages kept for a reader that is slow
+_UNREADABLE = "1.15"  # Fast DDS, whose descriptions of types Cyclone cannot read: names of types must do
 _MOST_INDEX = 32  # as many participants on this machine are looked for, where there is no multicast
 
 _Message = TypeVar("_Message", bound=IdlStruct)
@@ -54,35 +55,35 @@ def domain_id() -> int:
     return int(text)
 
 
-def configuration() -> str | None:
+def configuration() -> str:
     """Cyclone's settings for ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and ROS_STATIC_PEERS.
 
-    None for its own, or those of CYCLONEDDS_URI, which come first.
+    CYCLONEDDS_URI comes before all of these.
     """
-    if os.environ.get("CYCLONEDDS_URI"):
-        return None
+    common = f"<Compatibility><IgnoreTypeInformation>{_UNREADABLE}</IgnoreTypeInformation></Compatibility>"
+    given = os.environ.get("CYCLONEDDS_URI", "")
+    if given:
+        return f"{_settings(common)},{given}"
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
     local = reach == "LOCALHOST" or (not reach and os.environ.get("ROS_LOCALHOST_ONLY") == "1")
-    peers = [peer for peer in os.environ.get("ROS_STATIC_PEERS", "").split(";") if peer.strip()]
+    peers = [peer.strip() for peer in os.environ.get("ROS_STATIC_PEERS", "").split(";") if peer.strip()]
     for peer in peers:
-        if not re.fullmatch(r"[\w.:%-]+", peer.strip()):
+        if not re.fullmatch(r"[\w.:%-]+", peer):
             raise InputError.at(None, "ROS_STATIC_PEERS", f"`{peer}`", "addresses with semicolons between")
-    if not local and not peers:
-        return None
-    interfaces = '<Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
-    peers += ["127.0.0.1"] if local else []
-    return (
-        f'<CycloneDDS><Domain Id="any"><General>{interfaces * local}'
-        f"<AllowMulticast>{'false' if local else 'true'}</AllowMulticast></General>"
-        f"<Discovery><ParticipantIndex>auto</ParticipantIndex>"
-        f"<MaxAutoParticipantIndex>{_MOST_INDEX}</MaxAutoParticipantIndex>"
-        f"<Peers>{''.join(f'<Peer Address={_quoted(peer)}/>' for peer in peers)}</Peers></Discovery>"
-        f"</Domain></CycloneDDS>"
-    )
+    if local:
+        interface = '<NetworkInterface address="127.0.0.1" multicast="false"/>'
+        multicast = "<AllowMulticast>false</AllowMulticast>"
+        common += f"<General><Interfaces>{interface}</Interfaces>{multicast}</General>"
+        peers.append("127.0.0.1")
+    if peers:
+        addresses = "".join(f'<Peer Address="{peer}"/>' for peer in peers)
+        index = f"<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{_MOST_INDEX}"
+        common += f"<Discovery>{index}</MaxAutoParticipantIndex><Peers>{addresses}</Peers></Discovery>"
+    return _settings(common)
 
 
-def _quoted(peer: str) -> str:
-    return f'"{peer.strip()}"'
+def _settings(of_domain: str) -> str:
+    return f'<CycloneDDS><Domain Id="any">{of_domain}</Domain></CycloneDDS>'
 
 
 def ros_type(kind: type[IdlStruct]) -> str:
@@ -104,7 +105,7 @@ class Node:
     def __init__(self) -> None:
         domain, settings = domain_id(), configuration()
         try:
-            self._domain = None if settings is None else Domain(domain, settings)
+            self._domain = _configured(domain, settings)
             self._participant = DomainParticipant(domain, qos=Qos(Policy.Userdata(b"enclave=/;")))
             self._publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         except DDSException as error:
@@ -167,6 +168,16 @@ class Node:
         raise InputError.at(
             None, f"ROS 2, domain {domain_id()}", found, f"{expected}; seen: {seen or 'none'}"
         )
+
+
+def _configured(domain: int, settings: str) -> Domain | None:
+    """The domain, or None where this process has set it up before."""
+    try:
+        return Domain(domain, settings)
+    except DDSException as error:
+        if error.code != DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
+            raise
+        return None
 
 
 def taken(reader: DataReader[_Message]) -> Iterator[tuple[_Message, Any]]:

@@ -1,0 +1,249 @@
+"""Live in a ROS 2 graph: a real rclpy node (rmw_fastrtps_cpp) on the other side, loopback alone."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from truewrench.arm_simulation import simulate_arm
+from truewrench.calibration import Calibration, Verdict, load_calibration
+from truewrench.errors import InputError, UnsupportedError
+from truewrench.pipeline import calibrate
+from truewrench.rig import Rig
+from truewrench.stream.ros2 import Topics, calibrate_topics, correct_topic
+from truewrench.stream.ros2_node import configuration, domain_id, ros_type
+from truewrench.stream.ros2_types import TYPE_HASHES, Header, Time, WrenchStamped
+from truewrench.stream.session import LiveCalibration
+from truewrench.stream.stop import Stop
+
+HERE = Path(__file__).parent
+COMMAND = Path(sys.executable).with_name("truewrench")
+
+needs_rclpy = pytest.mark.skipif(
+    importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed: it is the other side"
+)
+
+Peer = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture(autouse=True)
+def graph(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ROS 2 of its own for every test, on loopback."""
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 99)))
+
+
+def start_peer(**asked: Any) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    command = [sys.executable, str(HERE / "ros2_peer.py")]
+    peer = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+    assert peer.stdin is not None
+    peer.stdin.write(json.dumps(asked))
+    peer.stdin.close()
+    peer.stdin = None
+    return peer
+
+
+@dataclass
+class Answer:
+    """What a peer printed, once it has ended; then the stream is stopped, too."""
+
+    stop: Stop
+    peer: subprocess.Popen[str]
+    said: dict[str, Any] | None = None
+
+    def wait(self) -> None:
+        assert self.peer.stdout is not None
+        self.said = json.loads(self.peer.stdout.readlines()[-1])
+        self.peer.wait()
+        self.stop.request()
+
+
+def samples(count: int) -> list[Any]:
+    draw = np.random.default_rng(5)
+    begin = 1_700_000_000_123_456_789
+    return [
+        [begin + 1_000_001 * k, f"tool{k % 3}", draw.normal(scale=20.0, size=6).tolist()]
+        for k in range(count)
+    ]
+
+
+@needs_rclpy
+def test_every_wrench_arrives_with_its_header_and_exact(calibration: Calibration) -> None:
+    sent, complaints = samples(1000), list[str]()
+    with Stop() as stop:
+        answer = Answer(stop, start_peer(wrenches=sent, listen=["/truewrench/wrench"], until=1000))
+        thread = threading.Thread(target=answer.wait)
+        thread.start()
+        counts = correct_topic(calibration, Topics(reliable=True), stop, complaints.append, 40.0)
+        thread.join()
+    assert answer.said is not None
+    received = answer.said["received"]
+    assert [message[:2] for message in received] == [message[:2] for message in sent]
+    raw = np.array([message[2] for message in sent])
+    wrench = np.linalg.solve(calibration.gain, (raw - calibration.offset).T).T
+    np.testing.assert_allclose([message[2] for message in received], wrench, rtol=1e-12, atol=1e-12)
+    assert (counts.received, counts.used, counts.refused, counts.lost) == (1000, 1000, 0, 0)
+    assert not complaints
+    # what `ros2 topic info -v` shows there is what it shows of ROS 2's own endpoints
+    of_ros = answer.said["own"]["/ft/wrench_raw"][0]
+    kind = "geometry_msgs/msg/WrenchStamped"
+    assert answer.said["endpoints"]["/truewrench/wrench"] == [[kind, of_ros, "RELIABLE"]]
+    assert answer.said["endpoints"]["/ft/wrench_raw"] == [[kind, of_ros, "RELIABLE"]]
+
+
+@needs_rclpy
+def test_command_refuses_wrong_messages_one_by_one_and_ends_by_a_signal(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    path = tmp_path / "calibration.yaml"
+    replace(calibration, verdict=Verdict(False, ("too short",))).write_yaml(path)
+    sent = samples(40)
+    sent[10][2][3] = math.nan
+    sent[11][2][0] = math.inf
+    sent[12][0] = 0
+    sent[13][0] = sent[8][0]  # older than those before
+    options = ["--ros2", "--wrench-topic", "/ft/wrench_raw", "--output-topic", "/corrected", "--json"]
+    pipe = subprocess.PIPE
+    live = subprocess.Popen([COMMAND, "stream", path, *options], stdout=pipe, stderr=pipe)
+    peer = start_peer(wrenches=sent, listen=["/corrected"], until=36, reliable=False)
+    said = json.loads(peer.communicate()[0])
+    live.send_signal(signal.SIGTERM)
+    out, err = live.communicate(timeout=20)
+    assert live.returncode == 3
+    good = [message for k, message in enumerate(sent) if k not in (10, 11, 12, 13)]
+    assert [message[:2] for message in said["received"]] == [message[:2] for message in good]
+    figures = json.loads(out)["figures"]
+    assert (figures["received"], figures["used"], figures["refused"]) == (40, 36, 4)
+    assert err.count(b"expected finite channels") == 2
+    assert b"no stamp" in err
+    assert b"expected time that increases" in err
+    assert said["endpoints"]["/ft/wrench_raw"][0][2] == "BEST_EFFORT"
+
+
+@needs_rclpy
+def test_joints_and_wrenches_of_two_topics_become_the_calibration_of_their_record(
+    arm_rig: Callable[..., Rig], tmp_path: Path
+) -> None:
+    rig = arm_rig(
+        "panda_ground",
+        plan={"duration": 6},
+        simulate={"rate": 100, "sensor_rate": 160},
+        recording={"wrench_topic": "/ft/wrench_raw", "joint_topic": "/joint_states"},
+        required=0.5,
+    )
+    simulated = simulate_arm(rig)
+    log, begin = simulated.log, 1_700_000_000_000_000_000
+    assert log.position is not None
+    assert log.velocity is not None
+    names = [f"panda_joint{k}" for k in range(1, 8)]
+    order = [3, 1, 0, 2, 6, 5, 4]  # a driver's own
+    told = ["finger", *(names[k] for k in order)]
+    wrenches, joints = [], []
+    for k, at in enumerate((log.time_ns + begin).tolist()):
+        if np.isfinite(log.raw[k]).all():
+            wrenches.append([at, "ft", log.raw[k].tolist()])
+        if np.isfinite(log.position[k]).all():
+            q, dq = log.position[k][order].tolist(), log.velocity[k][order].tolist()
+            joints.append([at, told, [0.02, *q], [0.0, *dq]])
+    peer = start_peer(wrenches=wrenches, joints=joints, diagnostics=True)
+
+    def end(stop: Stop, session: LiveCalibration) -> None:
+        deadline = time.monotonic() + 20.0
+        while session.record.samples < len(wrenches) + len(joints) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        stop.request()
+
+    with Stop() as stop, LiveCalibration(rig, "default") as session:
+        threading.Thread(target=end, args=[stop, session]).start()
+        named = Topics("/ft/wrench_raw", "/joint_states", reliable=True)
+        counts, final = calibrate_topics(session, tmp_path, named, stop, print, 40.0)
+    assert final.final
+    said = json.loads(peer.communicate()[0])
+    assert (counts.received, counts.refused) == (len(wrenches) + len(joints), 0)
+    made = load_calibration(tmp_path / "calibration.yaml")
+    expected = calibrate(rig, replace(log, time_ns=log.time_ns + begin, tracking=None), "online")
+    np.testing.assert_allclose(made.gain, expected.gain, rtol=1e-6, atol=1e-9)
+    assert np.abs((made.gain - simulated.truth.gain) / made.gain_std).max() < 5.0
+    level, name, message, values = said["diagnostics"][-1]
+    assert name == "truewrench: calibration"
+    assert values["final"] == "true"
+    assert np.array_equal(json.loads(values["gain"]), made.gain)
+    assert (level == 0) == (message == "usable") == made.verdict.usable
+    assert len(said["diagnostics"]) > 1  # and there was progress before
+    assert said["endpoints"]["/diagnostics"][0][0] == "diagnostic_msgs/msg/DiagnosticArray"
+    assert said["endpoints"]["/joint_states"][0][1] == said["own"]["/joint_states"][0]
+
+
+@pytest.mark.parametrize("kind", TYPE_HASHES)
+def test_type_hash_is_that_of_the_message_definition(kind: type[Any]) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    assert f"RIHS01_{TYPE_HASHES[kind]}" == store.hash_rihs01(ros_type(kind))
+
+
+@pytest.mark.parametrize("frame", ["", "ft", "tool0_1", "wörld"])
+def test_wrenches_are_packed_as_ros_2_packs_them(frame: str) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    message = WrenchStamped.of(Header(Time(1, 999_999_999), frame), [1.5, -2.0, 3.0, 4.0, 5.0, 1e-300])
+    other = store.deserialize_cdr(message.serialize(), "geometry_msgs/msg/WrenchStamped")
+    assert other.header.frame_id == frame
+    assert (other.header.stamp.sec, other.header.stamp.nanosec) == (1, 999_999_999)
+    assert (other.wrench.force.y, other.wrench.torque.z) == (-2.0, 1e-300)
+    for little in (True, False):
+        packed = bytes(store.serialize_cdr(other, "geometry_msgs/msg/WrenchStamped", little_endian=little))
+        assert WrenchStamped.deserialize(packed) == message
+
+
+def test_topic_that_nobody_publishes_is_named(
+    calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("truewrench.stream.ros2._PATIENCE", 0.2)
+    with Stop() as stop, pytest.raises(InputError, match="no topic of type geometry_msgs/msg/WrenchStamped"):
+        correct_topic(calibration, Topics(), stop, print, 1.0)
+
+
+def test_several_topics_of_a_type_are_listed(calibration: Calibration) -> None:
+    from truewrench.stream.ros2_node import Node
+
+    other = Node()
+    _kept = [other.writer(topic, WrenchStamped) for topic in ("/left/ft", "/right/ft")]
+    with Stop() as stop, pytest.raises(InputError, match="the topics /left/ft, /right/ft, expected one"):
+        correct_topic(calibration, Topics(), stop, print, 1.0)
+
+
+def test_twist_rig_in_gravity_is_refused_with_what_would_do(settings: dict[str, Any]) -> None:
+    rig = Rig.from_mapping({**settings, "gravity": [0, 0, -9.81]})
+    refused = pytest.raises(UnsupportedError, match="JSON lines with gx gy gz")
+    with Stop() as stop, LiveCalibration(rig, "default") as session, refused:
+        calibrate_topics(session, None, Topics(), stop, print, 1.0)
+
+
+def test_environment_of_ros_decides_who_is_met(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert 'NetworkInterface address="127.0.0.1"' in configuration()
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    assert "127.0.0.1" not in configuration()
+    monkeypatch.setenv("ROS_STATIC_PEERS", "192.0.2.1;robot.local")
+    assert '<Peer Address="192.0.2.1"/><Peer Address="robot.local"/>' in configuration()
+    monkeypatch.setenv("CYCLONEDDS_URI", "file:///etc/cyclone.xml")
+    assert configuration().endswith(",file:///etc/cyclone.xml")
+    assert "robot.local" not in configuration()
+    monkeypatch.setenv("ROS_DOMAIN_ID", "300")
+    with pytest.raises(InputError, match="0 to 232"):
+        domain_id()
