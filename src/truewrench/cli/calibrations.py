@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from truewrench.calibration import Calibration
     from truewrench.evidence import Evidence
 
-__all__ = ["apply", "calibrate", "validate"]
+__all__ = ["apply", "calibrate", "validate", "write_report_beside"]
 
 
 def calibrate(
@@ -84,7 +84,7 @@ def calibrate(
         target = output / "calibration.yaml"
         calibration.write_yaml(target)
         update("reporting", None)
-        reports = _report(output / "report.html", calibration, found)
+        reports = write_report_beside(target, calibration, found)
     exports = write_exports(calibration, output)
     for record in records:
         report_left_out(record)
@@ -109,8 +109,11 @@ def calibrate(
     )
 
 
-def _report(target: Path, calibration: Calibration, evidence: Sequence[Evidence]) -> list[Path]:
-    """Write the report, if there is evidence for one; its failure costs no more than the report."""
+def write_report_beside(
+    calibration_file: Path, calibration: Calibration, evidence: Sequence[Evidence]
+) -> list[Path]:
+    """Write report.html, if there is evidence for one; its failure costs no more than the report."""
+    target = calibration_file.with_name("report.html")
     try:
         target.unlink(missing_ok=True)  # of an earlier calibration: it would contradict this one
         from truewrench.report import write_report

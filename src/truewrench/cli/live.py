@@ -137,6 +137,8 @@ def _correct_lines(calibration: Calibration, stop: Stop, as_json: bool) -> dict[
 def _calibrate(
     rig: Rig, payload: str | None, folder: Path | None, topics: Topics | None, seconds: float, as_json: bool
 ) -> Outcome:
+    from truewrench.cli.calibrations import write_report_beside
+    from truewrench.exports import write_exports
     from truewrench.stream.session import CALIBRATION, RECORD, LiveCalibration, payload_of
     from truewrench.stream.stop import Stop
     from truewrench.summary import calibration_summary
@@ -153,11 +155,16 @@ def _calibrate(
 
             lines, final = calibrate_lines(session, folder, Output(silent=as_json), stop, _Complaints())
             figures = {"lines": lines.read, "refused": lines.refused}
-    calibration = final.calibration
-    assert calibration is not None
+        calibration, outputs = final.calibration, list[Path]()
+        assert calibration is not None
+        if folder is not None:
+            target = folder / CALIBRATION
+            exports = write_exports(calibration, folder)
+            reports = write_report_beside(target, calibration, session.evidence)
+            outputs = [target, folder / RECORD, *reports, *exports.written]
     found = {key: value for key, value in final.to_mapping().items() if key not in ("usable", "reasons")}
     return Outcome(
-        outputs=[] if folder is None else [folder / CALIBRATION, folder / RECORD],
+        outputs,
         figures={**figures, **found},
         verdict=verdict_of(calibration),
         words=lambda: calibration_summary(calibration),

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
+from truewrench.evidence import Evidence
 from truewrench.files import atomic_output
 from truewrench.io.tables import read_log, write_table
 from truewrench.log import Log
@@ -64,6 +65,7 @@ class LiveCalibration:
     Attributes:
         rig: as given.
         record: to be fed.
+        evidence: of the result, for a report on it.
     """
 
     def __init__(self, rig: Rig, payload: str) -> None:
@@ -71,6 +73,7 @@ class LiveCalibration:
             robot_of(rig)  # a fault of the robot is told before the first sample
         self.rig = rig
         self.record = Record()
+        self.evidence: list[Evidence] = []
         self._payload = payload
         self._worker = ThreadPoolExecutor(1)
         self._running: Future[Progress] | None = None
@@ -119,7 +122,7 @@ class LiveCalibration:
         target = None if folder is None else folder / RECORD
         with self._written(columns) as path:
             log = replace(self._read(path), path=target)
-            calibration = calibrate(self.rig, log, "online")
+            calibration = calibrate(self.rig, log, "online", evidence=self.evidence.append)
             if target is not None:
                 with atomic_output(target) as whole:
                     shutil.copyfile(path, whole)
