@@ -26,8 +26,8 @@ from truewrench.errors import InputError, UnsupportedError
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
 from truewrench.stream.ros2 import Topics, calibrate_topics, correct_topic
-from truewrench.stream.ros2_node import configuration, domain_id, ros_type
-from truewrench.stream.ros2_types import TYPE_HASHES, Header, Time, WrenchStamped
+from truewrench.stream.ros2_node import Node, configuration, domain_id, ros_type, taken
+from truewrench.stream.ros2_types import TYPE_HASHES, Float64MultiArray, Header, Time, WrenchStamped
 from truewrench.stream.session import LiveCalibration
 from truewrench.stream.stop import Stop
 
@@ -192,6 +192,51 @@ def test_joints_and_wrenches_of_two_topics_become_the_calibration_of_their_recor
     assert said["endpoints"]["/joint_states"][0][1] == said["own"]["/joint_states"][0]
 
 
+def test_arrays_of_more_channels_become_wrenches_at_their_sending(
+    calibration: Calibration, settings: dict[str, Any]
+) -> None:
+    draw = np.random.default_rng(11)
+    gain, offset, noise = draw.normal(size=(8, 6)), draw.normal(size=8), draw.uniform(0.5, 2.0, size=8)
+    names = [f"gauge{k}" for k in range(8)]
+    sensor = {**settings["sensor"], "channels": names, "noise": noise.tolist(), "nominal_gain": gain.tolist()}
+    more = replace(
+        calibration,
+        rig=Rig.from_mapping({**settings, "sensor": sensor}),
+        gain=gain,
+        offset=offset,
+        covariance=1e-6 * np.eye(56),
+    )
+    other = Node()
+    writer = other.writer("/gauges", Float64MultiArray)
+    reader = other.reader("/truewrench/wrench", WrenchStamped, reliable=True)
+    sent = draw.normal(scale=10.0, size=(5, 8))
+    found: list[Any] = []
+
+    def play(stop: Stop) -> None:
+        end = time.monotonic() + 10.0
+        while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
+            time.sleep(0.02)
+        begun = time.time_ns()
+        for row in [*sent, sent[0][:6]]:  # the last one has too few
+            writer.write(Float64MultiArray(data=row.tolist()))
+        while len(found) < len(sent) and time.monotonic() < end:
+            found.extend(message for message, _ in taken(reader))
+            time.sleep(0.02)
+        assert all(begun <= message.header.stamp.ns <= time.time_ns() for message in found)
+        stop.request()
+
+    complaints: list[str] = []
+    with Stop() as stop:
+        thread = threading.Thread(target=play, args=[stop])
+        thread.start()
+        correct_topic(more, Topics(reliable=True), stop, complaints.append, 15.0)
+        thread.join()
+    weight = np.diag(noise**-2.0)
+    wrench = np.linalg.solve(gain.T @ weight @ gain, gain.T @ weight @ (sent - offset).T).T
+    np.testing.assert_allclose([message.values for message in found], wrench, rtol=1e-9, atol=1e-9)
+    assert complaints == ["/gauges: found 6 numbers, expected 8: one per channel"]
+
+
 @pytest.mark.parametrize("kind", TYPE_HASHES)
 def test_type_hash_is_that_of_the_message_definition(kind: type[Any]) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -220,8 +265,6 @@ def test_topic_that_nobody_publishes_is_named(
 
 
 def test_several_topics_of_a_type_are_listed(calibration: Calibration) -> None:
-    from truewrench.stream.ros2_node import Node
-
     other = Node()
     _kept = [other.writer(topic, WrenchStamped) for topic in ("/left/ft", "/right/ft")]
     with Stop() as stop, pytest.raises(InputError, match="the topics /left/ft, /right/ft, expected one"):

@@ -20,7 +20,6 @@ _COLUMNS = frozenset(
     [*TWIST, *GRAVITY, *ACCELERATION, *SPECIFIC_FORCE, *REFERENCE, *BASE_TWIST, *BASE_ATTITUDE, "temperature"]
 )
 _JOINT = re.compile(r"d?q_.+")
-_RAW = re.compile(r"raw_\d+")
 _LARGEST_SECONDS = 9e9  # int64 nanoseconds end at 9.22e9 s
 
 
@@ -71,7 +70,7 @@ def _object(line: bytes) -> dict[str, Any]:
     if len(line) > LONGEST:
         raise LineError(f"found more than {LONGEST} bytes, expected one object a line")
     try:
-        data = json.loads(line.decode("utf-8-sig"), parse_constant=_refuse, object_pairs_hook=_unique)
+        data = _DECODER.decode(line.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise LineError("found bytes that are not UTF-8, expected a JSON object") from None
     except json.JSONDecodeError as error:
@@ -94,6 +93,9 @@ def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
         twice = next(key for k, key in enumerate(keys) if key in keys[:k])
         raise LineError(f"`{twice}`: found a second time, expected every key once")
     return data
+
+
+_DECODER = json.JSONDecoder(parse_constant=_refuse, object_pairs_hook=_unique)
 
 
 def _number(key: str, value: Any) -> float:
@@ -129,7 +131,7 @@ def _time(data: dict[str, Any]) -> tuple[int, tuple[str, int | float]]:
 
 
 def _raw(data: dict[str, Any], n: int) -> tuple[float, ...] | None:
-    names = [key for key in data if _RAW.fullmatch(key)]
+    names = [key for key in data if key.startswith("raw_") and key[4:].isdecimal()]
     if "raw" in data:
         values = data["raw"]
         if names:
