@@ -18,13 +18,14 @@ CORE_SOURCES := pyproject.toml CMakeLists.txt $(wildcard cmake/*) \
   $(HEADERS) $(wildcard bindings/*)
 CXX_FILES = $(shell git ls-files -co --exclude-standard '*.hpp' '*.cpp')
 
-.PHONY: help demo test test-cpp test-python bench campaigns lint tidy format stubs lock figures clean
+.PHONY: help demo test test-cpp test-python bench campaigns docs lint tidy format stubs lock figures clean
 
 help:
 	@echo "make demo     the case of the paper, from motion to pictures, in out/demo"
 	@echo "make test     all tests, C++ and Python"
 	@echo "make bench    time per sample beside other filters, accuracy over a few seeds"
 	@echo "make campaigns  random rigs and whole arms in search of failures, RUNS=$(RUNS) of each; goes on where it stood"
+	@echo "make docs     the documentation as a site, in out/docs"
 	@echo "make lint     format, types and static checks; make format repairs what can be repaired"
 	@echo "make tidy     clang-tidy over every C++ test, some minutes"
 	@echo "make stubs    type stubs of the compiled modules, after a change of bindings/"
@@ -80,6 +81,9 @@ campaigns: $(VENV)/.built $(VENV)/.dev
 	  $(BIN)/python benchmarks/$$name.py --runs $(RUNS) --workers $(WORKERS) --out out/campaigns/$$name || exit 1; done
 	$(BIN)/python benchmarks/setup_sweep.py --runs $(RUNS) --healthy $(RUNS) --end-to-end $(RUNS) \
 	  --workers $(WORKERS) --out out/campaigns/setup_sweep
+
+docs: $(VENV)/.built $(VENV)/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 lint: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/ruff check .

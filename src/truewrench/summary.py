@@ -186,8 +186,7 @@ def exports_summary(exports: Exports) -> Iterator[RenderableType]:
     """What files in the formats of others lose or could not hold; nothing where there is nothing to say."""
     lines = [
         f"{name} cannot hold the whole gain: within the range it errs by up to {_largest(loss.worst)}, "
-        f"RMS {_largest(loss.rms)}; without calibration up to {_largest(loss.worst_before)}, "
-        f"RMS {_largest(loss.rms_before)}."
+        f"RMS {_largest(loss.rms)} (without calibration {_largest(loss.rms_before)})."
         for name, loss in exports.loss.items()
     ]
     lines += [f"No {name}: {reason}." for name, reason in exports.left_out.items()]
