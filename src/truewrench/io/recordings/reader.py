@@ -22,8 +22,8 @@ __all__ = ["Batch", "Recording", "Topic", "is_recording", "open_recording", "sha
 
 _MAGIC = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG ": ".bag", b"SQLite f": ".db3"}
 _FORMATS = {".mcap": "MCAP", ".bag": "ROS 1 bag", ".db3": "SQLite of rosbag2", "": "rosbag2"}
-_BATCH = 4096  # messages decoded at once,
-_BYTES = 4 << 20  # or as many as these bytes hold
+_BATCH = 4096  # messages of a topic decoded at once,
+_BYTES = 8 << 20  # or as many of all topics as these bytes hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +52,13 @@ class Batch:
     topic: Topic
     receive: npt.NDArray[np.int64]
     messages: list[bytes]
+
+
+@dataclass(slots=True)
+class _Gathered:
+    topic: Topic
+    stamps: list[int] = field(default_factory=list)
+    messages: list[bytes] = field(default_factory=list)
 
 
 class Recording:
@@ -97,25 +104,31 @@ class Recording:
         connections = [c for key in chosen for c in self._connections[key]]
         if not connections:
             return
-        gathered: dict[str, tuple[list[int], list[bytes]]] = {key: ([], []) for key in chosen}
-        sizes = dict.fromkeys(chosen, 0)
-        keys = {(c.topic, c.msgtype): f"{c.topic}\n{c.msgtype}" for c in connections}
+        gathered = {(topic.name, topic.type_name): _Gathered(topic) for topic in chosen.values()}
         self._read = dict.fromkeys(chosen, 0)
+        size = 0
         for total, (connection, stamp, data) in enumerate(self._messages(connections), 1):
-            key = keys[connection.topic, connection.msgtype]
-            stamps, messages = gathered[key]
-            stamps.append(stamp)
-            messages.append(bytes(data))
-            sizes[key] += len(data)
-            self._read[key] += 1
-            if len(messages) >= _BATCH or sizes[key] >= _BYTES:
-                yield Batch(chosen[key], np.array(stamps, dtype=np.int64), messages)
-                gathered[key], sizes[key] = ([], []), 0
-                if progress is not None:
-                    progress(total)
-        for key, (stamps, messages) in gathered.items():
-            if messages:
-                yield Batch(chosen[key], np.array(stamps, dtype=np.int64), messages)
+            part = gathered[connection.topic, connection.msgtype]
+            part.stamps.append(stamp)
+            part.messages.append(bytes(data))
+            size += len(data)
+            if len(part.messages) >= _BATCH:
+                size -= sum(map(len, part.messages))
+                yield self._batch(part)
+            elif size >= _BYTES:
+                size = 0
+                yield from (self._batch(part) for part in gathered.values() if part.messages)
+            else:
+                continue
+            if progress is not None:
+                progress(total)
+        yield from (self._batch(part) for part in gathered.values() if part.messages)
+
+    def _batch(self, part: _Gathered) -> Batch:
+        topic, stamps, messages = part.topic, part.stamps, part.messages
+        part.stamps, part.messages = [], []
+        self._read[f"{topic.name}\n{topic.type_name}"] += len(messages)
+        return Batch(topic, np.array(stamps, dtype=np.int64), messages)
 
     def miscounted(self) -> list[str]:
         """Topics of which the last pass found another number of messages than the recording states."""
@@ -127,13 +140,8 @@ class Recording:
         ]
 
     def _messages(self, connections: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        messages = self._reader.messages(connections=connections)
-        while True:
-            with _faults_of(self.path):
-                item = next(messages, None)
-            if item is None:
-                return
-            yield item
+        with _faults_of(self.path):
+            yield from self._reader.messages(connections=connections)
 
 
 def is_recording(path: Path) -> bool:
