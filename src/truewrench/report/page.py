@@ -19,7 +19,7 @@ from typing import Any
 import jinja2
 import numpy as np
 import yaml
-from bokeh.embed.util import OutputDocumentFor, standalone_docs_json_and_render_items
+from bokeh.document import Document
 from bokeh.resources import Resources
 from markupsafe import Markup
 
@@ -70,11 +70,10 @@ def page(calibration: Calibration, evidence: Evidence) -> str:
 
 def _embedded(shown: Figure) -> dict[str, Any]:
     """Bokeh's document of one figure and its place: each is drawn when it comes into sight."""
-    with OutputDocumentFor([shown.plot]):
-        documents, (item,) = standalone_docs_json_and_render_items([shown.plot])
-    place = item.to_json()
-    place["roots"] = {shown.plot.id: shown.key}
-    return {"documents": documents, "place": place}
+    document = Document()
+    document.add_root(shown.plot)
+    place = {"docid": shown.key, "roots": {shown.plot.id: shown.key}, "root_ids": [shown.plot.id]}
+    return {"documents": {shown.key: document.to_json(deferred=False)}, "place": place}
 
 
 @cache
