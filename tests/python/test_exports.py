@@ -160,22 +160,29 @@ def test_loss_of_the_broadcaster_is_that_of_its_own_arithmetic(
     np.testing.assert_allclose([float(x) for x in worst.split(": ")[1].split()], loss.worst, rtol=1e-3)
 
 
-def test_gravity_compensation_takes_bias_and_weight_away(calibration: Calibration, tmp_path: Path) -> None:
-    write_exports(calibration, tmp_path)
-    read = yaml.safe_load((tmp_path / "ft_calib_data.yaml").read_text())
+@pytest.mark.parametrize(("feels", "sign"), [("payload_on_sensor", 1.0), ("sensor_on_payload", -1.0)])
+def test_gravity_compensation_takes_bias_and_weight_away(
+    calibration: Calibration, settings: dict[str, Any], feels: str, sign: float, tmp_path: Path
+) -> None:
+    settings["sensor"]["feels"] = feels
+    write_exports(replace(calibration, rig=Rig.from_mapping(settings)), tmp_path)
+    text = (tmp_path / "ft_calib_data.yaml").read_text()
+    read = yaml.safe_load(text)
     payload = calibration.rig.payloads["default"]
     mass, lever = 50.1, payload.center_of_mass_array  # 50.1: what the data say of the mass
     for gravity in ([0, 0, -9.81], [3.0, -4.0, 8.4]):
-        weight = mass * np.array(gravity)  # on the sensor, as `payload_on_sensor` has it
-        raw = np.concatenate([weight, np.cross(lever, weight)]) + calibration.offset
+        weight = mass * np.array(gravity)
+        raw = sign * np.concatenate([weight, np.cross(lever, weight)]) + calibration.offset
         imu = -np.array(gravity)
-        # gravity_compensation.cpp (1.2.0 with its sign of gravity mended): Zero, then Compensate
-        force = -imu * read["gripper_mass"]
+        # gravity_compensation.cpp: Zero, then Compensate; its gravity is -imu since May 2021, before it was imu
+        force = -sign * imu * read["gripper_mass"]
         gripper = np.concatenate([force, np.cross(read["gripper_com_pose"][:3], force)])
         np.testing.assert_allclose(raw - read["bias"] - gripper, 0, atol=1e-9)
     assert read["gripper_com_pose"][3:] == [0, 0, 0]
     assert read.keys() >= {"gripper_com_frame_id", "gripper_com_child_frame_id"}  # the node wants both
-    assert "set bias to zero" in (tmp_path / "ft_calib_data.yaml").read_text()
+    assert "set bias to zero" in text
+    suited = "sources of May 2021 and later, not" if sign > 0 else "of releases up to 1.2.0, not"
+    assert suited in text
 
 
 def test_formats_that_cannot_hold_more_channels_are_left_out(
@@ -208,15 +215,6 @@ def test_a_raw_unit_of_its_own_is_no_obstacle_to_factors_but_to_weights(
     name = f"{BROADCASTER}.yaml"
     np.testing.assert_allclose(exports.loss[name].rms, newtons.loss[name].rms)
     np.testing.assert_allclose(exports.loss[name].worst_before, newtons.loss[name].worst_before)
-
-
-def test_a_sensor_that_feels_the_opposite_gets_no_file_that_subtracts_weights(
-    calibration: Calibration, settings: dict[str, Any], tmp_path: Path
-) -> None:
-    settings["sensor"]["feels"] = "sensor_on_payload"
-    exports = write_exports(replace(calibration, rig=Rig.from_mapping(settings)), tmp_path)
-    assert exports.left_out.keys() == {"ft_calib_data.yaml"}
-    assert "sensor_on_payload" in (tmp_path / "matrix.txt").read_text()
 
 
 def test_an_axis_that_its_channel_does_not_feel_is_no_factor(

@@ -1,7 +1,8 @@
 """`ft_calib_data.yaml` of force_torque_tools, whose node `gravity_compensation` reads it.
 
 The node subtracts `bias` from the wrench that it receives, and then the weight of the gripper: m g in the
-force, com x m g in the torque, with g as an accelerometer at rest tells it. It knows no gain.
+force, com x m g in the torque. It knows no gain. Up to its release 1.2.0, g was what an accelerometer at rest
+reads, upward; since then (May 2021) it is the opposite: each suits one of the two signs of `feels`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,10 @@ from truewrench.exports.words import introduction, line, losses
 __all__ = ["loss", "unfit", "write"]
 
 _FRAME = "ft_sensor"
+_SUITED = {
+    "payload_on_sensor": "the sources of May 2021 and later, not releases up to 1.2.0",
+    "sensor_on_payload": "releases up to 1.2.0, not the sources of May 2021 and later",
+}
 
 
 def unfit(calibration: Calibration) -> str | None:
@@ -25,8 +30,6 @@ def unfit(calibration: Calibration) -> str | None:
     sensor = calibration.rig.sensor
     if not np.array_equal(sensor.nominal_gain_array, np.eye(sensor.n, 6)):
         return "it wants the wrench in N and N m; the raw channels of this sensor are something else"
-    if sensor.feels != "payload_on_sensor":
-        return "it subtracts the payload's weight, whose opposite is felt with `feels: sensor_on_payload`"
     return None
 
 
@@ -37,6 +40,7 @@ def loss(calibration: Calibration) -> Loss:
 
 def write(calibration: Calibration, path: Path) -> None:
     """Bias, mass and centre of mass of the payload that the last log carried."""
+    sensor = calibration.rig.sensor
     name = calibration.logs[-1].payload
     payload = calibration.rig.payloads[name]
     body = calibration.payload_posterior.get(name, {})
@@ -44,6 +48,7 @@ def write(calibration: Calibration, path: Path) -> None:
     center = body.get("center_of_mass", payload.center_of_mass)
     words = [
         *introduction(calibration),
+        f"Fits gravity_compensation of {_SUITED[sensor.feels]}: else the weight would be added.",
         "For the driver's wrench: bias and weight are subtracted from it, its gain is not corrected.",
         "For a wrench that is corrected already (`truewrench stream`) set bias to zero.",
         *losses(loss(calibration)),
