@@ -174,7 +174,7 @@ def test_gravity_compensation_takes_bias_and_weight_away(
         weight = mass * np.array(gravity)
         raw = sign * np.concatenate([weight, np.cross(lever, weight)]) + calibration.offset
         imu = -np.array(gravity)
-        # gravity_compensation.cpp: Zero, then Compensate; its gravity is -imu since May 2021, before it was imu
+        # gravity_compensation.cpp: Zero, then Compensate; gravity is -imu since May 2021, before it was imu
         force = -sign * imu * read["gripper_mass"]
         gripper = np.concatenate([force, np.cross(read["gripper_com_pose"][:3], force)])
         np.testing.assert_allclose(raw - read["bias"] - gripper, 0, atol=1e-9)
