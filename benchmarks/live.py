@@ -4,9 +4,9 @@
     python benchmarks/live.py --duration 10 --rate 500
 
 A publisher (rclpy, rmw_fastrtps_cpp, reliable) sends stamped wrenches. Two receive them, each a process:
-truewrench, and an rclpy node that publishes what it receives and does nothing else. A subscriber to each of
-these, a process too, takes the time from the stamp to its callback. The first second is left out, in which
-everybody is still waking up.
+truewrench, and an rclpy node that publishes what it receives and does nothing else. A subscriber to both, which
+reads bytes so as to keep up, takes the time from the stamp to its callback. The first second is left out, in
+which everybody is still waking up.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,6 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0, help="of the stream [s]")
     parser.add_argument("--rate", type=float, default=1000.0, help="of its samples [Hz]")
     parser.add_argument("--role", choices=["publish", "echo", "measure"], help="of a process of its own")
-    parser.add_argument("--topic", default=SOURCE, help="that the role is about")
     parser.add_argument("--count", type=int, default=0, help="messages that the role is about")
     arguments = parser.parse_args()
     if arguments.role is not None:
@@ -47,7 +47,7 @@ def main() -> None:
         elif arguments.role == "echo":
             echo()
         else:
-            measure(arguments.topic, arguments.count)
+            measure(arguments.count)
         return
     table(round(arguments.duration * arguments.rate), arguments.rate)
 
@@ -67,9 +67,9 @@ def table(count: int, rate: float) -> None:
         command += ["--ros2", "--reliable", "--wrench-topic", SOURCE, "--json"]
         live = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         echoing = role("echo")
-        measuring = {topic: role("measure", topic, count) for topic in (OUTPUT, ECHO)}
-        publishing = role("publish", SOURCE, count, rate)
-        found = {topic: json.loads(process.communicate()[0]) for topic, process in measuring.items()}
+        measuring = role("measure", count)
+        publishing = role("publish", count, rate)
+        found = json.loads(measuring.communicate()[0])
         for process in (live, echoing):
             process.send_signal(signal.SIGINT)
         figures = json.loads(live.communicate()[0])["figures"]
@@ -85,9 +85,8 @@ def table(count: int, rate: float) -> None:
         print(f"| {name} | {lost} | {median:.0f} µs | {high:.0f} µs | {kept.max():.0f} µs |")
 
 
-def role(name: str, topic: str = SOURCE, count: int = 0, rate: float = 0.0) -> subprocess.Popen[str]:
-    command = [sys.executable, __file__, "--role", name, "--topic", topic]
-    command += ["--count", str(count), "--rate", str(rate)]
+def role(name: str, count: int = 0, rate: float = 0.0) -> subprocess.Popen[str]:
+    command = [sys.executable, __file__, "--role", name, "--count", str(count), "--rate", str(rate)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
@@ -147,37 +146,46 @@ def publish(count: int, rate: float) -> None:
     time.sleep(2.0)
 
 
-def echo() -> None:
+def spin(made: Any) -> None:
     import rclpy
     from rclpy.executors import ExternalShutdownException
 
-    made, kind, quality = node("echo")
-    publisher = made.create_publisher(kind, ECHO, quality)
-    made.create_subscription(kind, SOURCE, publisher.publish, quality)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(made)
 
 
-def measure(topic: str, count: int) -> None:
-    """Index and latency [ns] of every message, read from its bytes so as to keep up."""
-    from rclpy.executors import SingleThreadedExecutor
+def echo() -> None:
+    made, kind, quality = node("echo")
+    publisher = made.create_publisher(kind, ECHO, quality)
+    made.create_subscription(kind, SOURCE, publisher.publish, quality)
+    spin(made)
 
+
+def measure(count: int) -> None:
+    """By topic, index and latency [ns] of every message."""
     made, kind, quality = node("measure")
-    found: list[tuple[int, int]] = []
+    found: dict[str, list[tuple[int, int]]] = {OUTPUT: [], ECHO: []}
+    last = time.monotonic()
 
-    def note(message: bytes) -> None:
+    def note(message: bytes, of: list[tuple[int, int]]) -> None:
         now = time.time_ns()
         sec, nanosec, length = struct.unpack_from("<iII", message, 4)
-        found.append((int(message[16 : 15 + length]), now - sec * 1_000_000_000 - nanosec))
+        of.append((int(message[16 : 15 + length]), now - sec * 1_000_000_000 - nanosec))
 
-    made.create_subscription(kind, topic, note, quality, raw=True)
-    executor = SingleThreadedExecutor()
-    executor.add_node(made)
-    last, seen = time.monotonic(), 0
-    # until everything has come, or nothing has for a while after the stream has begun
-    while seen < count and (not seen or time.monotonic() - last < 5.0):
-        executor.spin_once(timeout_sec=0.5)
-        last, seen = (time.monotonic() if len(found) > seen else last), len(found)
+    for topic, of in found.items():
+        made.create_subscription(kind, topic, partial(note, of=of), quality, raw=True)
+    seen = 0
+
+    def end() -> None:
+        """Once everything has come, or nothing has for a while after the stream has begun."""
+        nonlocal last, seen
+        now = sum(map(len, found.values()))
+        last, seen = (time.monotonic() if now > seen or not now else last), now
+        if seen == 2 * count or time.monotonic() - last > 5.0:
+            raise KeyboardInterrupt
+
+    made.create_timer(0.5, end)
+    spin(made)
     print(json.dumps(found))
 
 
