@@ -174,14 +174,14 @@ READERS = {
 
 
 def memory(folder: Path, size: float) -> None:
-    print("| reading | GB | s | peak memory, MB |\n|---|---|---|---|")
+    print("| reading | GB | peak memory, MB |\n|---|---|---|")
     for share in (0.1, 1.0):
         part = folder / str(share)
         part.mkdir()
         _, path = arm_run(part, "mcap", 60.0 * share, int(1000 * size * share))
         for words, code in READERS.items():
             script = f"""
-import resource, sys, time
+import resource, sys
 from pathlib import Path
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import recordings
@@ -192,13 +192,11 @@ from truewrench.apply_recording import apply_to_recording
 from truewrench.inspect_recording import inspect_recording
 from truewrench.rig import load_rig
 path, rig = Path({str(path)!r}), load_rig(robots.path("panda"))
-started = time.perf_counter()
 {code}
-print(time.perf_counter() - started, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
             done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-            spent, peak = map(float, done.stdout.split())
-            print(f"| {words} | {size * share:.1f} | {spent:.1f} | {peak:.0f} |", flush=True)
+            print(f"| {words} | {size * share:.1f} | {float(done.stdout):.0f} |", flush=True)
 
 
 def calibration_of(rig: Rig) -> Any:

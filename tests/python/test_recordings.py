@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from bags import KINDS, Bag, record
 
 from truewrench.errors import InputError
@@ -82,6 +83,35 @@ def test_sha256_of_a_folder_is_that_of_its_list(run: tuple[Rig, Columns], tmp_pa
     folder = record(tmp_path / "run", "mcap", run[1])
     lines = subprocess.run("LC_ALL=C sha256sum *", shell=True, cwd=folder, capture_output=True, check=True)
     assert read_log(folder, run[0]).sha256 == hashlib.sha256(lines.stdout).hexdigest()
+
+
+def test_recording_split_over_files_is_one_log(run: tuple[Rig, Columns], tmp_path: Path) -> None:
+    rig, columns = run
+    half = len(columns["time_ns"]) // 2
+    parts = [
+        {name: values[rows] for name, values in columns.items()} for rows in (slice(half), slice(half, None))
+    ]
+    first, second = (record(tmp_path / name, "mcap", part) for name, part in zip("ab", parts, strict=True))
+    shutil.copy(second / "b.mcap", first)
+    said = [yaml.safe_load((folder / "metadata.yaml").read_text()) for folder in (first, second)]
+    whole, rest = (each["rosbag2_bagfile_information"] for each in said)
+    whole["relative_file_paths"] += rest["relative_file_paths"]
+    whole["message_count"] += rest["message_count"]
+    for topic, more in zip(*(each["topics_with_message_count"] for each in (whole, rest)), strict=True):
+        topic["message_count"] += more["message_count"]
+    (first / "metadata.yaml").write_text(yaml.safe_dump(said[0]))
+    log = read_log(first, rig)
+    np.testing.assert_array_equal(log.time_ns, columns["time_ns"])
+    np.testing.assert_array_equal(log.raw[:, 2], columns["raw_2"])
+    assert log.notes == ()
+
+
+def test_number_of_messages_other_than_stated_is_noted(run: tuple[Rig, Columns], tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", "mcap", run[1])
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(text.replace("message_count: 400", "message_count: 500"))
+    notes = read_log(folder, run[0]).notes
+    assert notes == ("/ft/wrench: 400 messages, though the recording counts 500",)
 
 
 def test_log_says_its_payload(run: tuple[Rig, Columns], tmp_path: Path) -> None:
