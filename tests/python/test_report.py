@@ -6,13 +6,14 @@ import shutil
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from truewrench.calibration import Calibration, Verdict
+from truewrench.calibration import AXES, Calibration
 from truewrench.evidence import Evidence
 from truewrench.log import Log
 from truewrench.pipeline import calibrate
@@ -105,7 +106,7 @@ def settings_of(n: int = 6, duration: float = 10.0, rate: float = 100.0, **senso
         },
         "motion": {"source": "twist", "of": "com", "noise": [1e-3] * 6},
         "plan": {"duration": duration},
-        "simulate": {"rate": rate, "sensor_rate": rate},
+        "simulate": {"rate": rate, "sensor_rate": rate, "gain": (1.05 * rows).tolist()},
     }
 
 
@@ -149,7 +150,7 @@ def weights(rig: Rig) -> Log:
 
 
 def still(log: Log) -> Log:
-    """A log whose motion nothing fits."""
+    """A log that no motion fits."""
     draw = np.random.default_rng(0)
     assert log.twist is not None
     return replace(log, twist=draw.normal(size=log.twist.shape))
@@ -219,3 +220,214 @@ def test_every_kind_of_calibration_has_a_report_without_faults(
         "[...document.querySelectorAll('main > section')].map(s => [s.id, s.innerText.split('\\n').length])"
     ):
         assert section[1] > 1, section
+
+
+@pytest.mark.parametrize(
+    ("size", "options"), [(DESKTOP, {}), (PHONE, {"is_mobile": True, "has_touch": True})]
+)
+def test_verdict_stands_in_the_first_viewport(
+    size: tuple[int, int], options: dict[str, Any], report: Path, opened: Callable[..., Page]
+) -> None:
+    shown = opened(report, size, **options)
+    shown.drawn()
+    assert shown.errors == []
+    box = shown.page.locator("#verdict h2").bounding_box()
+    assert box["y"] >= 0
+    assert box["y"] + box["height"] <= size[1]
+    said = shown.page.locator("#verdict p").first.bounding_box()
+    assert said["y"] + said["height"] <= size[1]
+    wide = shown.run("[document.documentElement.scrollWidth, innerWidth]")
+    assert wide[0] <= wide[1], "the page scrolls sideways"
+
+
+def test_figures_show_what_was_calibrated_and_zoom_together(
+    report: Path, opened: Callable[..., Page]
+) -> None:
+    shown = opened(report)
+    shown.drawn()
+    names = shown.run("[...document.querySelectorAll('.plot')].map(p => p.getAttribute('aria-label'))")
+    assert [name.split()[2] for name in names if name.startswith("Residual of")] == list(AXES)
+    ranges = "Bokeh.documents.flatMap(d => d.roots()).map(f => f.x_range).filter(r => r && r.name == 'time')"
+    assert shown.run(f"{ranges}.length") >= 8
+    shown.page.locator("button[data-zoom=in]").press("Enter")
+    seen = shown.run(f"{ranges}.map(r => [r.start, r.end])")
+    assert all(np.allclose(pair, seen[0]) for pair in seen)
+    assert seen[0][1] - seen[0][0] == pytest.approx(0.5 * 9.99, rel=1e-3)
+    shown.page.locator("button[data-zoom=all]").click()
+    assert shown.run(f"{ranges}.map(r => r.start)")[0] == pytest.approx(0.0)
+
+
+def contrast(first: str, second: str) -> float:
+    """Of two colours as browsers tell them, by WCAG 2."""
+
+    def luminance(colour: str) -> float:
+        rgb = np.array([float(c) for c in colour[colour.index("(") + 1 : -1].split(",")[:3]]) / 255.0
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    light, dark = sorted([luminance(first), luminance(second)], reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+TEXTS = """[...document.querySelectorAll('main *')].filter(e => e.checkVisibility()
+    && [...e.childNodes].some(n => n.nodeType == 3 && n.textContent.trim())).map(e => {
+  let behind = e;
+  while (getComputedStyle(behind).backgroundColor == 'rgba(0, 0, 0, 0)') behind = behind.parentElement;
+  return [e.tagName + '.' + e.className, getComputedStyle(e).color, getComputedStyle(behind).backgroundColor];
+})"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_from_what_is_behind_it(
+    scheme: str, report: Path, opened: Callable[..., Page]
+) -> None:
+    shown = opened(report, color_scheme=scheme)
+    texts = shown.run(TEXTS)
+    assert len(texts) > 200
+    poor = {(name, a, b) for name, a, b in texts if contrast(a, b) < 4.5}
+    assert not poor
+    page = texts[0][2]
+    assert contrast(page, "rgb(0, 0, 0)" if scheme == "dark" else "rgb(255, 255, 255)") < 1.3
+    shown.drawn()
+    on_canvas = shown.run(
+        "getComputedStyle(document.querySelector('.plot')).getPropertyValue('--bk-axis-label-text-color')"
+    )
+    rgb = shown.run(
+        f"(e => {{ e.style.color = '{on_canvas.strip()}'; return getComputedStyle(e).color }})(document.body)"
+    )
+    assert contrast(rgb, page) >= 4.5
+
+
+def test_structure_can_be_heard_and_reached_by_keys(report: Path, opened: Callable[..., Page]) -> None:
+    shown = opened(report)
+    shown.drawn()
+    assert shown.run("document.documentElement.lang") == "en"
+    assert shown.page.title().startswith("Usable")
+    levels = shown.run("[...document.querySelectorAll('h1,h2,h3,h4,h5,h6')].map(h => +h.tagName[1])")
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    assert shown.run("[...document.querySelectorAll('th')].every(h => ['col', 'row'].includes(h.scope))")
+    assert shown.run("[...document.querySelectorAll('table')].every(t => t.caption.textContent.trim())")
+    assert shown.run("[...document.querySelectorAll('img')].every(i => i.alt)")
+    assert shown.run("[...document.querySelectorAll('.plot')].every(p => p.role == 'img' && p.ariaLabel)")
+    assert shown.run("[...document.querySelectorAll('figcaption')].every(c => c.innerText.length > 20)")
+    # what scrolls can be focused, what is a region has a name, what is a link has a target
+    assert shown.run("[...document.querySelectorAll('.scroll')].every(s => s.tabIndex == 0 && s.ariaLabel)")
+    assert shown.run(
+        "[...document.querySelectorAll('section')].every("
+        "s => document.getElementById(s.getAttribute('aria-labelledby')))"
+    )
+    assert shown.run("[...document.querySelectorAll('nav a')].every(a => document.querySelector(a.hash))")
+    identifiers = shown.run("[...document.querySelectorAll('[id]')].map(e => e.id)")
+    assert len(identifiers) == len(set(identifiers))
+
+
+def test_names_from_files_are_shown_and_do_nothing(
+    log: Log, opened: Callable[..., Page], tmp_path: Path
+) -> None:
+    settings = settings_of(channels=[f"{HOSTILE}{i}" for i in range(6)])
+    settings["payloads"] = {HOSTILE: settings["payloads"]["default"]}
+    hostile = replace(
+        touched(log), payload=HOSTILE, path=Path(HOSTILE.replace("/", "\\") + ".csv"), nan_counts={HOSTILE: 1}
+    )
+    calibration, evidence = found_by(Rig.from_mapping(settings), hostile, held_out=False)
+    verdict = replace(calibration.verdict, usable=False, reasons=(HOSTILE,))
+    path = tmp_path / "report.html"
+    write_report(path, replace(calibration, verdict=verdict, created=HOSTILE), evidence)
+    shown = opened(path)
+    shown.drawn()
+    assert shown.dialogs == []
+    assert shown.errors == []
+    assert shown.requests == [path.as_uri()]
+    assert shown.run("document.querySelectorAll('main img, main script').length") == 0
+    assert shown.run("document.scripts.length") == 3
+    assert HOSTILE[:20] in shown.page.inner_text("#verdict")
+    assert HOSTILE[:20] in shown.page.inner_text("#gain")
+
+
+def test_policy_lets_no_script_of_others_run_and_nothing_out(
+    report: Path, opened: Callable[..., Page]
+) -> None:
+    shown = opened(report)
+    policy = shown.run("document.querySelector('meta[http-equiv=Content-Security-Policy]').content")
+    assert "default-src 'none'" in policy
+    scripts = next(part for part in policy.split(";") if part.strip().startswith("script-src"))
+    assert "unsafe" not in scripts
+    shown.run(
+        "document.body.insertAdjacentHTML('beforeend', '<img src=https://example.org/x onerror=alert(1)>')"
+    )
+    shown.run("fetch('https://example.org/').catch(() => 0)")
+    shown.page.wait_for_timeout(100)
+    assert shown.dialogs == []
+    assert any("Content Security Policy" in said for said in shown.errors)
+
+
+def test_a_minute_at_a_kilohertz_stays_below_4_mb(found: Found, tmp_path: Path) -> None:
+    calibration, evidence = found
+    log, estimate = evidence.logs[0], evidence.estimate
+    times = 60  # of 10 s at 100 Hz, its samples repeated at 1 kHz for a minute
+    long = replace(
+        log,
+        time_ns=10**6 * np.arange(times * len(log.time_ns)),
+        raw=np.tile(log.raw, (times, 1)),
+        twist=np.tile(log.twist, (times, 1)),  # type: ignore[arg-type]
+    )
+    stretched = replace(
+        estimate,
+        wrench=(np.tile(estimate.wrench[0], (times, 1)),),  # type: ignore[union-attr]
+        wrench_rows=(np.arange(times * len(estimate.wrench_rows[0])),),  # type: ignore[union-attr]
+    )
+    path = tmp_path / "report.html"
+    write_report(path, calibration, Evidence((long,), stretched))
+    assert len(long.time_ns) == 60_000
+    assert path.stat().st_size < LARGEST
+
+
+def test_peaks_survive_decimation() -> None:
+    from truewrench.report.series import Record, Series
+    from truewrench.report.statistics import envelope
+
+    draw = np.random.default_rng(5)
+    residual = draw.normal(size=(60_000, 6))
+    residual[31_234, 2], residual[777, 5] = 40.0, -30.0
+    residual[40_000:45_000] = np.nan
+    time = 1e-3 * np.arange(60_000)
+    nothing = np.zeros((60_000, 6))
+    series = Series(time, nothing, nothing, residual, np.ones(6), np.zeros((1, 6)), 0.0, 60.0)
+    drawn = envelope(Record((series,), ""))
+    assert drawn.bucket == pytest.approx(60.0 / 1500)
+    assert len(drawn.time) < 3100
+    np.testing.assert_array_equal(np.nanmax(drawn.values, axis=0), np.nanmax(residual, axis=0))
+    np.testing.assert_array_equal(np.nanmin(drawn.values, axis=0), np.nanmin(residual, axis=0))
+    gap = (drawn.time > 40.05) & (drawn.time < 44.9)
+    assert np.isnan(drawn.values[gap]).all()
+    peak = drawn.time[np.nanargmax(drawn.values[:, 2])]
+    assert abs(peak - 31.234) < drawn.bucket
+
+
+def test_a_report_that_fails_leaves_the_calibration(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import yaml
+
+    from truewrench import report as package
+    from truewrench.calibration import load_calibration
+    from truewrench.cli import main
+
+    def broken(*_: Any) -> str:
+        raise RuntimeError("no paper")
+
+    monkeypatch.setattr(package, "page", broken)
+    rig = Rig.from_mapping(settings_of())
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig.to_mapping()), encoding="utf-8")
+    simulate(rig, seed=1).write(tmp_path / "run.csv")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.html").write_text("of an earlier calibration")
+    with pytest.raises(SystemExit) as left:
+        main(["calibrate", str(tmp_path / "rig.yaml"), str(tmp_path / "run.csv"), "-o", str(tmp_path / "out"),
+              "--no-held-out"])  # fmt: skip
+    assert left.value.code == 0
+    assert "no paper" in capsys.readouterr().err
+    assert load_calibration(tmp_path / "out" / "calibration.yaml").verdict.usable
+    assert not (tmp_path / "out" / "report.html").exists()

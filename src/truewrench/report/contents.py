@@ -102,6 +102,12 @@ def _improvement(c: Calibration) -> Section:
 
 
 def _limits(c: Calibration) -> Section:
+    if not any(log.used for log in c.logs):
+        return Section(
+            "limits",
+            "What limits the accuracy",
+            ("Nothing of the record was used: all is as believed before.",),
+        )
     found = [tables.limits_table(c), tables.payload_table(c)]
     words = []
     source = findings.dominating(c)

@@ -51,7 +51,8 @@ def helps(calibration: Calibration) -> Iterator[str]:
         )
     if c.verdict.undetermined:
         yield (
-            "Move so that the directions named below vary on their own, or add a log with another payload: "
+            "Move so that the directions that are not determined vary on their own, or add a log with "
+            "another payload: "
             "several logs are pooled into one gain."
         )
     largest = float(c.gain_std_normalised.max(initial=0.0))
@@ -66,7 +67,7 @@ def helps(calibration: Calibration) -> Iterator[str]:
             f"The least certain gain has a sigma of {100 * largest:.2g} % of full scale, and "
             f"{100 * c.rig.required:.2g} % is required: {cure if source else more} would help most."
         )
-    worse = [axis for axis, judged in c.improvement.items() if judged.better is False]
+    worse = [axis for axis, judged in c.improvement.items() if judged.better is False and judged.held_out]
     if worse:
         yield (
             f"On {axes_listed(worse)} the nominal gain is better: check mass and centre of mass of the "

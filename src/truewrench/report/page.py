@@ -38,6 +38,8 @@ def page(calibration: Calibration, evidence: Evidence) -> str:
     """The whole report as HTML."""
     shown = sections(calibration, evidence)
     figures = {f.key: _embedded(f) for section in shown for f in section.figures}
+    reasons = " ".join(calibration.verdict.reasons)
+    told = all(direction.words in reasons for direction in calibration.verdict.undetermined)
     scripts = [*_bokeh(), _own("report.js")] if figures else []
     return _template().render(
         c=calibration,
@@ -47,7 +49,7 @@ def page(calibration: Calibration, evidence: Evidence) -> str:
         figures=_json(figures),
         sections=shown,
         helps=list(findings.helps(calibration)) if not calibration.verdict.usable else [],
-        undetermined=findings.undetermined_words(calibration),
+        undetermined=[] if told else findings.undetermined_words(calibration),
         notes=calibration.figures.get("notes") or [],
         stated=float(np.sqrt(np.mean(calibration.gain_std_normalised**2))),
         gain=tables.gain_table(calibration),

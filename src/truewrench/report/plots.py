@@ -193,7 +193,7 @@ def _figure(
     p = figure(
         height=height, sizing_mode="stretch_width", x_range=x, y_range=y, tools=[zoom], toolbar_location=None,
         active_drag=None, background_fill_color=None, border_fill_color=None, outline_line_color=None,
-        min_border_left=70, min_border_right=8, min_border_top=4, x_axis_label=x_label, y_axis_label=y_label,
+        min_border_left=78, min_border_right=8, min_border_top=4, x_axis_label=x_label, y_axis_label=y_label,
         **kinds,
     )  # fmt: skip
     for axis in (p.xaxis, p.yaxis):

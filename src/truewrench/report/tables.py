@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
-_SMALL, _LARGE = 0.01, 0.05  # of full scale: departures from the nominal gain that are shaded
+_NOTICED, _SMALL, _LARGE = 5e-4, 0.01, 0.05  # of full scale: departures that are named, shaded, and more so
 _SOURCES = {"center_of_mass": "centre of mass", "timing": "clocks"}
 
 
@@ -72,7 +72,7 @@ def gain_table(c: Calibration) -> Table:
                 continue
             share = float(departure[i, j])
             sign = "▲" if share > 0.0 else "▼"
-            mark = f"{sign} {100 * share:+.2g} %"
+            mark = f"{sign} {100 * share:+.2g} %" if abs(share) >= _NOTICED else "≈ nominal"
             side = "up" if share > 0.0 else "down"
             size = abs(share)
             shade = "" if size < _SMALL else f"{side}-{'much' if size > _LARGE else 'some'}"
