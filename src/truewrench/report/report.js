@@ -46,9 +46,9 @@
     const plot = plots.shift();
     if (!plot) return;
     await draw(plot);
-    setTimeout(rest, 20);
+    setTimeout(rest);
   };
-  addEventListener("load", () => setTimeout(rest, 100));
+  addEventListener("load", () => setTimeout(rest));
 
   // colours follow the page's; on paper they have to be there at once
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
