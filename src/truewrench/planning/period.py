@@ -10,12 +10,12 @@ from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
 from truewrench.rig import Rig
 
-__all__ = ["check_harmonics", "cycles_of", "plan_rows", "typical_velocity"]
+__all__ = ["ROWS", "check_harmonics", "cycles_of", "plan_rows", "typical_velocity"]
 
 Array = NDArray[np.float64]
 
 _SPEED = 1.0  # [m/s, rad/s] where nothing is said
-_ROWS = 20.0  # of the table per period of the highest harmonic: a quintic spline then follows it to 1e-6
+ROWS = 20.0  # of the table per period of the highest harmonic: a quintic spline then follows it to 1e-6
 
 
 def check_harmonics(rig: Rig) -> None:
@@ -28,8 +28,8 @@ def check_harmonics(rig: Rig) -> None:
     if plan.rest_to_rest and plan.harmonics < 2:
         raise InputError.at(rig.path, "plan.harmonics", "1", "at least 2, to start and end at rest")
     highest = plan.harmonics / plan.duration
-    if plan.rate < _ROWS * highest:
-        expected = f"at least {_ROWS * highest:.4g} Hz: {_ROWS:g} rows per period of the highest harmonic"
+    if plan.rate < ROWS * highest:
+        expected = f"at least {ROWS * highest:.4g} Hz: {ROWS:g} rows per period of the highest harmonic"
         raise InputError.at(rig.path, "plan.rate", f"{plan.rate:g}", expected)
 
 
@@ -48,7 +48,7 @@ def cycles_of(rig: Rig, limits: Limits) -> int:
     known = corners[np.isfinite(corners) & (corners > 0.0)]
     if not known.size:
         return 1
-    highest = min(float(np.median(known)), plan.rate / _ROWS)
+    highest = min(float(np.median(known)), plan.rate / ROWS)
     return max(1, int(np.floor(plan.duration * highest / plan.harmonics + 0.5)))
 
 

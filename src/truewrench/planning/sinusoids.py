@@ -13,7 +13,8 @@ __all__ = ["Batch", "Motions", "integrated", "without_drift"]
 
 Array = NDArray[np.float64]
 
-_STEPS_PER_PERIOD = 24  # of the fastest sinusoid, by Runge and Kutta's fourth order
+_STEPS_PER_PERIOD = 16  # of the fastest sinusoid, by Runge and Kutta's fourth order
+_FEWEST_STEPS = 120
 _DIFFERENCE = 1e-4  # [m/s, rad/s] of an initial twist, for the derivative of its drift
 
 
@@ -83,7 +84,7 @@ class Motions:
 
 def integrated(batch: Batch, initial: Array, *, placed: bool = True) -> Motions:
     """Integrate from initial twists (B, 6); without `placed` the pose stays at the start."""
-    steps = max(200, _STEPS_PER_PERIOD * int(batch.k.max()))
+    steps = max(_FEWEST_STEPS, _STEPS_PER_PERIOD * int(batch.k.max()))
     time = np.linspace(0.0, batch.tau, steps + 1)
     h, count = batch.tau / steps, len(batch.k)
     state = np.zeros((count, 13))

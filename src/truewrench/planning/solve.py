@@ -16,7 +16,7 @@ __all__ = ["Solution", "candidates", "solve"]
 
 Array = NDArray[np.float64]
 
-_SIZES = 0.5 ** np.arange(0.0, 6.0, 0.5)  # of a random motion, in units of the largest that its series may be,
+_SIZES = 0.5 ** np.arange(0.0, 6.0, 0.5)  # of a random motion: of the largest that its series may be,
 _TYPICAL = 4.0  # or of typical velocities, where that is less
 _FREE = 1e3  # [rad, m] stands for no limit
 _NEAR = 0.3  # [rad, m] 1 sigma of random starts about a given one

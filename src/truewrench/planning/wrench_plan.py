@@ -12,12 +12,12 @@ from scipy.integrate import cumulative_trapezoid
 from truewrench.errors import UnsupportedError
 from truewrench.planning.criterion import Criterion, packed
 from truewrench.planning.limits import Limits
-from truewrench.planning.period import plan_rows
+from truewrench.planning.period import ROWS, plan_rows
 from truewrench.planning.result import Design
 from truewrench.planning.search import Progress
 from truewrench.planning.sinusoids import Batch, Motions, integrated, without_drift
 from truewrench.planning.twist_plan import twist_design
-from truewrench.rig import Rig
+from truewrench.rig import PlanSpec, Rig
 from truewrench.trajectory import Body, WrenchSinusoids, integrate_wrench
 
 __all__ = ["Sinusoids", "best_sinusoids", "design_wrench", "facts_of", "scaled", "twist_of"]
@@ -88,7 +88,7 @@ def best_sinusoids(rig: Rig, payload: str, limits: Limits, progress: Progress) -
     """The wrench with the least predicted sigma among many, of the largest amplitudes within the limits."""
     body, duration = _body(rig, payload), rig.plan.duration
     measure = Criterion(rig, duration * rig.simulate.sensor_rate, "A")
-    whole = _shapes(body, limits, duration)
+    whole = _shapes(rig, body, limits)
     initial, before = whole.scaled(_SIZES[0]).slow_twist(), _SIZES[0]
     best: Sinusoids | None = None
     least: tuple[float, Sinusoids] | None = None
@@ -120,14 +120,14 @@ def best_sinusoids(rig: Rig, payload: str, limits: Limits, progress: Progress) -
     return least[1]
 
 
-def _shapes(body: Body, limits: Limits, duration: float) -> Batch:
+def _shapes(rig: Rig, body: Body, limits: Limits) -> Batch:
     """Wrenches whose amplitudes, all in the same proportion, can be no larger than these.
 
     The unit of an amplitude is what the limits allow this sinusoid alone, were the body slow; forces and
     moments have several shares of it, for each axis its own or, as in the paper, equal ones.
     """
-    k, force, moment = [], [], []
-    for triple in _triples(limits, duration):
+    k, force, moment, duration = [], [], [], rig.plan.duration
+    for triple in _triples(limits, rig.plan):
         own = _alone(body, limits, np.array(triple), duration)
         for ratio in _RATIOS:
             f, n = own[:3] * min(1.0, ratio), own[3:] * min(1.0, 1.0 / ratio)
@@ -164,12 +164,14 @@ def scaled(found: Sinusoids, factor: float) -> Sinusoids:
     return replace(found, wrench=wrench, initial=initial)
 
 
-def _triples(limits: Limits, duration: float) -> list[tuple[int, int, int]]:
+def _triples(limits: Limits, settings: PlanSpec) -> list[tuple[int, int, int]]:
     """Distinct integers about the frequency at which velocity and acceleration meet their limits together."""
+    duration = settings.duration
     with np.errstate(invalid="ignore"):
         corners = limits.acceleration / limits.velocity / (2.0 * np.pi) * duration
     known = corners[np.isfinite(corners)]
-    center = round(float(np.median(known))) if known.size else _DEFAULT_K
+    center = float(np.median(known)) if known.size else _DEFAULT_K
+    center = round(min(center, settings.rate * duration / ROWS))  # what the table can follow
     lows = sorted({max(1, round(share * center) - 1) for share in (0.5, 0.8, 1.2)})
     return [(low + a, low + b, low + c) for low in lows for a, b, c in _OFFSETS]
 

@@ -1,0 +1,216 @@
+"""Claims about planned motions of arms, and about the derivatives that all plans are found with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from truewrench.planning.criterion import Criterion
+from truewrench.planning.joint_space import arm_outputs, joint_limits, joint_space
+from truewrench.planning.limits import Limits
+from truewrench.planning.optimise import Problem, Space
+from truewrench.planning.period import typical_velocity
+from truewrench.planning.pictures import draw_plan
+from truewrench.planning.planner import plan
+from truewrench.planning.result import Plan
+from truewrench.planning.series import SeriesBasis
+from truewrench.planning.twist_space import pose_space, twist_space
+from truewrench.rig import Rig
+from truewrench.robot import robot_of
+
+Array = NDArray[np.float64]
+QUICK = {"duration": 5.0, "harmonics": 3, "rate": 50.0}
+
+
+@pytest.fixture(scope="module")
+def planned(arm_rig: Callable[..., Rig]) -> Plan:
+    """The Panda on the ground, five seconds."""
+    return plan(arm_rig("panda_ground", plan=QUICK))
+
+
+@pytest.fixture(scope="module")
+def written(planned: Plan, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return planned.write(tmp_path_factory.mktemp("plan") / "plan.csv")
+
+
+def joints(planned: Plan, path: Path) -> tuple[pin.Model, Array, Array, Array, Array]:
+    """Time, positions and derivatives at 1 kHz, from the file: quintic splines by SciPy."""
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    model = robot_of(planned.rig).model
+    rows = np.column_stack([table[f"q_{name}"] for name in model.names[1:]])
+    spline = make_interp_spline(table["time_s"], rows, k=5)
+    time = np.linspace(0.0, table["time_s"][-1], 5001)
+    return model, time, spline(time), spline(time, nu=1), spline(time, nu=2)
+
+
+def test_planned_joints_keep_to_their_limits_between_the_rows(planned: Plan, written: list[Path]) -> None:
+    model, _, q, qd, qdd = joints(planned, written[0])
+    limits = planned.rig.limits
+    assert (q <= model.upperPositionLimit + 1e-6).all()
+    assert (q >= model.lowerPositionLimit - 1e-6).all()
+    most = np.minimum(model.velocityLimit, limits.velocity or np.inf)
+    assert (np.abs(qd) <= most * (1 + 1e-6)).all()
+    assert limits.acceleration is not None
+    assert (np.abs(qdd) <= np.array(limits.acceleration) * (1 + 1e-5)).all()
+
+
+def test_planned_torques_and_wrenches_are_within_what_pinocchio_finds(
+    planned: Plan, written: list[Path]
+) -> None:
+    """The payload as a body of Pinocchio's own model, moved by its recursive Newton-Euler algorithm."""
+    model, _, q, qd, qdd = joints(planned, written[0])
+    body, robot = planned.rig.payloads["default"], robot_of(planned.rig)
+    model = pin.Model(model)
+    inertia = pin.Inertia(body.mass, body.center_of_mass_array, body.inertia_matrix)
+    frame = model.frames[robot.frame_id]
+    model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
+    model.gravity.linear = planned.rig.gravity_array
+    data, sensor_range = model.createData(), planned.rig.sensor.range_array
+    bare = robot.model.inertias[frame.parentJoint]
+    for k in range(0, len(q), 5):
+        torque = pin.rnea(model, data, q[k], qd[k], qdd[k])
+        assert (np.abs(torque) <= model.effortLimit * (1 + 1e-6)).all()
+        pin.forwardKinematics(model, data, q[k], qd[k], qdd[k])
+        gravity = data.oMi[frame.parentJoint].rotation.T @ planned.rig.gravity_array
+        acceleration = data.a[frame.parentJoint] - pin.Motion(gravity, np.zeros(3))
+        velocity = data.v[frame.parentJoint]
+        link = bare * acceleration + velocity.cross(bare * velocity)
+        wrench = frame.placement.actInv(data.f[frame.parentJoint] - link).vector
+        assert (np.abs(wrench) <= planned.rig.limits.wrench_fraction * sensor_range * (1 + 1e-6)).all()
+
+
+def test_planned_sensor_and_payload_stay_in_the_workspace(planned: Plan, written: list[Path]) -> None:
+    model, _, q, _, _ = joints(planned, written[0])
+    box = np.array(planned.rig.limits.workspace)
+    data, robot = model.createData(), robot_of(planned.rig)
+    for row in q[::2]:
+        pin.framesForwardKinematics(model, data, row)
+        at = data.oMf[robot.frame_id]
+        center = at.act(planned.rig.payloads["default"].center_of_mass_array)
+        for place in (at.translation, center):
+            assert (place >= box[:, 0] - 1e-6).all()
+            assert (place <= box[:, 1] + 1e-6).all()
+
+
+def test_planned_joints_begin_and_end_at_rest_where_they_began(planned: Plan, written: list[Path]) -> None:
+    table = np.genfromtxt(written[0], delimiter=",", names=True)
+    for name in robot_of(planned.rig).joints:
+        np.testing.assert_allclose(table[f"dq_{name}"][[0, -1]], 0.0, atol=1e-9)
+        np.testing.assert_allclose(table[f"ddq_{name}"][[0, -1]], 0.0, atol=1e-9)
+        assert table[f"q_{name}"][0] == pytest.approx(table[f"q_{name}"][-1], abs=1e-9)
+
+
+def test_plan_of_an_arm_is_also_a_joint_trajectory(planned: Plan, written: list[Path]) -> None:
+    message = yaml.safe_load(next(p for p in written if p.name.endswith("trajectory.yaml")).read_text())
+    table = np.genfromtxt(written[0], delimiter=",", names=True)
+    assert message["joint_names"] == list(robot_of(planned.rig).joints)
+    assert len(message["points"]) == len(table)
+    point, row = message["points"][100], table[100]
+    assert point["positions"] == pytest.approx([row[f"q_{name}"] for name in message["joint_names"]])
+    since = point["time_from_start"]
+    assert since["sec"] + 1e-9 * since["nanosec"] == pytest.approx(row["time_s"])
+
+
+def test_what_a_plan_promises_of_longer_records_is_the_root_of_time(planned: Plan) -> None:
+    found = planned.prediction
+    assert found is not None
+    exact = found.limited_by["noise"]  # payload and clock are exact here
+    assert found.rms == pytest.approx(exact, rel=0.05)
+    assert found.longer[2] == pytest.approx(found.rms / np.sqrt(2.0), rel=0.03)
+    assert found.longer[5] == pytest.approx(found.rms / np.sqrt(5.0), rel=0.03)
+
+
+def test_pictures_of_a_plan_are_drawn(planned: Plan, tmp_path: Path) -> None:
+    drawn = draw_plan(planned, tmp_path / "plan.csv")
+    assert {path.name for path in drawn} == {
+        f"plan.csv.{kind}.png" for kind in ("motion", "limits", "sigma", "path")
+    }
+    assert all(path.read_bytes()[:4] == b"\x89PNG" for path in drawn)
+
+
+# -- derivatives -----------------------------------------------------------------------------------------
+
+
+def twist_rig(**limits: Any) -> Rig:
+    return Rig.from_mapping(
+        {
+            "sensor": {
+                "channels": list("abcdef"),
+                "feels": "sensor_on_payload",
+                "noise": [0.5] * 6,
+                "range": [500] * 3 + [50] * 3,
+            },
+            "payloads": {
+                "default": {
+                    "mass": 5,
+                    "center_of_mass": [0.2, 0.1, -0.1],
+                    "inertia": {"xx": 0.5, "yy": 0.4, "zz": 0.3, "xy": 0.05},
+                }
+            },
+            "motion": {"of": "sensor", "noise": [1e-3] * 6},
+            "gravity": [0, 0, -9.81],
+            "limits": {"velocity": [1] * 6, "acceleration": [2] * 6} | limits,
+        }
+    )
+
+
+def problems(arm_rig: Callable[..., Rig]) -> list[tuple[str, Problem]]:
+    basis = SeriesBasis(2, 4.0, True)
+    found = []
+
+    def add(name: str, space: Space, rig: Rig, limits: Limits) -> None:
+        found.append((name, Problem(space, basis, Criterion(rig, 400.0, "A"), limits)))
+
+    boxed = twist_rig(workspace=[[-1, 1]] * 3, position=[0.5] * 6)
+    limits = Limits.of(boxed, 6)
+    scale = typical_velocity(limits, basis)
+    add("pose", pose_space(boxed, "default", limits, scale), boxed, limits)
+    add("twist", twist_space(boxed, "default", scale), boxed, limits)
+    ground = arm_rig("panda_ground")
+    robot = robot_of(ground)
+    bounds = joint_limits(ground, robot)
+    kinds = {"workspace", "torque", "clearance"}
+    outputs = arm_outputs(ground, "default", robot)
+    space = joint_space(ground, outputs, bounds, typical_velocity(bounds, basis), None, kinds)
+    add("joints", space, ground, bounds)
+    return found
+
+
+def test_derivatives_of_every_plan_are_those_by_finite_differences(arm_rig: Callable[..., Rig]) -> None:
+    rng = np.random.default_rng(1)
+    for name, problem in problems(arm_rig):
+        x = 0.3 * rng.standard_normal(problem.size)
+        rows = problem.rows(np.ones(problem.count, dtype=bool))
+        step, direction = 1e-5, rng.standard_normal(problem.size)
+        ahead, behind = x + step * direction, x - step * direction
+        value, gradient = problem.gradient(x)
+        assert value == problem.value(x)
+        slope = (problem.value(ahead) - problem.value(behind)) / (2 * step)
+        assert gradient @ direction == pytest.approx(slope, rel=1e-5), name
+        jacobian = problem.constraint_jacobian(x, rows)[1]
+        differences = (problem.constraints(ahead, rows) - problem.constraints(behind, rows)) / (2 * step)
+        np.testing.assert_allclose(
+            jacobian @ direction, differences, rtol=1e-4, atol=1e-6 * np.abs(differences).max(), err_msg=name
+        )
+        weights = rng.standard_normal(rows.kept.sum()) / np.maximum(np.abs(jacobian).max(axis=1), 1e-3)
+
+        def slope_of_lagrangian(at: Array, problem: Problem, rows: Any, weights: Array) -> Array:
+            return np.asarray(problem.gradient(at)[1] + weights @ problem.constraint_jacobian(at, rows)[1])
+
+        curvature = (
+            slope_of_lagrangian(ahead, problem, rows, weights)
+            - slope_of_lagrangian(behind, problem, rows, weights)
+        ) / (2 * step)
+        hessian = problem.hessian(x, 1.0, weights, rows)
+        np.testing.assert_allclose(hessian, hessian.T, atol=1e-9 * np.abs(hessian).max(), err_msg=name)
+        np.testing.assert_allclose(
+            hessian @ direction, curvature, atol=1e-5 * np.abs(curvature).max(), err_msg=name
+        )
