@@ -322,7 +322,41 @@ def test_parts_of_an_arm_need_stamps_in_common(joint_rig: Rig, tmp_path: Path) -
         read_log(write(tmp_path, "mcap", fill), joint_rig)
 
 
+def test_joint_that_is_missing_is_named_with_those_that_are_there(joint_rig: Rig, tmp_path: Path) -> None:
+    names = joints_of(joint_rig)
+
+    def fill(bag: Bag) -> None:
+        for i in range(5):
+            q = swing(names, i)[0]
+            bag.wrench("/ft", START + i * MS, [i] * 6)
+            bag.joints(
+                "/joint_states", START + i * MS, {("elbow" if n == names[2] else n): q[n] for n in names}
+            )
+
+    with pytest.raises(
+        InputError, match=rf"no samples of the joints {names[2]} \(joints in the recording: elbow, "
+    ):
+        read_log(write(tmp_path, "mcap", fill), joint_rig)
+
+
 # --- other streams ---
+
+
+def test_twist_in_gravity_asks_for_its_topic(settings: dict[str, Any], tmp_path: Path) -> None:
+    def fill(bag: Bag) -> None:
+        still(bag)
+        kind = "geometry_msgs/msg/Vector3Stamped"
+        for i in range(20):
+            down = bag.type(kind)(header=bag.header(START + i * MS), vector=bag.vector([0, 0, -9.81]))
+            bag.write("/down", kind, START + i * MS, down)
+
+    path = write(tmp_path, "mcap", fill)
+    settings["gravity"] = [0, 0, -9.81]
+    with pytest.raises(InputError, match=r"recording\.gravity_topic: found nothing"):
+        read_log(path, Rig.from_mapping(settings))
+    log = read_log(path, with_recording(Rig.from_mapping(settings), gravity_topic="/down"))
+    assert log.gravity is not None
+    np.testing.assert_array_equal(log.gravity, [[0, 0, -9.81]] * 20)
 
 
 def test_accelerometer_and_temperature_are_read_where_the_rig_uses_them(

@@ -56,7 +56,7 @@ def stream(
         bool, typer.Option("--reliable", help="--ros2: lose no message, where publishers are reliable.")
     ] = False,
     seconds: Annotated[
-        float | None, typer.Option("--duration", min=0.0, help="--ros2: end after so long [s].")
+        float | None, typer.Option("--duration", min=0.0, help="--ros2: end after so many seconds.")
     ] = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
@@ -88,7 +88,7 @@ def stream(
 
         topics = Topics(
             wrench_topic or settings.recording.wrench_topic,
-            joint_topic or settings.recording.joint_topic,
+            joint_topic or settings.recording.joint_topic or settings.recording.twist_topic,
             output_topic or OUTPUT,
             reliable,
         )

@@ -46,25 +46,28 @@ def select(
     """
     topics = _topics(recording, rig)
     joints = robot_of(rig).joints if whole and rig.motion.source == "joints" else None
-    streams = gather(
-        recording, topics, rig.recording.stamps, wanted=lambda t, c: _wanted(t, c, joints), progress=progress
-    )
+    wanted = _Wanted(rig.sensor.n, joints)
+    streams = gather(recording, topics, rig.recording.stamps, wanted=wanted, progress=progress)
     notes = [*recording.miscounted()]
-    sensor = _sensor(recording, rig, streams)
-    chosen = [sensor]
+    chosen = [_sensor(recording, rig, streams)]
+    _check(recording, rig, chosen[0])
     for role in _roles(rig)[1:]:
         try:
-            chosen += _of_role(recording, rig, role, streams, whole)
+            found = _of_role(recording, rig, role, streams, whole)
+            for stream in found:
+                _check(recording, rig, stream)
         except InputError as error:
             if whole:
                 raise
             notes.append(f"left out: {error}")
+        else:
+            chosen += found
     if rig.recording.stamps == "header":
-        notes += _apart(recording, rig, chosen)
+        notes += _apart(rig, chosen)
     for stream in chosen:
-        _check(recording, rig, stream)
         notes += _stream_notes(stream)
     if whole:
+        _check_complete(recording, rig, chosen, wanted)
         _check_overlap(recording, rig, chosen)
         notes += _check_joints(recording, chosen)
     return Selection(tuple(chosen), _places(rig, chosen), tuple(dict.fromkeys(notes)))
@@ -88,6 +91,8 @@ def _topics(recording: Recording, rig: Rig) -> list[Topic]:
     topics: list[Topic] = []
     for role in _roles(rig):
         name = getattr(rig.recording, KEYS[role])
+        if role == "twist":
+            name = name or rig.recording.joint_topic
         if name is not None:
             topics.append(named_topic(recording.path, recording.topics, name, role))
             continue
@@ -100,16 +105,32 @@ def _topics(recording: Recording, rig: Rig) -> list[Topic]:
     return list({(topic.name, topic.type_name): topic for topic in topics}.values())
 
 
-def _wanted(topic: Topic, columns: tuple[str, ...], joints: Sequence[str] | None) -> Sequence[int]:
-    if joints is None or role_of(topic.type_name) != "joints":
-        return range(len(columns))
-    return [i for i, column in enumerate(columns) if column.partition("_")[2] in joints]
+class _Wanted:
+    """Which columns are read: joints of the arm, if it is known, and arrays as long as there are channels.
+
+    Attributes:
+        seen: names of all joints that came by.
+    """
+
+    def __init__(self, channels: int, joints: Sequence[str] | None) -> None:
+        self.channels, self.joints = channels, joints
+        self.seen: set[str] = set()
+
+    def __call__(self, topic: Topic, columns: tuple[str, ...]) -> Sequence[int]:
+        role = role_of(topic.type_name)
+        if role == "array":
+            return range(len(columns)) if len(columns) == self.channels else ()
+        if role != "joints":
+            return range(len(columns))
+        names = [column.partition("_")[2] for column in columns]
+        self.seen.update(names)
+        return [i for i, name in enumerate(names) if self.joints is None or name in self.joints]
 
 
 def _sensor(recording: Recording, rig: Rig, streams: Sequence[Stream]) -> Stream:
     n = rig.sensor.n
     wrenches = [s for s in streams if role_of(s.topic.type_name) == "wrench"]
-    arrays = [s for s in streams if role_of(s.topic.type_name) == "array" and len(s.columns) == n]
+    arrays = [s for s in streams if role_of(s.topic.type_name) == "array"]
     found = wrenches if n == 6 else []
     if not found or rig.sensor.nominal_gain != "identity":
         found = found + arrays
@@ -119,6 +140,7 @@ def _sensor(recording: Recording, rig: Rig, streams: Sequence[Stream]) -> Stream
         wanted = "a wrench (WrenchStamped, Wrench), or an array of 6 numbers"
         wanted = wanted if n == 6 else f"arrays of {n} numbers"
         there = topics_in_words(recording.topics)
+        wanted += "; one that is named like a command has to be chosen: `recording: {wrench_topic: ...}`"
         raise InputError.at(recording.path, "", f"none for {what} among {there}", f"a topic with {wanted}")
     return stream
 
@@ -168,6 +190,19 @@ def _check(recording: Recording, rig: Rig, stream: Stream) -> None:
         raise InputError.at(recording.path, f"topic {stream.topic.name}", found, expected)
 
 
+def _check_complete(recording: Recording, rig: Rig, chosen: Sequence[Stream], wanted: _Wanted) -> None:
+    """Every joint of the arm is there, and gravity where a twist needs it."""
+    there = {column.partition("_")[2] for stream in chosen for column in stream.columns}
+    missing = [joint for joint in wanted.joints or () if joint not in there]
+    if missing:
+        seen = ", ".join(sorted(wanted.seen)) or "none"
+        found = f"no samples of the joints {', '.join(missing)} (joints in the recording: {seen})"
+        raise InputError.at(recording.path, "", found, "every joint of the arm, by its name in the URDF")
+    if rig.motion.source == "twist" and rig.in_gravity and not rig.recording.gravity_topic:
+        expected = "the topic of free fall in sensor axes (Vector3Stamped), which a twist in gravity needs"
+        raise InputError.at(recording.path, "recording.gravity_topic", "nothing", expected)
+
+
 def _check_overlap(recording: Recording, rig: Rig, chosen: Sequence[Stream]) -> None:
     sensor = chosen[0]
     for other in chosen[1:]:
@@ -213,7 +248,7 @@ def _stream_notes(stream: Stream) -> list[str]:
     return notes + clock_notes(topic, stream.clocks)
 
 
-def _apart(recording: Recording, rig: Rig, chosen: Sequence[Stream]) -> list[str]:
+def _apart(rig: Rig, chosen: Sequence[Stream]) -> list[str]:
     """Sensor and motion whose stamps are further apart than the rig's clock offset allows for."""
     sensor, allowed = chosen[0], max(_APART, 3.0 * rig.sensor.time_offset_prior)
     notes = []
