@@ -4,9 +4,9 @@
     python benchmarks/live.py --duration 10 --rate 500
 
 A publisher (rclpy, rmw_fastrtps_cpp, reliable) sends stamped wrenches. Two receive them, each a process:
-truewrench, and an rclpy node that publishes what it receives and does nothing else. A subscriber to both,
-which reads bytes so as to keep up, takes the time from the stamp to its callback. The first second is left out, in
-which everybody is still waking up.
+truewrench, and an rclpy node that publishes what it receives and does nothing else. A subscriber to
+both, which reads bytes so as to keep up, takes the time from the stamp to its callback. The first second
+is left out, in which everybody is still waking up.
 """
 
 from __future__ import annotations

@@ -1,12 +1,16 @@
 """A real ROS 2 node (rclpy): publishes what it is told on standard input, and prints what it received.
 
-The input is one JSON object: `wrenches` [[stamp ns, frame, [six numbers]], ...], `joints` [[stamp ns, names,
-positions, velocities], ...], `listen` (topics of corrected wrenches), `until` (messages to wait for there),
-`reliable` and `diagnostics` (whether to wait for a final one).
+The first line of the input is one JSON object: `wrenches` [[stamp ns, frame, [six numbers]], ...], `joints`
+[[stamp ns, names, positions, velocities], ...], `listen` (topics of corrected wrenches), `until` (messages to
+wait for there), `reliable` and `diagnostics` (whether to wait for a final one).
+
+Before that it makes sure that the other side hears: by wrenches of the frame `probe` until one comes back, or
+by messages without a stamp until another line of the input says that they have been refused.
 """
 
 import json
 import sys
+import threading
 import time
 from typing import Any
 
@@ -18,7 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-asked: dict[str, Any] = json.loads(sys.stdin.read())
+asked: dict[str, Any] = json.loads(sys.stdin.readline())
 PATIENCE = 20.0  # [s] for everything
 
 rclpy.init()
@@ -73,8 +77,6 @@ spin_until(
     )
 )
 
-time.sleep(1.0)  # for the other side to have seen us, too: what comes before that is not for it
-
 
 def stamped(time_ns: int) -> Time:
     """A stamp."""
@@ -96,6 +98,22 @@ def publish_joints(stamp: int, names: list[str], position: list[float], velocity
     message.header.stamp = stamped(stamp)
     joints.publish(message)
 
+
+first, probes = asked["wrenches"][0][0], 0
+heard = threading.Event()
+if not asked.get("listen"):
+    threading.Thread(target=lambda: sys.stdin.readline() and heard.set(), daemon=True).start()
+while not (received or heard.is_set()) and time.monotonic() < end:
+    probes += 1
+    publish_wrench(first - 1_000_000_000 + probes if asked.get("listen") else 0, "probe", [0.0] * 6)
+    if "joints" in asked:
+        publish_joints(0, ["probe"], [0.0], [])
+    executor.spin_once(timeout_sec=0.05)
+    time.sleep(0.05)
+step = time.monotonic() + 0.5  # for the last probes to come back
+while time.monotonic() < step:
+    executor.spin_once(timeout_sec=0.02)
+received.clear()
 
 events = [(w[0], publish_wrench, w) for w in asked["wrenches"]]
 events += [(j[0], publish_joints, j) for j in asked.get("joints", [])]

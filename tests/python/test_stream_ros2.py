@@ -55,9 +55,8 @@ def start_peer(**asked: Any) -> subprocess.Popen[str]:
     command = [sys.executable, str(HERE / "ros2_peer.py")]
     peer = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
     assert peer.stdin is not None
-    peer.stdin.write(json.dumps(asked))
-    peer.stdin.close()
-    peer.stdin = None
+    peer.stdin.write(json.dumps(asked) + "\n")
+    peer.stdin.flush()
     return peer
 
 
@@ -100,7 +99,8 @@ def test_every_wrench_arrives_with_its_header_and_exact(calibration: Calibration
     raw = np.array([message[2] for message in sent])
     wrench = np.linalg.solve(calibration.gain, (raw - calibration.offset).T).T
     np.testing.assert_allclose([message[2] for message in received], wrench, rtol=1e-12, atol=1e-12)
-    assert (counts.received, counts.used, counts.refused, counts.lost) == (1000, 1000, 0, 0)
+    assert counts.received == counts.used >= 1000  # and some probes
+    assert (counts.refused, counts.lost) == (0, 0)
     assert not complaints
     # what `ros2 topic info -v` shows there is what it shows of ROS 2's own endpoints
     of_ros = answer.said["own"]["/ft/wrench_raw"][0]
@@ -131,7 +131,7 @@ def test_command_refuses_wrong_messages_one_by_one_and_ends_by_a_signal(
     good = [message for k, message in enumerate(sent) if k not in (10, 11, 12, 13)]
     assert [message[:2] for message in said["received"]] == [message[:2] for message in good]
     figures = json.loads(out)["figures"]
-    assert (figures["received"], figures["used"], figures["refused"]) == (40, 36, 4)
+    assert figures["received"] - figures["used"] == figures["refused"] == 4
     assert err.count(b"expected finite channels") == 2
     assert b"no stamp" in err
     assert b"expected time that increases" in err
@@ -171,13 +171,24 @@ def test_joints_and_wrenches_of_two_topics_become_the_calibration_of_their_recor
             time.sleep(0.05)
         stop.request()
 
+    heard: set[str] = set()
+
+    def refused(words: str) -> None:
+        before = len(heard)
+        heard.add(words.partition(":")[0])
+        if before < len(heard) == 2:
+            assert peer.stdin is not None
+            peer.stdin.write("heard\n")
+            peer.stdin.flush()
+
     with Stop() as stop, LiveCalibration(rig, "default") as session:
         threading.Thread(target=end, args=[stop, session]).start()
         named = Topics("/ft/wrench_raw", "/joint_states", reliable=True)
-        counts, final = calibrate_topics(session, tmp_path, named, stop, print, 40.0)
+        counts, final = calibrate_topics(session, tmp_path, named, stop, refused, 40.0)
+    assert heard == {"/ft/wrench_raw", "/joint_states"}
     assert final.final
     said = json.loads(peer.communicate()[0])
-    assert (counts.received, counts.refused) == (len(wrenches) + len(joints), 0)
+    assert counts.used == len(wrenches) + len(joints)
     made = load_calibration(tmp_path / "calibration.yaml")
     expected = calibrate(rig, replace(log, time_ns=log.time_ns + begin, tracking=None), "online")
     np.testing.assert_allclose(made.gain, expected.gain, rtol=1e-6, atol=1e-9)
@@ -262,6 +273,22 @@ def test_topic_that_nobody_publishes_is_named(
     monkeypatch.setattr("truewrench.stream.ros2._PATIENCE", 0.2)
     with Stop() as stop, pytest.raises(InputError, match="no topic of type geometry_msgs/msg/WrenchStamped"):
         correct_topic(calibration, Topics(), stop, print, 1.0)
+
+
+def test_silence_is_told_with_its_cause(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("truewrench.stream.ros2._SILENCE", 0.3)
+    other = Node()
+    _kept = [other.writer("/silent", WrenchStamped), other.writer("/gauges", Float64MultiArray)]
+    for topic, cause in (
+        ("/none", "nobody"),
+        ("/silent", "silent"),
+        ("gauges", "carries std_msgs/msg/Float64M"),
+    ):
+        complaints: list[str] = []
+        with Stop() as stop:
+            correct_topic(calibration, Topics(topic), stop, complaints.append, 0.6)
+        assert len(complaints) == 1
+        assert cause in complaints[0]
 
 
 def test_several_topics_of_a_type_are_listed(calibration: Calibration) -> None:

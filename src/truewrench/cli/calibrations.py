@@ -41,7 +41,9 @@ def calibrate(
     ] = "map",
     published: Annotated[bool, typer.Option("--published", help="ekf: start from P = I in SI.")] = False,
     smooth: Annotated[Literal["spline"] | None, typer.Option(help="ls: differentiate a spline.")] = None,
-    window: Annotated[float | None, typer.Option(min=0.0, help="Length of a window of motion [s].")] = None,
+    window: Annotated[
+        float | None, typer.Option(min=0.0, help="Length of a window of motion in seconds.")
+    ] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
     process_density: Annotated[float | None, typer.Option(min=0.0, help="ekf: of the acceleration.")] = None,
     rescale_noise: Annotated[

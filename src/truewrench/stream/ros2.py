@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from truewrench.io.table import TWIST
 from truewrench.rig import Rig
 from truewrench.robot import robot_of
 from truewrench.stream.progress import Progress
-from truewrench.stream.ros2_node import Node, lost, taken, unreliable
+from truewrench.stream.ros2_node import Node, lost, ros_type, taken, unreliable
 from truewrench.stream.ros2_types import (
     DiagnosticArray,
     DiagnosticStatus,
@@ -165,22 +165,34 @@ def correct_topic(
                 continue
             writer.write(WrenchStamped.of(header, wrench))
             counts.used += 1
-        silent = _told_silence(silent, counts, begun, [(name, reader)], complain)
+        silent = _told_silence(silent, counts, begun, node, [(name, sensor.kind, reader)], complain)
     writer.wait_for_acks(duration(seconds=1))
     counts.lost = lost(reader)
     return counts
 
 
 def _told_silence(
-    silent: bool, counts: Counts, begun: float, readers: list[tuple[str, Any]], complain: Complain
+    silent: bool,
+    counts: Counts,
+    begun: float,
+    node: Node,
+    readers: Sequence[tuple[str, type[IdlStruct], Any]],
+    complain: Complain,
 ) -> bool:
     """Whether silence may still have to be told of."""
     if not silent or counts.received or time.monotonic() - begun < _SILENCE:
         return silent and not counts.received
-    for name, reader in readers:
-        weak = unreliable(reader)
-        why = "its publisher is not reliable: leave --reliable out" if weak else "is it published?"
-        complain(f"{name}: no message for {_SILENCE:g} s; {why}")
+    for name, kind, reader in readers:
+        published = node.topics().get(f"/{name.strip('/')}", set())
+        if not published:
+            why = "nobody publishes it"
+        elif ros_type(kind) not in published:
+            why = f"it carries {', '.join(published)}, expected {ros_type(kind)}"
+        elif unreliable(reader):
+            why = "its publisher is not reliable: leave --reliable out"
+        else:
+            why = "its publisher is silent"
+        complain(f"{name}: no message for {_SILENCE:g} s: {why}")
     return False
 
 
@@ -257,8 +269,8 @@ def calibrate_topics(
     moving = topics.motion or node.find(motion.kind, set(), _PATIENCE, stop)
     writer = node.writer(DIAGNOSTICS, DiagnosticArray)
     readers = [
-        (name, node.reader(name, sensor.kind, topics.reliable)),
-        (moving, node.reader(moving, motion.kind, topics.reliable)),
+        (name, sensor.kind, node.reader(name, sensor.kind, topics.reliable)),
+        (moving, motion.kind, node.reader(moving, motion.kind, topics.reliable)),
     ]
 
     def of_sensor(message: Any, info: Any) -> tuple[tuple[str, ...], int, Any]:
@@ -269,7 +281,7 @@ def calibrate_topics(
     told, progress, silent = begun, Progress(0, 0.0, 0, reason="no sample yet"), True
     while not stop.requested and time.monotonic() - begun < seconds:
         node.wait(_WAIT)
-        for (topic, reader), read in zip(readers, (of_sensor, motion.read), strict=True):
+        for (topic, _, reader), read in zip(readers, (of_sensor, motion.read), strict=True):
             for message, info in taken(reader):
                 counts.received += 1
                 try:
@@ -284,8 +296,8 @@ def calibrate_topics(
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress
             writer.write(_diagnostics(rig, progress))
-        silent = _told_silence(silent, counts, begun, readers, complain)
-    counts.lost = sum(lost(reader) for _, reader in readers)
+        silent = _told_silence(silent, counts, begun, node, readers, complain)
+    counts.lost = sum(lost(reader) for *_, reader in readers)
     final = session.finish(folder)
     writer.write(_diagnostics(rig, final))
     writer.wait_for_acks(duration(seconds=1))
