@@ -185,6 +185,13 @@ def test_gravity_compensation_takes_bias_and_weight_away(
     assert suited in text
 
 
+def test_a_calibration_from_reference_wrenches_knows_no_weight(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    exports = write_exports(replace(calibration, estimator="reference"), tmp_path)
+    assert exports.left_out.keys() == {"ft_calib_data.yaml"}
+
+
 def test_formats_that_cannot_hold_more_channels_are_left_out(
     with_channels: Callable[[int], Calibration], tmp_path: Path
 ) -> None:

@@ -28,6 +28,10 @@ _SUITED = {
 def unfit(calibration: Calibration) -> str | None:
     """Why a calibration cannot be held."""
     sensor = calibration.rig.sensor
+    if calibration.estimator == "reference":
+        return (
+            "it subtracts the weight of a payload; this calibration is from reference wrenches and knows none"
+        )
     if not np.array_equal(sensor.nominal_gain_array, np.eye(sensor.n, 6)):
         return "it wants the wrench in N and N m; the raw channels of this sensor are something else"
     return None
