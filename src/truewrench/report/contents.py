@@ -89,14 +89,12 @@ def _improvement(c: Calibration) -> Section:
     if none_because:
         words.append(
             f"Nothing was held out ({none_because}): the new gain is compared on data that it was fitted "
-            "to, which "
-            "flatters it."
+            "to, which flatters it."
         )
     elif (c.figures.get("held_out") or {}).get("nis"):
         words.append(
             "Judged on a part of the record that the judged gain has not seen. A mean square of 1 over "
-            "what is "
-            "claimed, and 95 % within limits, say that its stated sigma is honest."
+            "what is claimed, and 95 % within limits, say that its stated sigma is honest."
         )
     return Section("improvement", "What improves", tuple(words), (table,))
 
@@ -114,9 +112,8 @@ def _limits(c: Calibration) -> Section:
     if source:
         known = {"noise": "noise", "timing": "the clocks"}.get(source, f"the payload's {source}")
         words.append(
-            f"On most axes {known} contributes most to the uncertainty: improve that first. The sources "
-            "add up "
-            "in squares."
+            f"On most axes {known} contributes most to the uncertainty: improve that first. The sources add "
+            "up in squares."
         )
     else:
         words.append("This estimator does not tell the sources of its uncertainty apart.")
@@ -125,8 +122,7 @@ def _limits(c: Calibration) -> Section:
         known = "wrench" if c.estimator == "reference" else "motion"
         words.append(
             f"The stated sigma, {100 * stated:.2g} % of full scale, is {stated / c.bound.oracle_rms:.3g} "
-            "times what "
-            f"a perfectly known {known} and payload would give."
+            f"times what a perfectly known {known} and payload would give."
         )
     if found[1] is None:
         words.append("Payload: taken as exact, or not needed; nothing was learnt of it.")
@@ -152,8 +148,7 @@ def _residuals(c: Calibration, record: Record, end: float) -> Section:
         f"Corrected wrench minus {record.against}" + (f", in {record.part}." if record.part else "."),
         f"RMS over the expected sigma: {float((rms / sigma).min()):.2f} to {float((rms / sigma).max()):.2f} "
         f"(largest on {AXES[worst]}); 1 is noise alone. A pattern that repeats with the motion, or a step, "
-        "is not "
-        "noise: look at what the arm did then.",
+        "is not noise: look at what the arm did then.",
     ]
     if len(record.logs) > 1:
         words.append(
@@ -164,17 +159,15 @@ def _residuals(c: Calibration, record: Record, end: float) -> Section:
         words.append("The drift of the offset within a log is contained in these residuals.")
     decimated = (
         f"Each of {len(curve.time) // 2} stretches of {1e3 * curve.bucket:.3g} ms is drawn from its "
-        "smallest to its "
-        "largest sample, so that no peak is lost; zooming does not bring back the samples between."
+        "smallest to its largest sample, so that no peak is lost; zooming does not bring back the samples "
+        "between."
         if curve.bucket
         else "Every sample is drawn."
     )
     caption = (
         "Residuals of the six wrench axes [N, N m]. Dashed: ±2 expected sigma, between which 95 % of "
-        "single samples "
-        "belong. Shaded orange: samples left out as contact or spikes; grey and hatched: stretches whose "
-        "motion did "
-        f"not fit. {decimated}"
+        "single samples belong. Shaded orange: samples left out as contact or spikes; grey and hatched: "
+        f"stretches whose motion did not fit. {decimated}"
     )
     disturbed = [
         (s.begin + a, s.begin + b)
@@ -214,12 +207,14 @@ def _noise(c: Calibration, record: Record) -> Section:
                         f"Spectra of the {name}' residuals",
                     )
                 )
+            taken_up = (
+                " Below 1 at the lowest frequencies is normal: the fitted motion takes up some noise there."
+                if record.fitted
+                else ""
+            )
             caption = (
                 "Spectra: power density of the residuals over that of the expected noise, forces, then "
-                "moments; "
-                f"shaded: what chance does to 95 of 100. {conclusion} Below 1 at the lowest frequencies is "
-                "normal: the "
-                "fitted motion takes up some noise there."
+                f"moments; shaded: what chance does to 95 of 100. {conclusion}{taken_up}"
             )
             figures[-1] = replace(figures[-1], caption=caption)
         conclusion = findings.histogram_words(counts)
@@ -234,17 +229,15 @@ def _noise(c: Calibration, record: Record) -> Section:
         outside = int(counts.outside.sum())
         caption = (
             "Histograms of residuals in units of their expected sigma, forces, then moments; shaded: the "
-            "normal "
-            f"density. {conclusion} {outside} samples lie beyond 5 sigma. Wider than the shade: noise "
-            "stated too "
-            "small, or gain and motion do not fit; tails alone: spikes or contact."
+            f"normal density. {conclusion} Samples beyond 5 sigma: {outside}. Wider than the shade: noise "
+            "stated too small, or gain and motion do not fit; tails alone: spikes or contact."
         )
         figures[-1] = replace(figures[-1], caption=caption)
     if table:
         words.append(
             "Found noise is what the residuals show, corrected for what the fit took up; colour is its "
-            "density at the "
-            "frequencies of the motion over that of white noise (1), and is contained in sigma."
+            "density at the frequencies of the motion over that of white noise (1), and is contained in "
+            "sigma."
         )
     return Section("noise", title, tuple(words), shown, tuple(figures))
 
@@ -271,8 +264,7 @@ def _consistency(c: Calibration, evidence: Evidence, record: Record, end: float)
     words = (
         findings.consistency_words(found),
         f"Mean squares {what}, over what their noise stands for; 1 is expected. Shaded: the bounds between "
-        "which "
-        f"chance keeps {100 * (1 - CHANCE):.0f} %. Triangles lie outside.",
+        f"which chance keeps {100 * (1 - CHANCE):.0f} %. Triangles lie outside.",
     )
     return Section("nis", title, words, (), tuple(figures))
 
@@ -283,8 +275,7 @@ def _excitation(c: Calibration, record: Record) -> Section:
     if open_ones:
         words = [
             f"The record does not determine {len(c.verdict.undetermined)} of {6 * sensor.n} directions of "
-            "the gain; "
-            "there the nominal gain is believed as before:"
+            "the gain; there the nominal gain is believed as before:"
         ]
     else:
         words = ["The record determines every direction of the gain."]
@@ -301,12 +292,10 @@ def _excitation(c: Calibration, record: Record) -> Section:
         shown = (tables.wrench_table(c, rms),)
     caption = (
         "What the record has left of the prior sigma in each direction of the gain (eigenvectors of its "
-        "covariance), "
-        f"the best known first. Above {UNDETERMINED:g} a direction counts as not determined; the farther "
-        "below, the "
-        "better the motion excites it."
+        f"covariance), the best known first. Above {UNDETERMINED:g} a direction counts as not determined; "
+        "the farther below, the better the motion excites it."
     )
-    plot = plots.information_plot(np.maximum(shares, 1e-7), UNDETERMINED, c.rig.required / sensor.gain_prior)
+    plot = plots.information_plot(np.maximum(shares, 1e-7), UNDETERMINED)
     label = f"Sigma over prior sigma of {size} directions, from {shares.min():.2g} to {shares.max():.2g}"
     lists = (("Directions that are not determined", tuple(open_ones)),) if open_ones else ()
     return Section(
@@ -325,16 +314,13 @@ def _convergence(c: Calibration, evidence: Evidence, record: Record, end: float)
     )
     caption = (
         "The gain that the record up to a time gives when the motion (or reference wrench) of the whole "
-        "record is "
-        "taken for known, beside the final gain: RMS over all gains, as a share of full scale. Grey: its "
-        "sigma by "
-        f"noise alone. Dotted: the stated sigma, with payload and clocks.{own} Where the curve is flat, a "
-        "longer "
-        "record of the same kind changes nothing."
+        "record is taken for known, beside the final gain: RMS over all gains, as a share of full scale. "
+        f"Grey: its sigma by noise alone. Dotted: the stated sigma, with payload and clocks.{own} Where the "
+        "curve is flat, a longer record of the same kind changes nothing."
     )
-    plot = plots.convergence_plot(found, c.rig.required, end)
+    plot = plots.convergence_plot(found, end)
     label = f"Distance of the gain so far from the final gain, over time; stated sigma {found.final:.2g}"
-    words = (findings.convergence_words(found, c.rig.required),)
+    words = (findings.convergence_words(found),)
     return Section("convergence", title, words, (), (Figure("settling", plot, label, caption),))
 
 

@@ -40,47 +40,34 @@ def helps(calibration: Calibration) -> Iterator[str]:
     if c.estimator in _REFERENCES:
         yield (
             "Calibrate with the estimator `map` (the default): `ekf` and `ls` are there to be compared "
-            "with, and "
-            "are never usable."
+            "with, and are never usable."
         )
     if not any(log.used for log in c.logs):
         yield (
             "Nothing of the record was used. Look at units, axes, sign (`sensor.feels`) and clocks of the "
-            "log with "
-            "`truewrench inspect`, and at the motion's and the sensor's noise in the rig."
+            "log with `truewrench inspect`, and at the motion's and the sensor's noise in the rig."
         )
     if c.verdict.undetermined:
         yield (
             "Move so that the directions that are not determined vary on their own, or add a log with "
-            "another payload: "
-            "several logs are pooled into one gain."
+            "another payload: several logs are pooled into one gain."
         )
-    largest = float(c.gain_std_normalised.max(initial=0.0))
-    if largest > c.rig.required and not c.verdict.undetermined:
-        source = dominating(c)
-        more = "a longer record, or larger wrenches (faster, heavier)"
-        cure = {
-            "noise": more,
-            "timing": "sensor and motion on one clock, or a closer `time_offset_prior`",
-        }.get(source, f"the payload's {source} known more closely")
-        yield (
-            f"The least certain gain has a sigma of {100 * largest:.2g} % of full scale, and "
-            f"{100 * c.rig.required:.2g} % is required: {cure if source else more} would help most."
-        )
+    for reason in c.verdict.reasons:
+        what, _, remedy = reason.partition("; ")
+        if what.startswith("accuracy:") and remedy:
+            yield f"For the accuracy: {remedy}."
     worse = [axis for axis, judged in c.improvement.items() if judged.better is False and judged.held_out]
     if worse:
         yield (
             f"On {axes_listed(worse)} the nominal gain is better: check mass and centre of mass of the "
-            "payload, "
-            "and that nothing touches it."
+            "payload, and that nothing touches it."
         )
     rejected = sum(sum(log.rejected.values()) for log in c.logs)
     used = sum(log.used for log in c.logs)
     if used and rejected > 0.05 * (rejected + used):
         yield (
             "Much of the motion did not fit: move more smoothly or sample faster, fix what vibrates, and "
-            "state "
-            "the noise as it is."
+            "state the noise as it is."
         )
     disturbed = sum(sum(log.gated.values()) for log in c.logs)
     if used and disturbed > 0.2 * (disturbed + used):
@@ -95,8 +82,7 @@ def helps(calibration: Calibration) -> Iterator[str]:
     ):
         yield (
             "Residuals are larger than the stated noise: state the noise found (section Residuals), or let "
-            "it be "
-            "taken from the residuals (`--rescale-noise`)."
+            "it be taken from the residuals (`--rescale-noise`)."
         )
 
 
@@ -112,19 +98,25 @@ def dominating(calibration: Calibration) -> str:
 def spectrum_words(found: Spectrum) -> str:
     """What the density of the residuals says of their noise."""
     low = found.frequency <= found.frequency[-1] / 10.0
-    low = low if low.any() else np.ones_like(low)
-    raised = [axis for i, axis in enumerate(AXES) if np.median(found.ratio[low, i]) > _COLOURED]
-    sharp = [axis for i, axis in enumerate(AXES) if np.any(found.ratio[:, i] > 2.5 * found.high)]
+    peaks = found.ratio > 2.5 * found.high[:, None]
+    raised = [axis for i, axis in enumerate(AXES) if low.any() and np.median(found.ratio[low, i]) > _COLOURED]
+    sharp = [axis for i, axis in enumerate(AXES) if peaks[~low, i].any()]
+    slow = [axis for i, axis in enumerate(AXES) if peaks[low, i].any()]
     if raised:
         return (
             f"{axes_listed(raised)} {_has(raised)} more than the expected noise at low frequencies: the "
-            "noise "
-            "is coloured (a filter, drift), or the motion is not resolved."
+            "noise is coloured (a filter, drift), or the motion is not resolved."
         )
     if sharp:
         return (
-            f"{axes_listed(sharp)} {_has(sharp)} more than the expected noise in some bands: look for mains, "
-            "vibration or servo ripple at these frequencies."
+            f"{axes_listed(sharp)} {_has(sharp)} more than the expected noise in some bands: look for "
+            "mains, vibration or servo ripple at these frequencies."
+        )
+    if slow:
+        return (
+            f"{axes_listed(slow)} {_has(slow)} more than the expected noise at the frequencies of the "
+            "motion alone: what is still uncertain of gain and payload shows there, or the motion is not "
+            "resolved."
         )
     return "All axes lie along 1: the noise is as large and as white as the rig states."
 
@@ -149,30 +141,29 @@ def consistency_words(found: tuple[Consistency, ...]) -> str:
     parts = [f"{stream.name} {stream.outside} of {len(stream.value)}" for stream in found]
     surprising = [stream.name for stream in found if stream.outside > 3.0 + 3.0 * CHANCE * len(stream.value)]
     end = (
-        f"More than chance allows in {', '.join(surprising)}: there the noise is not as stated, or something "
-        "touched the payload."
+        f"More than chance allows in {', '.join(surprising)}: there the noise is not as stated, or "
+        "something touched the payload."
         if surprising
         else "No more than chance allows: the noise is as stated all along."
     )
     return f"{end} Outside their bounds: {'; '.join(parts)}."
 
 
-def convergence_words(found: Convergence, required: float) -> str:
+def convergence_words(found: Convergence) -> str:
     """Whether a longer record would help."""
     half = found.time <= 0.5 * (found.time[0] + found.time[-1])
     moved = float(found.distance[half][-1])
     noise, final = float(found.sigma[-1]), found.final
     if noise < 0.5 * final:
         return (
-            f"Half of the record is {100 * moved:.2g} % of full scale from the final gain; noise alone would "
-            f"leave {100 * noise:.2g} %, and the stated sigma is {100 * final:.2g} %: it comes from what "
-            "is uncertain "
-            "of payload and clock, and a longer record of the same kind would hardly help."
+            f"Half of the record is {100 * moved:.2g} % of full scale from the final gain; noise alone "
+            f"would leave {100 * noise:.2g} %, and the stated sigma is {100 * final:.2g} %: it comes from "
+            "what is uncertain of payload and clock, and a longer record of the same kind would hardly "
+            "help."
         )
-    enough = "which is below what is required" if final <= required else "and more is required"
     return (
         f"Half of the record is {100 * moved:.2g} % of full scale from the final gain; the stated sigma is "
-        f"{100 * final:.2g} %, {enough}. It is mostly noise: four times the record would halve it."
+        f"{100 * final:.2g} % (RMS). It is mostly noise: four times the record would halve it."
     )
 
 

@@ -97,8 +97,8 @@ def _policy(scripts: Sequence[str]) -> str:
     )
     allowed = hashes or "'none'"
     return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; base-uri "
+        "'none'; form-action 'none'"
     )
 
 

@@ -119,9 +119,9 @@ def consistency_plot(found: Consistency, end: float) -> figure:
     return p
 
 
-def information_plot(shares: Array, undetermined: float, required: float) -> figure:
+def information_plot(shares: Array, undetermined: float) -> figure:
     """What the data left of the prior sigma, direction by direction, the best known first."""
-    top, bottom = 1.6, min(0.5 * float(shares.min()), 0.5 * required, 0.1)
+    top, bottom = 1.6, min(0.5 * float(shares.min()), 0.1)
     p = _figure(
         280, Range1d(0, len(shares) + 1), Range1d(max(bottom, 1e-7), top), "direction of the gain [number]",
         "sigma / prior sigma [1]", y_axis_type="log",
@@ -138,23 +138,16 @@ def information_plot(shares: Array, undetermined: float, required: float) -> fig
             color=VERMILION,
             legend_label="undetermined",
         )
-    for level, colour, dash, label in (
-        (undetermined, VERMILION, "dashed", "limit: half"),
-        (required, GREEN, "dotdash", "required"),
-    ):
-        p.line(
-            [0, len(shares) + 1],
-            [level, level],
-            line_color=colour,
-            line_dash=dash,
-            line_width=2,
-            legend_label=label,
-        )
+    ends = [0, len(shares) + 1]
+    p.line(
+        ends, [undetermined] * 2, line_color=VERMILION, line_dash="dashed", line_width=2,
+        legend_label="limit: half",
+    )  # fmt: skip
     _legend_above(p)
     return p
 
 
-def convergence_plot(found: Convergence, required: float, end: float) -> figure:
+def convergence_plot(found: Convergence, end: float) -> figure:
     """Distance from the final gain and sigma of the gain so far, over time."""
     curves = [
         ("distance from final", found.time, found.distance, BLUE, "solid"),
@@ -165,7 +158,7 @@ def convergence_plot(found: Convergence, required: float, end: float) -> figure:
     values = np.concatenate([curve[2] for curve in curves])
     values = values[values > 0.0]
     low = max(1e-3 * found.final, float(values.min()))
-    y = Range1d(0.5 * min(low, found.final, required), 2.0 * max(float(values.max()), found.final, required))
+    y = Range1d(0.5 * min(low, found.final), 2.0 * max(float(values.max()), found.final))
     p = _figure(300, _time(end), y, "time [s]", "share of full scale [1]", y_axis_type="log")
     for label, x, values, colour, dash in curves:
         shown = np.where(values > 0.0, values, np.nan)
@@ -181,7 +174,6 @@ def convergence_plot(found: Convergence, required: float, end: float) -> figure:
         line_width=2,
         legend_label="stated sigma",
     )
-    p.line(ends, [required] * 2, line_color=GREEN, line_dash="dashed", line_width=2, legend_label="required")
     _legend_above(p)
     return p
 
@@ -241,4 +233,4 @@ def _legend_above(p: figure) -> None:
     legend.orientation, legend.ncols = "horizontal", 3
     legend.background_fill_color = legend.border_line_color = None
     legend.stylesheets = [_LEGEND]
-    legend.label_text_font_size, legend.padding, legend.margin = "13px", 2, 0
+    legend.spacing, legend.label_text_font_size, legend.padding, legend.margin = 14, "13px", 2, 0

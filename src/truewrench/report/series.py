@@ -66,12 +66,14 @@ class Record:
     Attributes:
         logs: those that have residuals, and those that have none.
         against: what the corrected wrench is held against, in words.
+        fitted: whether the motion behind it was fitted to the sensor, too.
         part: words for the rows that are shown, where these are not all.
         none_because: why no log has residuals, empty where one has.
     """
 
     logs: tuple[Series, ...]
     against: str
+    fitted: bool = False
     part: str = ""
     none_because: str = ""
 
@@ -87,9 +89,10 @@ def record_of(calibration: Calibration, evidence: Evidence) -> Record:
     if not np.isfinite(calibration.inverse).all():
         return Record((), "", none_because="the gain has no inverse, so no wrench can be corrected with it")
     estimate = evidence.estimate
-    part = ""
+    part, fitted = "", False
     if isinstance(estimate, WindowEstimate) and calibration.estimator == "map":
         against = "the payload's wrench by the motion that was fitted to sensor and motion together"
+        fitted = True
         found = [_of_windows(calibration, log, k, estimate, b) for k, (log, b) in enumerate(begins)]
     elif isinstance(estimate, ReferenceEstimate):
         against = "the reference wrench of the log"
@@ -104,8 +107,8 @@ def record_of(calibration: Calibration, evidence: Evidence) -> Record:
         found = [_of_motion(calibration, log, b) for log, b in _begins(logs)]
     if not any(np.isfinite(series.residual).any() for series in found):
         why = "no stretch of the record has both all raw channels and a motion that fits"
-        return Record(tuple(found), against, part, why)
-    return Record(tuple(found), against, part)
+        return Record(tuple(found), against, fitted, part, why)
+    return Record(tuple(found), against, fitted, part)
 
 
 def _begins(logs: Sequence[Log]) -> list[tuple[Log, float]]:

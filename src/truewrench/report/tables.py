@@ -79,8 +79,8 @@ def gain_table(c: Calibration) -> Table:
             cells.append(Cell(text, mark, shade))
         rows.append(Row(channel, tuple(cells)))
     return Table(
-        "Gain, raw units of a channel (row) per N or N m of a wrench axis (column), ± 1 sigma; below it the "
-        "departure from the nominal gain in % of full scale",
+        "Gain, raw units of a channel (row) per N or N m of a wrench axis (column), ± 1 sigma; below it "
+        "the departure from the nominal gain in % of full scale",
         ("channel", *(f"{axis} [1/{unit}]" for axis, unit in UNITS.items())),
         tuple(rows),
     )
