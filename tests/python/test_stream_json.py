@@ -19,6 +19,7 @@ import pytest
 import yaml
 
 from truewrench.calibration import AXES, Calibration, Verdict, load_calibration
+from truewrench.cli import main
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
@@ -188,19 +189,51 @@ def test_reader_that_goes_away_ends_a_stream_without_a_fault(live: subprocess.Po
     assert b"Traceback" not in live.stderr.read()
 
 
+@pytest.fixture
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Run the command on an input: exit status, standard output, standard error."""
+
+    def call(text: bytes, *words: object) -> tuple[Any, str, str]:
+        (tmp_path / "input").write_bytes(text)
+        with monkeypatch.context() as patch, (tmp_path / "input").open() as file:
+            patch.setattr(sys, "stdin", file)
+            with pytest.raises(SystemExit) as left:
+                main(["stream", *map(str, words)])
+        return left.value.code, *capsys.readouterr()
+
+    return call
+
+
 def test_wrong_lines_and_unusable_calibrations_show_in_the_exit_status(
-    calibration: Calibration, tmp_path: Path
+    command: Any, calibration: Calibration, tmp_path: Path
 ) -> None:
     path = tmp_path / "unusable.yaml"
     replace(calibration, verdict=Verdict(False, ("the moment was never excited",))).write_yaml(path)
-    out, err = (process := start(path, "--json")).communicate(line(1) + line(2))
-    assert process.returncode == 3
-    assert b"the moment was never excited" in err
+    status, out, err = command(line(1) + line(2), path, "--json")
+    assert status == 3
+    assert "the moment was never excited" in err
     assert json.loads(out)["figures"] == {"lines": 2}
-    out, err = (process := start(path)).communicate(line(1) + b"{}\n")
-    assert process.returncode == 2
-    assert b"line 2: found no time" in err
+    status, out, err = command(line(1) + b"{}\n", path)
+    assert status == 2
+    assert "line 2: found no time" in err
     assert "fx" in json.loads(out.splitlines()[0])
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], "a CALIBRATION or --calibrate RIG"),
+        (["c.yaml", "--calibrate", "rig.yaml"], "found both"),
+        (["c.yaml", "-o", "out"], "--calibrate only"),
+        (["c.yaml", "--reliable"], "--ros2 only"),
+    ],
+)
+def test_options_that_mean_nothing_together_are_refused(
+    command: Any, words: list[str], expected: str
+) -> None:
+    status, _, err = command(b"", *words)
+    assert status == 2
+    assert expected in err
 
 
 @pytest.fixture(scope="module")
@@ -259,11 +292,11 @@ def test_signal_ends_a_calibration_with_that_of_the_whole_record(run: Any, tmp_p
     assert made.logs[0].path == folder / "record.parquet"
 
 
-def test_calibration_from_nothing_writes_nothing(run: Any, tmp_path: Path) -> None:
+def test_calibration_from_nothing_writes_nothing(command: Any, run: Any, tmp_path: Path) -> None:
     rig_file = tmp_path / "rig.yaml"
     rig_file.write_text(yaml.safe_dump(run[0]))
-    out, err = (process := start("--calibrate", rig_file, "-o", tmp_path / "out")).communicate(b"")
-    assert process.returncode == 2
-    assert b"no sample has arrived" in err
+    status, out, err = command(b"", "--calibrate", rig_file, "-o", tmp_path / "out")
+    assert status == 2
+    assert "no sample has arrived" in err
     assert not out
     assert not (tmp_path / "out").exists()
