@@ -2,12 +2,13 @@
 
     python benchmarks/recordings.py gains
     python benchmarks/recordings.py throughput
-    python benchmarks/recordings.py memory
+    python benchmarks/recordings.py memory [--numbers]
 
 `gains` calibrates one simulated run out of every format. `throughput` reads a file whose every message is of
 use, in turn by `rosbags`, which makes an object of every message, and by this package, which makes the
 columns of a log; the fastest of several turns counts. `memory` writes a recording of 2 GB, mostly pictures,
-under a temporary folder and reports the largest resident set of processes that read it.
+or with `--numbers` wrenches and joints alone, under a temporary folder and reports the largest resident set
+of processes that read it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ os.environ["OMP_NUM_THREADS"] = "1"  # before NumPy is imported
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
+import struct
 import subprocess
 import sys
 import tempfile
@@ -28,6 +30,7 @@ from typing import Any
 
 import cases
 import numpy as np
+from rosbags.highlevel import AnyReader
 
 from truewrench import robots
 from truewrench.io.tables import open_table, read_log, write_table
@@ -50,6 +53,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0, help="of the run [s]")
     parser.add_argument("--repeat", type=int, default=3, help="turns of which the fastest counts")
     parser.add_argument("--size", type=float, default=2.0, help="of the recording for `memory` [GB]")
+    parser.add_argument("--numbers", action="store_true", help="`memory` of a recording without pictures")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         if arguments.what == "gains":
@@ -57,7 +61,7 @@ def main() -> None:
         elif arguments.what == "throughput":
             throughput(Path(folder), arguments.duration, arguments.repeat)
         else:
-            memory(Path(folder), arguments.size)
+            memory(Path(folder), arguments.size, arguments.numbers)
 
 
 def run_of(duration: float) -> tuple[Rig, dict[str, Any]]:
@@ -147,8 +151,6 @@ def timed(call: Callable[[], object]) -> float:
 
 
 def by_rosbags(path: Path) -> None:
-    from rosbags.highlevel import AnyReader
-
     with AnyReader([path]) as reader:
         for connection, _, data in reader.messages():
             reader.deserialize(data, connection.msgtype)
@@ -173,12 +175,30 @@ READERS = {
 }
 
 
-def memory(folder: Path, size: float) -> None:
+def numbers_run(folder: Path, size: float) -> Path:
+    """As many wrenches and joints as make a file of a size [GB]: two messages, but for their stamps."""
+    _, short = arm_run(folder, "mcap", 0.001)
+    with AnyReader([short]) as reader:
+        messages = [(c.topic, c.msgtype, data[:4], data[12:]) for c, _, data in reader.messages()]
+    weight = sum(43 + len(rest) + 12 for *_, rest in messages)
+    with Bag(folder / "numbers", "mcap") as bag:
+        for i in range(int(size * 1e9 / weight)):
+            stamp = START + i * MS
+            packed = struct.pack("<iI", *divmod(stamp, 10**9))
+            for topic, kind, head, rest in messages:
+                bag.write_bytes(topic, kind, stamp, head + packed + rest)
+    return bag.path
+
+
+def memory(folder: Path, size: float, numbers: bool) -> None:
     print("| reading | GB | peak memory, MB |\n|---|---|---|")
     for share in (0.1, 1.0):
         part = folder / str(share)
         part.mkdir()
-        _, path = arm_run(part, "mcap", 60.0 * share, int(1000 * size * share))
+        if numbers:
+            path = numbers_run(part, size * share)
+        else:
+            _, path = arm_run(part, "mcap", 60.0 * share, int(1000 * size * share))
         for words, code in READERS.items():
             script = f"""
 import resource, sys
