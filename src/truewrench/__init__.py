@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from truewrench.ati_cal import AtiCalibration, read_ati_cal
     from truewrench.calibration import Calibration, Verdict, load_calibration
     from truewrench.errors import InputError, TruewrenchError, UnsupportedError
+    from truewrench.exports import write_exports
     from truewrench.io.tables import read_log
     from truewrench.log import Log
     from truewrench.pipeline import calibrate
@@ -45,6 +46,7 @@ _HOMES = {
     "read_ati_cal": "ati_cal",
     "read_log": "io.tables",
     "validate": "validation",
+    "write_exports": "exports",
 }
 
 __all__ = [
@@ -66,6 +68,7 @@ __all__ = [
     "read_ati_cal",
     "read_log",
     "validate",
+    "write_exports",
 ]
 
 
