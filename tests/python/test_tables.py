@@ -291,6 +291,8 @@ def test_seconds_are_exact_to_the_nearest_nanosecond(
     cells: Cells, csv_of: CsvOf, rig: Rig, times: list[Decimal], exponents: bool
 ) -> None:
     stamps = sorted({int((t * 10**9).to_integral_value()): t for t in times}.items())
+    # a tie may be rounded either way: neighbours could become one stamp
+    stamps = [s for i, s in enumerate(stamps) if i == 0 or s[0] - stamps[i - 1][0] > 1]
     if len(stamps) < 2:
         return
     log_cells = {name: column[: len(stamps)] for name, column in cells.items() if name != "time_ns"}
