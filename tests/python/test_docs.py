@@ -152,6 +152,18 @@ def test_commands_of_benchmarks_name_scripts_and_options_that_exist() -> None:
         assert f'"{option}"' in every, option
 
 
+def test_make_targets_named_in_the_documentation_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    named = {
+        name
+        for page in PAGES
+        for text in [*fenced(page, "sh"), *re.findall(r"`(make [^`\n]+)`", page.read_text())]
+        for name in re.findall(r"^make ([a-z][a-z-]*)", text, re.MULTILINE)
+    }
+    assert len(named) > 5
+    assert named <= targets
+
+
 def test_usage_lines_name_commands_and_options_that_exist() -> None:
     commands = typer.main.get_command(app)
     assert isinstance(commands, typer.core.TyperGroup)
