@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+
+from truewrench.rig import Rig
 
 KINDS = (
     "sqlite3",
@@ -23,6 +25,11 @@ KINDS = (
     "bag",
 )
 """Storage, and how it is compressed."""
+
+START = 1_700_000_000_000_000_000
+"""Stamps as large as real ones: a double does not hold their nanoseconds."""
+
+MS = 1_000_000
 
 Numbers = Sequence[float] | np.ndarray[Any, Any]
 
@@ -147,3 +154,22 @@ def record(path: Path, kind: str, columns: Mapping[str, np.ndarray[Any, Any]], s
             if not joints and not np.isnan(values["twist"][i]).all():
                 bag.twist("/tool/twist", stamp, values["twist"][i])
     return bag.path
+
+
+def write(tmp_path: Path, kind: str, fill: Callable[[Bag], None]) -> Path:
+    """A recording that a function fills."""
+    with Bag(tmp_path / "run", kind) as bag:
+        fill(bag)
+    return bag.path
+
+
+def still(bag: Bag, samples: int = 20) -> None:
+    """A sensor and a twist on topics of their own."""
+    for i in range(samples):
+        bag.wrench("/ft", START + i * MS, [i, 0, 0, 0, 0, 1])
+        bag.twist("/twist", START + i * MS, [0, 0, 0, 0, 0, i])
+
+
+def with_recording(rig: Rig, **recording: str) -> Rig:
+    """The rig with keys of its `recording`."""
+    return Rig.from_mapping({**rig.to_mapping(), "recording": recording})

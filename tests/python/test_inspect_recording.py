@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import Bag
+from bags import MS, START, Bag
 
 from truewrench.cli import main
 from truewrench.errors import InputError
 from truewrench.inspect_recording import RecordingContent, TopicContent, inspect_recording
-
-START = 1_700_000_000_000_000_000
-MS = 1_000_000
 
 
 def written(tmp_path: Path, kind: str = "mcap") -> Path:

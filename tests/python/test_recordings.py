@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from bags import KINDS, Bag, record
+from bags import KINDS, MS, START, Bag, record, still, with_recording, write
 
 from truewrench.errors import InputError
 from truewrench.io.tables import read_log, write_table
@@ -24,8 +23,6 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 Columns = dict[str, np.ndarray[Any, Any]]
 
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-START = 1_700_000_000_000_000_000  # stamps as large as real ones: a double does not hold their nanoseconds
-MS = 1_000_000
 
 
 @pytest.fixture(scope="module")
@@ -119,26 +116,6 @@ def test_log_says_its_payload(run: tuple[Rig, Columns], tmp_path: Path) -> None:
     assert read_log(f"{path}@default", run[0]).payload == "default"
 
 
-# --- sensors ---
-
-
-def write(tmp_path: Path, kind: str, fill: Callable[[Bag], None]) -> Path:
-    with Bag(tmp_path / "run", kind) as bag:
-        fill(bag)
-    return bag.path
-
-
-def still(bag: Bag, samples: int = 20) -> None:
-    """A sensor and a twist on topics of their own."""
-    for i in range(samples):
-        bag.wrench("/ft", START + i * MS, [i, 0, 0, 0, 0, 1])
-        bag.twist("/twist", START + i * MS, [0, 0, 0, 0, 0, i])
-
-
-def with_recording(rig: Rig, **recording: str) -> Rig:
-    return Rig.from_mapping({**rig.to_mapping(), "recording": recording})
-
-
 def test_channels_called_after_axes_are_found_by_their_names(
     settings: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -215,133 +192,6 @@ def test_command_is_not_taken_for_a_measurement(rig: Rig, tmp_path: Path) -> Non
     assert read_log(path, with_recording(rig, twist_topic="/cmd_vel")).twist is not None
 
 
-# --- joints ---
-
-
-@pytest.fixture
-def joint_rig(arm_rig: Callable[..., Rig]) -> Rig:
-    return arm_rig("ur10")
-
-
-def swing(names: tuple[str, ...], i: int) -> tuple[dict[str, float], dict[str, float]]:
-    q = {name: 0.1 * np.sin(0.3 * i + j) for j, name in enumerate(names)}
-    return q, {name: 30.0 * np.cos(0.3 * i + j) for j, name in enumerate(names)}
-
-
-def joints_of(rig: Rig) -> tuple[str, ...]:
-    from truewrench.robot import robot_of
-
-    return tuple(robot_of(rig).joints)
-
-
-@pytest.mark.parametrize("kind", ["mcap", "bag"])
-def test_joints_are_matched_by_name_among_several_publishers(
-    joint_rig: Rig, tmp_path: Path, kind: str
-) -> None:
-    names = joints_of(joint_rig)
-
-    def fill(bag: Bag) -> None:
-        for i in range(60):
-            stamp = START + 10 * i * MS
-            bag.wrench("/ft", stamp, [i] * 6)
-            q, dq = swing(names, i)
-            order = names[::-1] if i % 2 else names
-            bag.joints("/joint_states", stamp, {n: q[n] for n in order}, dq)
-            bag.joints("/joint_states", stamp + MS, {"gripper": 0.5}, {"gripper": 0.0})
-
-    log = read_log(write(tmp_path, kind, fill), joint_rig)
-    assert log.position is not None
-    assert log.velocity is not None
-    assert len(log.time_ns) == 60
-    for i in range(60):
-        q, dq = swing(names, i)
-        np.testing.assert_array_equal(log.position[i], list(q.values()))
-        np.testing.assert_array_equal(log.velocity[i], list(dq.values()))
-
-
-@pytest.mark.parametrize("fill_in", [None, np.nan])
-def test_joints_without_velocities_are_positions_alone(
-    joint_rig: Rig, tmp_path: Path, fill_in: float | None
-) -> None:
-    names = joints_of(joint_rig)
-
-    def fill(bag: Bag) -> None:
-        for i in range(60):
-            q = swing(names, i)[0]
-            bag.wrench("/ft", START + 10 * i * MS, [i] * 6)
-            dq = None if fill_in is None else dict.fromkeys(names, fill_in)
-            bag.joints("/joint_states", START + 10 * i * MS, q, dq)
-
-    settings = joint_rig.to_mapping()
-    settings["motion"] |= {"position_noise": [1e-5] * len(names)}
-    log = read_log(write(tmp_path, "mcap", fill), Rig.from_mapping(settings, joint_rig.path))
-    assert log.velocity is None
-    assert log.position is not None
-    assert np.isfinite(log.position).all()
-
-
-def test_joint_on_two_topics_is_ambiguous(joint_rig: Rig, tmp_path: Path) -> None:
-    names = joints_of(joint_rig)
-
-    def fill(bag: Bag) -> None:
-        for i in range(20):
-            q, dq = swing(names, i)
-            bag.wrench("/ft", START + i * MS, [i] * 6)
-            bag.joints("/joint_states", START + i * MS, q, dq)
-            bag.joints("/joint_states_filtered", START + i * MS, q, dq)
-
-    with pytest.raises(InputError, match=r"on several topics: /joint_states .*; /joint_states_filtered"):
-        read_log(write(tmp_path, "mcap", fill), joint_rig)
-
-
-def test_publishers_that_contradict_one_another_are_refused(joint_rig: Rig, tmp_path: Path) -> None:
-    names = joints_of(joint_rig)
-
-    def fill(bag: Bag) -> None:
-        for i in range(20):
-            q, dq = swing(names, i)
-            bag.wrench("/ft", START + i * MS, [i] * 6)
-            bag.joints("/joint_states", START + i * MS, q, dq)
-            bag.joints("/joint_states", START + i * MS, {names[0]: 1.0}, dq)
-
-    with pytest.raises(InputError, match=f"joint `{names[0]}` in messages with different sets of joints"):
-        read_log(write(tmp_path, "mcap", fill), joint_rig)
-
-
-def test_parts_of_an_arm_need_stamps_in_common(joint_rig: Rig, tmp_path: Path) -> None:
-    names = joints_of(joint_rig)
-
-    def fill(bag: Bag) -> None:
-        for i in range(20):
-            q, dq = swing(names, i)
-            bag.wrench("/ft", START + i * MS, [i] * 6)
-            bag.joints("/joint_states", START + i * MS, {n: q[n] for n in names[:3]}, dq)
-            bag.joints("/joint_states", START + i * MS + 5, {n: q[n] for n in names[3:]}, dq)
-
-    with pytest.raises(InputError, match="no stamp in common for the joints"):
-        read_log(write(tmp_path, "mcap", fill), joint_rig)
-
-
-def test_joint_that_is_missing_is_named_with_those_that_are_there(joint_rig: Rig, tmp_path: Path) -> None:
-    names = joints_of(joint_rig)
-
-    def fill(bag: Bag) -> None:
-        for i in range(5):
-            q = swing(names, i)[0]
-            bag.wrench("/ft", START + i * MS, [i] * 6)
-            bag.joints(
-                "/joint_states", START + i * MS, {("elbow" if n == names[2] else n): q[n] for n in names}
-            )
-
-    with pytest.raises(
-        InputError, match=rf"no samples of the joints {names[2]} \(joints in the recording: elbow, "
-    ):
-        read_log(write(tmp_path, "mcap", fill), joint_rig)
-
-
-# --- other streams ---
-
-
 def test_twist_in_gravity_asks_for_its_topic(settings: dict[str, Any], tmp_path: Path) -> None:
     def fill(bag: Bag) -> None:
         still(bag)
@@ -388,167 +238,3 @@ def test_accelerometer_and_temperature_are_read_where_the_rig_uses_them(
     assert log.temperature is not None
     np.testing.assert_array_equal(log.specific_force[4], [4, 1, 2])
     np.testing.assert_array_equal(log.temperature, 20.0 + np.arange(20))
-
-
-# --- stamps ---
-
-
-def test_header_and_receive_stamps_as_asked(rig: Rig, tmp_path: Path) -> None:
-    def fill(bag: Bag) -> None:
-        for i in range(400):
-            bag.wrench("/ft", START + i * MS, [i] * 6, receive=START + i * MS + 250 * MS)
-            bag.twist("/twist", START + i * MS, [i] * 6, receive=START + i * MS + 3 * MS)
-
-    path = write(tmp_path, "mcap", fill)
-    header = read_log(path, rig)
-    np.testing.assert_array_equal(header.time_ns, START + MS * np.arange(400))
-    assert any(note.startswith("/ft: header stamps are 0.25 s before") for note in header.notes)
-    assert any("stamps are 0.247 s apart" in note for note in header.notes)
-    receive = read_log(path, with_recording(rig, stamps="receive"))
-    sensed = np.isfinite(receive.raw[:, 0])
-    np.testing.assert_array_equal(receive.time_ns[sensed], START + MS * (250 + np.arange(400)))
-
-
-def test_drift_of_the_stamps_is_noted(rig: Rig, tmp_path: Path) -> None:
-    def fill(bag: Bag) -> None:
-        for i in range(500):
-            bag.wrench("/ft", START + i * MS, [i] * 6, receive=START + int(i * MS * 1.1))
-            bag.twist("/twist", START + i * MS, [i] * 6)
-
-    notes = read_log(write(tmp_path, "mcap", fill), rig).notes
-    assert any(note.startswith("/ft: header stamps drift by 0.0499 s") for note in notes)
-
-
-def test_messages_without_a_header_have_receive_stamps(rig: Rig, tmp_path: Path) -> None:
-    def fill(bag: Bag) -> None:
-        for i in range(20):
-            six = bag.type("geometry_msgs/msg/Wrench")(
-                force=bag.vector([i, 0, 0]), torque=bag.vector([0, 0, 0])
-            )
-            bag.write("/ft", "geometry_msgs/msg/Wrench", START + i * MS, six)
-            bag.twist("/twist", START + i * MS, [0] * 6)
-
-    log = read_log(write(tmp_path, "sqlite3", fill), rig)
-    np.testing.assert_array_equal(log.time_ns, START + MS * np.arange(20))
-    np.testing.assert_array_equal(log.raw[:, 0], np.arange(20))
-
-
-def test_late_messages_are_sorted_in_and_noted(rig: Rig, tmp_path: Path) -> None:
-    order = np.random.default_rng(0).permutation(5000)
-
-    def fill(bag: Bag) -> None:
-        for k, i in enumerate(order.tolist()):
-            bag.wrench("/ft", START + i * MS, [i] * 6, receive=START + k * MS)
-            bag.twist("/twist", START + k * MS, [k] * 6)
-
-    log = read_log(write(tmp_path, "mcap", fill), rig)
-    np.testing.assert_array_equal(log.time_ns, START + MS * np.arange(5000))
-    np.testing.assert_array_equal(log.raw[:, 0], np.arange(5000))
-    late = int((order < np.maximum.accumulate(order)).sum())
-    assert f"/ft: {late} messages came late and were sorted in by their stamps" in log.notes
-
-
-def test_repeated_stamps_are_counted_or_refused(rig: Rig, tmp_path: Path) -> None:
-    def fill(bag: Bag) -> None:
-        still(bag, 400)
-        bag.wrench("/ft", START + 399 * MS, [1e3] * 6, receive=START + 400 * MS)
-
-    log = read_log(write(tmp_path, "mcap", fill), rig)
-    assert log.raw[-1, 0] == 399
-    assert "/ft: 1 messages with the stamp of an earlier one left out" in log.notes
-
-    def unset(bag: Bag) -> None:
-        for i in range(20):
-            bag.wrench("/ft", 0, [i] * 6, receive=START + i * MS)
-            bag.twist("/twist", START + i * MS, [0] * 6)
-
-    shutil.rmtree(tmp_path / "run")
-    with pytest.raises(InputError, match=r"19 of 20 messages with a stamp .*stamps: receive"):
-        read_log(write(tmp_path, "mcap", unset), rig)
-
-
-def test_streams_of_clocks_without_a_time_in_common_are_refused(rig: Rig, tmp_path: Path) -> None:
-    def fill(bag: Bag) -> None:
-        for i in range(20):
-            bag.wrench("/ft", (i + 1) * MS, [i] * 6, receive=START + i * MS)
-            bag.twist("/twist", START + i * MS, [0] * 6)
-
-    path = write(tmp_path, "mcap", fill)
-    with pytest.raises(InputError, match=r"expected streams that overlap; .*stamps: receive"):
-        read_log(path, rig)
-    assert len(read_log(path, with_recording(rig, stamps="receive")).time_ns) == 20
-
-
-# --- faults ---
-
-
-def test_nan_is_left_out_and_counted_and_infinity_refused(rig: Rig, tmp_path: Path) -> None:
-    def fill(bag: Bag) -> None:
-        still(bag)
-        bag.wrench("/ft", START + 20 * MS, [1, np.nan, 1, 1, 1, 1])
-
-    log = read_log(write(tmp_path, "mcap", fill), rig)
-    assert log.nan_counts == {"raw_1": 1}
-    assert np.isnan(log.raw[-1]).tolist() == [False, True, False, False, False, False]
-    shutil.rmtree(tmp_path / "run")
-
-    def infinite(bag: Bag) -> None:
-        still(bag)
-        bag.wrench("/ft", START + 20 * MS, [1, np.inf, 1, 1, 1, 1])
-
-    place = rf"stamp {START + 20 * MS} ns, column `raw_1`: found inf, expected a finite number"
-    with pytest.raises(InputError, match=place):
-        read_log(write(tmp_path, "mcap", infinite), rig)
-
-
-@pytest.mark.parametrize("kind", ["mcap", "mcap-storage", "mcap-file", "mcap-message", "sqlite3", "bag"])
-@pytest.mark.parametrize("share", [0.02, 0.5, 0.9])
-def test_truncated_file_is_a_clear_error(
-    run: tuple[Rig, Columns], tmp_path: Path, kind: str, share: float
-) -> None:
-    path = record(tmp_path / "run", kind, run[1])
-    file = path if path.is_file() else next(f for f in path.iterdir() if f.name != "metadata.yaml")
-    data = file.read_bytes()
-    file.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(InputError, match=r"found a broken recording \(.*\), expected a complete recording"):
-        read_log(path, run[0])
-
-
-def test_message_of_another_shape_is_named(rig: Rig, tmp_path: Path) -> None:
-    def fill(bag: Bag) -> None:
-        still(bag)
-        bag.write_bytes("/ft", "geometry_msgs/msg/WrenchStamped", START + 20 * MS, b"\0\1\0\0" + bytes(30))
-
-    words = r"topic /ft, message 21: found a broken message \(34 bytes, fewer than its type has\)"
-    with pytest.raises(InputError, match=words):
-        read_log(write(tmp_path, "mcap", fill), rig)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("run.mcap", b"", "found an empty file"),
-        ("run.bag", b"time_ns,raw_0\n", "found a file that does not begin like one"),
-        ("run.csv", b"\x89MCAP0\r\n", r"found MCAP under this name, expected a name that ends in \.mcap"),
-    ],
-)
-def test_what_is_no_recording_is_refused(
-    rig: Rig, tmp_path: Path, name: str, content: bytes, words: str
-) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=words):
-        read_log(tmp_path / name, rig)
-
-
-def test_database_that_was_not_closed_is_refused(run: tuple[Rig, Columns], tmp_path: Path) -> None:
-    folder = record(tmp_path / "run", "sqlite3", run[1])
-    (folder / "run.db3-wal").write_bytes(b"rows that have not been merged")
-    with pytest.raises(InputError, match=r"a recording that was cut off \(run\.db3-wal beside it\)"):
-        read_log(folder, run[0])
-
-
-def test_folder_without_metadata_names_its_files(run: tuple[Rig, Columns], tmp_path: Path) -> None:
-    folder = record(tmp_path / "run", "mcap", run[1])
-    (folder / "metadata.yaml").unlink()
-    with pytest.raises(InputError, match=r"a folder without metadata\.yaml, expected .*files: run\.mcap"):
-        read_log(folder, run[0])
