@@ -65,6 +65,7 @@ def candidates(
     lower, upper = problem.limits(bounds)
     every = problem.rows(np.ones(problem.count, dtype=bool))
     L, n, free = len(problem.linear), problem.space.n, problem.space.free_start
+    of = np.array([j for _, j in problem.linear_of], dtype=np.int64)
     rng = np.random.default_rng([seed, 11])
     room = 0.9 * np.minimum(bounds.upper - bounds.lower, 2.0 * np.pi)
     middle = 0.5 * (np.maximum(bounds.lower, -_FREE) + np.minimum(bounds.upper, _FREE))
@@ -82,7 +83,8 @@ def candidates(
             problem.linear @ problem.pack(*at) for at in ((start, 0.0 * drawn), (0.0 * start, drawn))
         )
         room_there = np.where(moving > 0.0, upper[:L] - still, still - lower[:L])
-        largest = float(np.min(room_there / np.maximum(np.abs(moving), 1e-12), initial=_TYPICAL))
+        largest = np.full(n, _TYPICAL)  # of each coordinate
+        np.minimum.at(largest, of, room_there / np.maximum(np.abs(moving), 1e-12))
         for size in _SIZES:
             coefficients = size * largest * drawn
             x = problem.pack(start, coefficients)

@@ -1,0 +1,164 @@
+"""How well planned motions determine the gain, beside the paper's wrenches and random motions.
+
+    python benchmarks/plans.py                      # the reference case, free of any arm
+    python benchmarks/plans.py --arms               # every packaged arm, from rest to rest, in its own limits
+    python benchmarks/plans.py --durations          # an arm like the SPDM's: 60 s, 10 min, an hour
+
+Figures are RMS sigma of the normalised gains if the motion were known (oracle), payload and clock exact. How
+much longer a motion takes to the same accuracy is the square of the ratio of its sigma to the optimal one's.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+from typing import Any, Literal
+
+import runs
+
+from truewrench import robots
+from truewrench.planning.planner import plan
+from truewrench.planning.result import Plan
+from truewrench.rig import Rig, load_rig
+
+REFERENCE: dict[str, Any] = {
+    "sensor": {
+        "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+        "feels": "payload_on_sensor",
+        "noise": [0.5] * 3 + [0.05] * 3,
+        "range": [500] * 3 + [50] * 3,
+        "offset_prior": 0,
+        "time_offset_prior": 0,
+    },
+    "payloads": {
+        "default": {
+            "mass": 50,
+            "center_of_mass": [0.2, 0, 0],
+            "inertia": {"xx": 1.5, "yy": 1.5, "zz": 0.4},
+            "uncertainty": {"mass": 0, "center_of_mass": 0, "inertia": 0},
+        }
+    },
+    "motion": {"noise": [1e-3] * 6},
+    "limits": {
+        "velocity": [0.5] * 6,
+        "acceleration": [1] * 3 + [1.5] * 3,
+        "position": [0.5] * 3 + [0.8] * 3,
+    },
+    "plan": {"duration": 20, "rate": 40, "harmonics": 6, "rest_to_rest": False},
+    "simulate": {"rate": 40, "sensor_rate": 40},
+}
+HEADER = ("motion", "within limits", "oracle RMS", "time to the same accuracy", "planning [s]")
+
+
+def reference(harmonics: int = 6) -> Rig:
+    """The payload of [A00], free, periodic, 20 s at 40 Hz."""
+    settings = {**REFERENCE, "plan": {**REFERENCE["plan"], "harmonics": harmonics}}
+    if harmonics > 10:
+        settings["plan"]["rate"] = 4.0 * harmonics
+    return Rig.from_mapping(settings)
+
+
+def exact(name: str, **changes: Any) -> Rig:
+    """The rig of an arm with an exact payload and clock."""
+    path = robots.path(name)
+    settings = load_rig(path).to_mapping()
+    for payload in settings["payloads"].values():
+        payload["uncertainty"] = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+    settings["sensor"]["time_offset_prior"] = 0
+    settings["plan"] |= changes
+    return Rig.from_mapping(settings, path)
+
+
+def oracle(found: Plan) -> float:
+    """RMS sigma if the motion were known."""
+    return float("nan") if found.prediction is None else found.prediction.oracle_rms
+
+
+def compared(found: dict[str, Plan], best: Plan) -> list[list[Any]]:
+    """Lines of the table: random motions of the best plan's own search, then the plans."""
+    facts, least = best.design.facts or {}, oracle(best)
+    lines = [
+        [f"random, {kind} of those drawn", "yes", f"{sigma:.5f}", f"{(sigma / least) ** 2:.2f}", "-"]
+        for kind, sigma in (("median", facts["random_median"]), ("best", facts["random_best"]))
+    ]
+    for name, planned in found.items():
+        sigma = oracle(planned)
+        within = "yes" if planned.feasible else "no"
+        times = f"{(sigma / least) ** 2:.2f}"
+        lines.append([name, within, f"{sigma:.5f}", times, f"{planned.seconds:.0f}"])
+    return lines
+
+
+def reference_table() -> None:
+    """The reference case."""
+    kinds: tuple[tuple[str, Literal["A", "D"], int], ...] = (
+        ("optimal, D", "D", 6),
+        ("optimal, A", "A", 6),
+        ("optimal, A, 10 harmonics", "A", 10),
+        ("optimal, A, 16 harmonics", "A", 16),
+    )
+    found = {"wrench": plan(reference(), "wrench")}
+    found |= {name: plan(reference(harmonics), criterion=kind) for name, kind, harmonics in kinds}
+    runs.table(HEADER, compared(found, found["optimal, A"]))
+
+
+def arms_table() -> None:
+    """Every packaged arm."""
+    lines = []
+    for name in robots.NAMES:
+        rig = exact(name)
+        best = plan(rig)
+        found = {"optimal": best}
+        if not rig.in_gravity:
+            found = {"wrench (not from rest)": plan(rig, "wrench")} | found
+        lines += [[name, *line] for line in compared(found, best)]
+    runs.table(("arm", *HEADER), lines)
+
+
+def durations_table() -> None:
+    """What an arm like the SPDM's reaches in a minute, ten and sixty."""
+    lines = []
+    for seconds in (60.0, 600.0, 3600.0):
+        for words, rig in (("exact", exact("spdm", duration=seconds)), ("as packaged", packaged(seconds))):
+            found = plan(rig)
+            assert found.prediction is not None
+            sources = ", ".join(
+                f"{k.replace('_', ' ')} {v:.4f}" for k, v in found.prediction.limited_by.items()
+            )
+            largest = float(found.prediction.std.max())
+            yes = "yes" if found.feasible else "no"
+            lines.append(
+                [f"{seconds:g}", words, yes, f"{found.predicted_rms:.4f}", f"{largest:.4f}", sources]
+            )
+    runs.table(("s", "payload and clock", "within limits", "RMS sigma", "largest", "by source"), lines)
+
+
+def packaged(seconds: float) -> Rig:
+    """The rig of the SPDM-like arm with what is uncertain of its payload and clock."""
+    path = robots.path("spdm")
+    settings = load_rig(path).to_mapping()
+    settings["plan"]["duration"] = seconds
+    return Rig.from_mapping(settings, path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--arms", action="store_true")
+    parser.add_argument("--durations", action="store_true")
+    options = parser.parse_args()
+    if options.arms:
+        arms_table()
+    if options.durations:
+        durations_table()
+    if not (options.arms or options.durations):
+        reference_table()
+
+
+if __name__ == "__main__":
+    main()
