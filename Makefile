@@ -107,6 +107,7 @@ stubs: $(VENV)/.built
 
 figures: demo
 	$(BIN)/python docs/figures/frames.py
+	$(BIN)/python docs/figures/report.py
 	cp out/demo/fig3_gain_error.png docs/figures/demo.png
 
 lock: $(VENV)/.created

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Makes sure that the system has what pip cannot bring: the venv module, Python's headers, a C++20 compiler
-# and, with the argument `test`, GoogleTest. Installs Debian's packages where it may, else names them.
+# and, with the argument `test`, GoogleTest. Installs Debian's packages where it may, else names them. Tests of
+# reports want a browser, too, and are skipped where none can be had.
 set -eu
 
 python=${PYTHON:-python3}
@@ -28,7 +29,11 @@ if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
 fi
 
 find_missing
-[ -n "$missing" ] || exit 0
+wanted=""
+if [ "$purpose" = test ]; then
+  command -v chromium >/dev/null || wanted=chromium
+fi
+[ -n "$missing$wanted" ] || exit 0
 
 if [ "$(id -u)" = 0 ]; then
   as_root=""
@@ -38,14 +43,20 @@ else
   as_root=none
 fi
 if [ "$as_root" = none ] || ! command -v apt-get >/dev/null; then
+  [ -n "$missing" ] || exit 0
   echo "Please install first: apt-get install$missing (or the like on this system)" >&2
   exit 1
 fi
 
-echo "Installing$missing"
+install() {
+  $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+echo "Installing$missing${wanted:+ $wanted}"
 $as_root apt-get update -qq || true
 # shellcheck disable=SC2086
-$as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $missing >/dev/null
+[ -z "$missing" ] || install $missing
+[ -z "$wanted" ] || install "$wanted" || echo "No $wanted: the tests of reports will be skipped" >&2
 
 find_missing
 if [ -n "$missing" ]; then

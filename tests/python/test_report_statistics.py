@@ -60,8 +60,8 @@ def test_peaks_survive_decimation() -> None:
     nothing = np.zeros((60_000, 6))
     series = Series(time, nothing, nothing, residual, np.ones(6), np.zeros((1, 6)), 0.0, 60.0)
     drawn = envelope(Record((series,), ""))
-    assert drawn.bucket == pytest.approx(60.0 / 1500)
-    assert len(drawn.time) < 3100
+    assert drawn.bucket == pytest.approx(60.0 / 1000)
+    assert len(drawn.time) < 2100
     np.testing.assert_array_equal(np.nanmax(drawn.values, axis=0), np.nanmax(residual, axis=0))
     np.testing.assert_array_equal(np.nanmin(drawn.values, axis=0), np.nanmin(residual, axis=0))
     gap = (drawn.time > 40.05) & (drawn.time < 44.9)

@@ -17,7 +17,7 @@ __all__ = ["Envelope", "Histogram", "Spectrum", "envelope", "histogram", "spectr
 
 Array = NDArray[np.float64]
 
-BUCKETS = 1500  # of the time axis: about the pixels of a wide screen
+BUCKETS = 1000  # of the time axis: about the pixels of a wide screen
 _LONGEST = 2048  # samples of a transform
 _SHORTEST = 128
 _BANDS = 100  # of frequency, equal on a logarithmic axis
