@@ -231,6 +231,7 @@ def test_accelerometer_and_temperature_are_read_where_the_rig_uses_them(
     plain = read_log(path, Rig.from_mapping(settings))
     assert plain.specific_force is None
     assert plain.temperature is None
+    without = write(tmp_path / "without", "mcap", still)
     settings["motion"]["acceleration_noise"] = [0.01] * 3
     settings["temperature"] = {"prior": 0.001}
     log = read_log(path, Rig.from_mapping(settings))
@@ -238,3 +239,6 @@ def test_accelerometer_and_temperature_are_read_where_the_rig_uses_them(
     assert log.temperature is not None
     np.testing.assert_array_equal(log.specific_force[4], [4, 1, 2])
     np.testing.assert_array_equal(log.temperature, 20.0 + np.arange(20))
+    assert (
+        read_log(without, Rig.from_mapping(settings)).temperature is None
+    )  # as of a table without the column

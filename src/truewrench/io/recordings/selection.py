@@ -154,9 +154,10 @@ def _of_role(
         _check_publishers(recording, found)
         return found
     stream = one_topic(recording.path, found, role, {"imu": "the accelerometer"}.get(role, f"the {role}"))
-    if stream is None and whole:
-        expected = f"a topic with the {role}, which the rig uses"
-        raise InputError.at(recording.path, "", f"none among {topics_in_words(recording.topics)}", expected)
+    if stream is None and role == "twist" and whole:
+        there = topics_in_words(recording.topics)
+        expected = "a topic with the twist; one that is named like a command has to be chosen"
+        raise InputError.at(recording.path, "", f"none among {there}", expected)
     return [] if stream is None else [stream]
 
 
