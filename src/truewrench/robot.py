@@ -189,7 +189,8 @@ def load_robot(urdf: str | Path, sensor_frame: str) -> Robot:
         names = [frame.name for frame in whole.frames if frame.name != "universe"]
         expected = f"a link or joint of the robot (nearest: {nearest(sensor_frame, names)})"
         raise InputError.at(urdf, "", f"no frame `{sensor_frame}`", expected)
-    support = list(whole.supports[whole.frames[_frame_id(whole, sensor_frame)].parentJoint])[1:]
+    sensor = _frame_id(whole, sensor_frame)
+    support = list(whole.supports[whole.frames[sensor].parentJoint])[1:]
     if not support:
         raise InputError.at(
             urdf, f"frame `{sensor_frame}`", "no joint that moves it", "a frame on a moving link"
@@ -200,6 +201,7 @@ def load_robot(urdf: str | Path, sensor_frame: str) -> Robot:
             place = f"joint `{whole.names[joint]}`"
             raise UnsupportedError.at(urdf, place, found, "revolute, continuous or prismatic joints")
     locked = [joint for joint in range(1, whole.njoints) if joint not in support]
+    _tell_apart(whole)
     model = pin.buildReducedModel(whole, locked, pin.neutral(whole))
     return Robot(
         joints=tuple(model.names)[1:],
@@ -209,7 +211,7 @@ def load_robot(urdf: str | Path, sensor_frame: str) -> Robot:
         effort=np.array(model.effortLimit),
         sensor_frame=sensor_frame,
         model=model,
-        frame_id=_frame_id(model, sensor_frame),
+        frame_id=model.getFrameId(whole.frames[sensor].name),
     )
 
 
@@ -251,6 +253,16 @@ def _frame_id(model: Any, name: str) -> int:
 
     named = [i for i, frame in enumerate(model.frames) if frame.name == name]
     return next((i for i in named if model.frames[i].type == pin.FrameType.BODY), named[0])
+
+
+def _tell_apart(model: Any) -> None:
+    """Rename links that share a joint's name: URDF allows it, Pinocchio's reduction does not."""
+    import pinocchio as pin
+
+    moving = {frame.name for frame in model.frames if frame.type != pin.FrameType.BODY}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.name in moving:
+            frame.name += " (link)"
 
 
 def _rows(values: Array) -> Array:

@@ -71,6 +71,18 @@ def test_only_the_joints_between_root_and_sensor_count(arm: Robot) -> None:
     assert arm.model.nq == arm.model.nv == arm.n == 3
 
 
+@pytest.mark.parametrize(
+    ("joint", "link"), [("mount", "ft"), ("roll", "wrist"), ("pan", "camera"), ("grip", "slide")]
+)
+def test_joints_may_have_the_names_of_links(
+    arm: Robot, arm_of: Callable[[str], Path], joint: str, link: str
+) -> None:
+    other = load_robot(arm_of(ARM.replace(f'joint name="{joint}"', f'joint name="{link}"')), "ft")
+    q, qd, qdd = states(arm)
+    np.testing.assert_array_equal(other.motion(q, qd, qdd).twist, arm.motion(q, qd, qdd).twist)
+    np.testing.assert_array_equal(other.pose(q)[1], arm.pose(q)[1])
+
+
 def test_pose_is_the_product_of_the_joints_transforms(arm: Robot) -> None:
     def placed(xyz: list[float], rpy: list[float]) -> Array:
         T = np.eye(4)
