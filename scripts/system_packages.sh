@@ -1,7 +1,7 @@
 #!/bin/sh
 # Makes sure that the system has what pip cannot bring: the venv module, Python's headers, a C++20 compiler
 # and, with the argument `test`, GoogleTest. Installs Debian's packages where it may, else names them. Tests of
-# reports want a browser, too, and are skipped where none can be had.
+# reports want a browser, those of recordings ROS 1, and are skipped where these cannot be had.
 set -eu
 
 python=${PYTHON:-python3}
@@ -32,6 +32,8 @@ find_missing
 wanted=""
 if [ "$purpose" = test ]; then
   command -v chromium >/dev/null || wanted=chromium
+  /usr/bin/python3 -c 'import rosbag, geometry_msgs, sensor_msgs' 2>/dev/null ||
+    wanted="$wanted python3-rosbag python3-geometry-msgs python3-sensor-msgs"
 fi
 [ -n "$missing$wanted" ] || exit 0
 
@@ -56,7 +58,8 @@ echo "Installing$missing${wanted:+ $wanted}"
 $as_root apt-get update -qq || true
 # shellcheck disable=SC2086
 [ -z "$missing" ] || install $missing
-[ -z "$wanted" ] || install "$wanted" || echo "No $wanted: the tests of reports will be skipped" >&2
+# shellcheck disable=SC2086
+[ -z "$wanted" ] || install $wanted || echo "Without $wanted, the tests that need them will be skipped" >&2
 
 find_missing
 if [ -n "$missing" ]; then
