@@ -278,7 +278,7 @@ def calibrate_topics(
         return channels, stamp, values
 
     begun = time.monotonic()
-    told, progress, silent = begun, Progress(0, 0.0, 0, reason="no sample yet"), True
+    told, progress, silent = begun, Progress(0, 0.0, 0, reason="no estimate yet"), True
     while not stop.requested and time.monotonic() - begun < seconds:
         node.wait(_WAIT)
         for (topic, _, reader), read in zip(readers, (of_sensor, motion.read), strict=True):
