@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from truewrench.ati_cal import AtiCalibration, read_ati_cal
     from truewrench.calibration import Calibration, Verdict, load_calibration
     from truewrench.errors import InputError, TruewrenchError, UnsupportedError
+    from truewrench.evidence import Evidence
     from truewrench.exports import write_exports
     from truewrench.io.tables import read_log
     from truewrench.log import Log
     from truewrench.pipeline import calibrate
     from truewrench.planning.planner import plan
     from truewrench.planning.result import Plan
+    from truewrench.report import write_report
     from truewrench.rig import Rig, load_rig
     from truewrench.validation import Validation, validate
 
@@ -31,6 +33,7 @@ __version__ = version("truewrench")
 _HOMES = {
     "AtiCalibration": "ati_cal",
     "Calibration": "calibration",
+    "Evidence": "evidence",
     "InputError": "errors",
     "Log": "log",
     "Plan": "planning.result",
@@ -47,11 +50,13 @@ _HOMES = {
     "read_log": "io.tables",
     "validate": "validation",
     "write_exports": "exports",
+    "write_report": "report",
 }
 
 __all__ = [
     "AtiCalibration",
     "Calibration",
+    "Evidence",
     "InputError",
     "Log",
     "Plan",
@@ -69,6 +74,7 @@ __all__ = [
     "read_log",
     "validate",
     "write_exports",
+    "write_report",
 ]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import truewrench as tw
 from truewrench import report as package
 from truewrench.calibration import load_calibration
 from truewrench.cli import main
@@ -15,6 +16,7 @@ from truewrench.report.series import Record, Series
 from truewrench.report.statistics import envelope, histogram, spectrum
 from truewrench.rig import load_rig
 from truewrench.simulate import simulate
+from truewrench.split import rows_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -88,3 +90,13 @@ def test_a_report_that_fails_leaves_the_calibration(
     assert "no paper" in capsys.readouterr().err
     assert load_calibration(tmp_path / "out" / "calibration.yaml").verdict.usable
     assert not (tmp_path / "out" / "report.html").exists()
+
+
+def test_python_of_the_page_on_reports_writes_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "report.md").read_text(encoding="utf-8")
+    block = text.split("```python\n")[1].split("```")[0]
+    rig = load_rig(ROOT / "examples" / "rig.yaml")
+    log = simulate(rig).log
+    monkeypatch.chdir(tmp_path)
+    exec(block, {"tw": tw, "rig": rig, "log": rows_of(log, log.time < 4.0)})
+    assert "<h1>" in (tmp_path / "report.html").read_text(encoding="utf-8")
