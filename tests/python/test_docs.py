@@ -62,7 +62,7 @@ def test_readme_commands_run_in_order(tmp_path: Path) -> None:
     assert {"fx", "mz", "fx_std", "mz_std"} <= set(header)
 
 
-def test_readme_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import truewrench as tw
     from truewrench.simulate import simulate
 
@@ -73,6 +73,9 @@ def test_readme_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     names: dict[str, object] = {}
     exec(block, names)
     assert names["wrench"].shape[1] == 6  # type: ignore[attr-defined]
+    for page in sorted((ROOT / "docs").glob("*.md")):  # which go on from there
+        for block in fenced(page, "python"):
+            exec(block, names)
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/formats.md"])
