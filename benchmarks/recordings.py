@@ -216,7 +216,7 @@ path, rig = Path({str(path)!r}), load_rig(robots.path("panda"))
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
             done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-            print(f"| {words} | {size * share:.1f} | {float(done.stdout):.0f} |", flush=True)
+            print(f"| {words} | {size * share:.2g} | {float(done.stdout):.0f} |", flush=True)
 
 
 def calibration_of(rig: Rig) -> Any:
