@@ -21,8 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import suppress
-from functools import partial
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -162,30 +161,40 @@ def echo() -> None:
 
 
 def measure(count: int) -> None:
-    """By topic, index and latency [ns] of every message."""
+    """By topic, index and latency [ns] of every message.
+
+    An executor of rclpy is too slow for two streams; this is what it does, all messages at a time.
+    """
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+
     made, kind, quality = node("measure")
     found: dict[str, list[tuple[int, int]]] = {OUTPUT: [], ECHO: []}
-    last = time.monotonic()
-
-    def note(message: bytes, of: list[tuple[int, int]]) -> None:
-        now = time.time_ns()
-        sec, nanosec, length = struct.unpack_from("<iII", message, 4)
-        of.append((int(message[16 : 15 + length]), now - sec * 1_000_000_000 - nanosec))
-
-    for topic, of in found.items():
-        made.create_subscription(kind, topic, partial(note, of=of), quality, raw=True)
-    seen = 0
-
-    def end() -> None:
-        """Once everything has come, or nothing has for a while after the stream has begun."""
-        nonlocal last, seen
-        now = sum(map(len, found.values()))
-        last, seen = (time.monotonic() if now > seen or not now else last), now
-        if seen == 2 * count or time.monotonic() - last > 5.0:
-            raise KeyboardInterrupt
-
-    made.create_timer(0.5, end)
-    spin(made)
+    subscriptions = {
+        topic: made.create_subscription(kind, topic, lambda _: None, quality, raw=True) for topic in found
+    }
+    with made.context.handle, ExitStack() as stack:
+        handles = {topic: one.handle for topic, one in subscriptions.items()}
+        for handle in handles.values():
+            stack.enter_context(handle)
+        ready = rclpy_implementation.WaitSet(len(handles), 0, 0, 0, 0, 0, made.context.handle)
+        last = time.monotonic()
+        # until everything has come, or nothing has for a while after the stream has begun
+        while (seen := sum(map(len, found.values()))) < 2 * count:
+            ready.clear_entities()
+            for handle in handles.values():
+                ready.add_subscription(handle)
+            ready.wait(500_000_000)
+            for topic, handle in handles.items():
+                while (taken := handle.take_message(kind, True)) is not None:
+                    now = time.time_ns()
+                    sec, nanosec, length = struct.unpack_from("<iII", taken[0], 4)
+                    index = int(taken[0][16 : 15 + length])
+                    found[topic].append((index, now - sec * 1_000_000_000 - nanosec))
+            now_seen = sum(map(len, found.values()))
+            if now_seen > seen or not now_seen:
+                last = time.monotonic()
+            elif time.monotonic() - last > 5.0:
+                break
     print(json.dumps(found))
 
 
