@@ -320,7 +320,7 @@ def _convergence(c: Calibration, evidence: Evidence, record: Record, end: float)
     )
     plot = plots.convergence_plot(found, end)
     label = f"Distance of the gain so far from the final gain, over time; stated sigma {found.final:.2g}"
-    words = (findings.convergence_words(found),)
+    words = (findings.convergence_words(found, c),)
     return Section("convergence", title, words, (), (Figure("settling", plot, label, caption),))
 
 

@@ -149,22 +149,22 @@ def consistency_words(found: tuple[Consistency, ...]) -> str:
     return f"{end} Outside their bounds: {'; '.join(parts)}."
 
 
-def convergence_words(found: Convergence) -> str:
+def convergence_words(found: Convergence, calibration: Calibration) -> str:
     """Whether a longer record would help."""
     half = found.time <= 0.5 * (found.time[0] + found.time[-1])
-    moved = float(found.distance[half][-1])
-    noise, final = float(found.sigma[-1]), found.final
-    if noise < 0.5 * final:
-        return (
-            f"Half of the record is {100 * moved:.2g} % of full scale from the final gain; noise alone "
-            f"would leave {100 * noise:.2g} %, and the stated sigma is {100 * final:.2g} %: it comes from "
-            "what is uncertain of payload and clock, and a longer record of the same kind would hardly "
-            "help."
-        )
-    return (
-        f"Half of the record is {100 * moved:.2g} % of full scale from the final gain; the stated sigma is "
-        f"{100 * final:.2g} % (RMS). It is mostly noise: four times the record would halve it."
+    moved, noise, final = (100 * float(x) for x in (found.distance[half][-1], found.sigma[-1], found.final))
+    words = (
+        f"Half of the record is {moved:.2g} % of full scale from the final gain; the stated sigma is "
+        f"{final:.2g} % (RMS)."
     )
+    if noise > 0.5 * final:
+        return f"{words} It is mostly noise: four times the record would halve it."
+    if len(calibration.figures.get("limited_by") or {}) > 1:
+        return (
+            f"{words} Noise alone would leave {noise:.2g} %: the rest comes from what is uncertain of "
+            "payload and clock, and a longer record of the same kind would hardly help."
+        )
+    return f"{words} With the motion (or reference wrench) known, noise alone would leave {noise:.2g} %."
 
 
 def axes_listed(names: list[str]) -> str:
