@@ -119,10 +119,10 @@ def _limits(c: Calibration) -> Section:
         words.append("This estimator does not tell the sources of its uncertainty apart.")
     if c.bound is not None:
         stated = float(np.sqrt(np.mean(c.gain_std_normalised**2)))
-        known = "wrench" if c.estimator == "reference" else "motion"
+        known = "wrench" if c.estimator == "reference" else "motion and payload"
         words.append(
             f"The stated sigma, {100 * stated:.2g} % of full scale, is {stated / c.bound.oracle_rms:.3g} "
-            f"times what a perfectly known {known} and payload would give."
+            f"times what a perfectly known {known} would give."
         )
     if found[1] is None:
         words.append("Payload: taken as exact, or not needed; nothing was learnt of it.")

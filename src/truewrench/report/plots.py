@@ -38,6 +38,7 @@ BLUE, VERMILION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#808080"
 _CURVES = ((BLUE, "solid"), (VERMILION, "dashed"), (GREEN, "dotdash"))
 _UNITS = ("N", "N", "N", "N m", "N m", "N m")
 _BAND = 2.0  # sigma
+_POINTS = 300  # fewer are drawn as such
 _LEGEND = ".bk-label { color: var(--ink) !important; }"  # it is no part of the canvas
 
 
@@ -56,6 +57,8 @@ def residual_plots(
         _strips(p, rejected, GREY, 0.25, "/")
         _strips(p, disturbed, VERMILION, 0.3, "")
         p.line(time, curve.values[:, i].astype(np.float32), line_color=BLUE, line_width=1.2)
+        if len(time) < _POINTS:
+            p.scatter(time, curve.values[:, i], marker="circle", size=5, color=BLUE)
         for level in (-_BAND * sigma[i], _BAND * sigma[i]):
             p.add_layout(_level(level, GREY, "dashed"))
         for series in record.logs[1:]:

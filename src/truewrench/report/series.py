@@ -151,12 +151,16 @@ def _of_reference(
     rows = estimate.rows[k]
     wrench[rows] = log.reference[rows]
     raw = _at_reference_temperature(calibration, log, log.raw)
+    used = sum(rows.size for rows in estimate.rows)
+    left = float(np.mean(estimate.freedom)) / max(
+        1, used
+    )  # of a channel's noise: gain and offsets follow the rest
     return Series(
         time=log.time,
         wrench=wrench,
         raw=raw,
         residual=(raw - estimate.offsets[k]) @ inverse.T - wrench,
-        sigma=np.sqrt(inverse**2 @ rig.sensor.noise_array**2 + np.array(rig.reference_noise) ** 2),
+        sigma=np.sqrt(left * (inverse**2 @ rig.sensor.noise_array**2 + np.array(rig.reference_noise) ** 2)),
         lagged=np.zeros((1, 6)),
         begin=begin,
         duration=float(log.time[-1]),

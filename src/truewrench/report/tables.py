@@ -144,15 +144,16 @@ def limits_table(c: Calibration) -> Table | None:
         rows.append(
             Row(
                 axis,
-                tuple(
-                    Cell(f"{100 * value:.2g} %", "largest" if k == top else "", "most" if k == top else "")
-                    for k, value in enumerate(values)
-                ),
+                tuple(_share(value, k == top and len(values) > 1) for k, value in enumerate(values)),
             )
         )
     names = (_SOURCES.get(name, name) for name in sources)
     caption = "1 sigma of the gains on a wrench axis by each source alone, in % of full scale"
     return Table(caption, ("axis", *names), tuple(rows))
+
+
+def _share(value: float, largest: bool) -> Cell:
+    return Cell(f"{100 * value:.2g} %", *(("largest", "most") if largest else ()))
 
 
 def payload_table(c: Calibration) -> Table | None:
