@@ -29,7 +29,7 @@ Kind = Literal["position", "velocity", "acceleration", "jerk", "torque", "wrench
 DEFAULT_WRENCH_FRACTION = 0.8  # the rest of the range is for tracking errors, offset and a gain that is off
 TOLERANCE = 1e-6  # by which a limit may be exceeded, of the limit
 SMALLEST = 1e-9  # limit: what must not move at all
-_SPARE = 1e-6  # of a limit that is tightened
+_SPARE = 5e-4  # of a limit that is tightened: what is planned with it is to keep to the limit at once
 
 
 def wrench_fraction(rig: Rig) -> float:
