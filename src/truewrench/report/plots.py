@@ -84,7 +84,7 @@ def spectrum_plot(found: Spectrum, axes: slice) -> figure:
 
 def histogram_plot(found: Histogram, axes: slice) -> figure:
     """Outlines of three histograms beside the normal density, on a logarithmic axis."""
-    top, bottom = 1.0, 1e-5
+    top, bottom = max(1.0, 1.3 * float(found.density.max())), 1e-5
     p = _figure(
         280, Range1d(-5, 5), Range1d(bottom, top), "residual / sigma [1]", "share per sigma [1]",
         y_axis_type="log",
