@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.arm_simulation.model import Arm
+from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.rig import Rig
-from truewrench.trajectory_joint import JointTrajectory
 
 Array = NDArray[np.float64]
 

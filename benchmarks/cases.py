@@ -13,9 +13,9 @@ from bound_oracle import MotionInformation, Rnea, covariance
 from numpy.typing import NDArray
 
 from truewrench.log import Log
+from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, WrenchSinusoids, integrate_wrench
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
-from truewrench.trajectory import Body, HarmonicTwist, Trajectory, WrenchSinusoids, integrate_wrench
 
 Array = NDArray[np.float64]
 

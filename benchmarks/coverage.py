@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from truewrench import _core
+from truewrench.motion.trajectory import HarmonicTwist, Trajectory
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
-from truewrench.trajectory import HarmonicTwist, Trajectory
 
 Array = NDArray[np.float64]
 

@@ -32,9 +32,9 @@ import numpy as np
 import runs
 from numpy.typing import NDArray
 
+from truewrench.motion.trajectory import Body, Trajectory
 from truewrench.rig import Rig
 from truewrench.simulate import simulate, wrench_on_sensor
-from truewrench.trajectory import Body, Trajectory
 
 Array = NDArray[np.float64]
 

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 
-from truewrench.simulate import wrench_on_sensor
-from truewrench.trajectory import (
+from truewrench.motion.trajectory import (
     Body,
     HarmonicTwist,
     Trajectory,
     WrenchSinusoids,
     integrate_wrench,
 )
+from truewrench.simulate import wrench_on_sensor
 
 Array = NDArray[np.float64]
 

@@ -33,10 +33,10 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 
 from truewrench import robots
+from truewrench.arm.robot import robot_of
 from truewrench.io.tables import open_table, read_log, write_table
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig, load_rig
-from truewrench.robot import robot_of
 from truewrench.simulate import simulate
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "python"))
@@ -164,7 +164,7 @@ def by_this_package(path: Path, rig: Rig) -> None:
 
 
 READERS = {
-    "start and imports": "import truewrench.apply, truewrench.inspect_recording, rosbags.highlevel",
+    "start and imports": "import truewrench.apply, truewrench.inspection.recording, rosbags.highlevel",
     "rosbags, every message": "recordings.by_rosbags(path)",
     "truewrench inspect": "inspect_recording(path)",
     "truewrench, the columns of a log": "recordings.by_this_package(path, rig)",
@@ -208,8 +208,8 @@ import recordings
 from recordings import calibration_of
 from truewrench import robots
 from truewrench.apply import apply
-from truewrench.apply_recording import apply_to_recording
-from truewrench.inspect_recording import inspect_recording
+from truewrench.apply.recording import apply_to_recording
+from truewrench.inspection.recording import inspect_recording
 from truewrench.rig import load_rig
 path, rig = Path({str(path)!r}), load_rig(robots.path("panda"))
 {code}

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import robots
+from truewrench.arm.robot import robot_of
 from truewrench.arm_simulation.run import arm_with
 from truewrench.payload import payload_wrench
 from truewrench.rig import Rig, load_rig
-from truewrench.robot import robot_of
 from truewrench.truth import stated
 
 Array = NDArray[np.float64]

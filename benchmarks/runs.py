@@ -23,11 +23,11 @@ from scipy.stats import chi2
 import truewrench as tw
 from truewrench import _core
 from truewrench.calibration import Calibration
+from truewrench.campaign.trial import nees
+from truewrench.campaign.workers import Lost, in_processes
 from truewrench.errors import InputError
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.trial import nees
-from truewrench.workers import Lost, in_processes
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -27,8 +27,8 @@ import runs
 from numpy.typing import NDArray
 
 from truewrench.rig import Rig
-from truewrench.setup_errors import suspected_setup_errors
 from truewrench.simulate import simulate
+from truewrench.verdict.setup_errors import suspected_setup_errors
 
 Array = NDArray[np.float64]
 

@@ -28,6 +28,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
 from truewrench import _core, robots
+from truewrench.arm.track import track
 from truewrench.arm_simulation import simulate_arm
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.windows import estimate_windows
@@ -35,7 +36,6 @@ from truewrench.log import Log
 from truewrench.motion_noise import twist_noise
 from truewrench.rig import Rig, load_rig
 from truewrench.simulate import simulate
-from truewrench.track import track
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,6 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from truewrench.ati_cal import AtiCalibration, read_ati_cal
     from truewrench.calibration import Calibration, Verdict, load_calibration
     from truewrench.errors import InputError, TruewrenchError, UnsupportedError
     from truewrench.evidence import Evidence
@@ -26,12 +25,13 @@ if TYPE_CHECKING:
     from truewrench.planning.result import Plan
     from truewrench.report import write_report
     from truewrench.rig import Rig, load_rig
+    from truewrench.rig.ati_cal import AtiCalibration, read_ati_cal
     from truewrench.validation import Validation, validate
 
 __version__ = version("truewrench")
 
 _HOMES = {
-    "AtiCalibration": "ati_cal",
+    "AtiCalibration": "rig.ati_cal",
     "Calibration": "calibration",
     "Evidence": "evidence",
     "InputError": "errors",
@@ -46,7 +46,7 @@ _HOMES = {
     "load_calibration": "calibration",
     "load_rig": "rig",
     "plan": "planning.planner",
-    "read_ati_cal": "ati_cal",
+    "read_ati_cal": "rig.ati_cal",
     "read_log": "io.tables",
     "validate": "validation",
     "write_exports": "exports",

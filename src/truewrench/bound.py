@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from truewrench.arm.track import tracked_streams
 from truewrench.calibration import Bound
 from truewrench.errors import InputError
 from truewrench.log import Log, Reference
+from truewrench.motion.smooth import segments, smooth_twist
+from truewrench.motion.spatial import cross_matrix, twist_adjoint
 from truewrench.motion_noise import twist_noise
 from truewrench.payload import payload_wrench
 from truewrench.rig import Rig
-from truewrench.smooth import segments, smooth_twist
-from truewrench.spatial import cross_matrix, twist_adjoint
-from truewrench.track import tracked_streams
 
 __all__ = ["bound", "oracle_rms"]
 

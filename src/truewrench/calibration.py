@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from truewrench.errors import InputError
-from truewrench.fields import Fields
 from truewrench.files import read_yaml, write_yaml
 from truewrench.rig import Rig
+from truewrench.rig.fields import Fields
 
 __all__ = [
     "AXES",

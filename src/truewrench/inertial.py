@@ -17,14 +17,14 @@ from scipy.interpolate import BSpline, PchipInterpolator, make_lsq_spline
 from scipy.linalg import cholesky, solve_triangular
 
 from truewrench import _core
+from truewrench.arm.track import tracked_streams
 from truewrench.errors import InputError
 from truewrench.log import Log
+from truewrench.motion.smooth import segments, smooth_twist
+from truewrench.motion.spatial import twist_adjoint
 from truewrench.motion_noise import twist_noise
 from truewrench.payload import core_payload, payload_wrench
 from truewrench.rig import Rig
-from truewrench.smooth import segments, smooth_twist
-from truewrench.spatial import twist_adjoint
-from truewrench.track import tracked_streams
 
 __all__ = ["InertialChunk", "inertial_wrench"]
 

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.calibration import AXES, AxisImprovement, LogReport, Verdict
-from truewrench.comparison import Comparison
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.fits import chi_square_deviate
 from truewrench.estimate.reference import ReferenceEstimate, estimate_from_reference
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.setup_errors import setup_errors_in_estimate
-from truewrench.silence import channel_faults
 from truewrench.validation import CHANGE
+from truewrench.validation.comparison import Comparison
 from truewrench.verdict import CHI_SQUARE, CHI_SQUARE_LOW, DEVIATE, gain_reasons
+from truewrench.verdict.setup_errors import setup_errors_in_estimate
+from truewrench.verdict.silence import channel_faults
 
 __all__ = [
     "compare_known_wrench",

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.arm.track import tracked
 from truewrench.bound import oracle_rms
 from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
-from truewrench.comparison import Comparison, compare_held_out, compare_in_sample
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.clock import clock_doubts, mostly_unexplained
 from truewrench.estimate.ekf import estimate_ekf
@@ -35,9 +35,9 @@ from truewrench.known_wrench import (
 )
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
-from truewrench.silence import still_bases, still_twists
-from truewrench.track import tracked
+from truewrench.validation.comparison import Comparison, compare_held_out, compare_in_sample
 from truewrench.verdict import judge_reference, judge_windows
+from truewrench.verdict.silence import still_bases, still_twists
 
 __all__ = ["calibrate"]
 

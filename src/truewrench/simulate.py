@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
+from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.rig import Rig
-from truewrench.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.truth import Truth, begin, readings, stamps_of, stated, write_run
 
 __all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on_sensor"]

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from truewrench.calibration import AXES, Calibration, LogReport
 from truewrench.exports import Exports
-from truewrench.inspect_log import LogContent
+from truewrench.inspection.log import LogContent
 from truewrench.validation import Validation
 
 __all__ = [

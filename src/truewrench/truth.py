@@ -15,8 +15,8 @@ from truewrench.files import write_yaml
 from truewrench.io.table import GRAVITY, TWIST
 from truewrench.io.tables import write_table
 from truewrench.log import Log
+from truewrench.motion.trajectory import Body
 from truewrench.rig import PayloadSpec, Rig
-from truewrench.trajectory import Body
 
 __all__ = ["Stamps", "Truth", "begin", "draw_truth", "readings", "stamps_of", "stated", "write_run"]
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truewrench.advice import advice
 from truewrench.estimate.sources import Sources
 from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
+from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
-from truewrench.trajectory import HarmonicTwist
+from truewrench.verdict.advice import advice
 
 FREQUENCY = np.array([[0.3, 0.5, 0.7, 0.4, 0.6, 0.9]])  # 10 s is a period of all
 STATED = {"mass": 0.0, "center_of_mass": 0.0, "inertia": 0.0}

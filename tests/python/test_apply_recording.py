@@ -14,9 +14,9 @@ import pytest
 from bags import Bag, record
 from rosbags.highlevel import AnyReader
 
-from truewrench import apply_recording
 from truewrench.apply import apply
-from truewrench.apply_recording import CORRECTED, PREDICTED, RAW, STD, apply_to_recording
+from truewrench.apply import recording as apply_recording
+from truewrench.apply.recording import CORRECTED, PREDICTED, RAW, STD, apply_to_recording
 from truewrench.calibration import Calibration
 from truewrench.cli import main
 from truewrench.errors import InputError

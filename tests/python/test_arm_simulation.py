@@ -20,9 +20,9 @@ from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.tables import read_log
 from truewrench.log import Log
+from truewrench.motion.trajectory import Body
+from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig, load_rig
-from truewrench.trajectory import Body
-from truewrench.trajectory_joint import SplineJoints
 from truewrench.truth import Truth, begin
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

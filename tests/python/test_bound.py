@@ -10,15 +10,15 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import BSpline
 
+from truewrench.arm.robot import robot_of
+from truewrench.arm.track import track
 from truewrench.arm_simulation.motion import default_motion
 from truewrench.arm_simulation.run import arm_with
 from truewrench.bound import bound
 from truewrench.log import Log
+from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
-from truewrench.robot import robot_of
 from truewrench.simulate import simulate
-from truewrench.track import track
-from truewrench.trajectory import HarmonicTwist
 from truewrench.truth import stated
 
 INERTIA = {"xx": 1.5, "yy": 1.5, "zz": 0.4}

@@ -15,17 +15,17 @@ import yaml
 from scipy.stats import binomtest, multivariate_normal
 
 import truewrench.campaign
-import truewrench.trial
+import truewrench.campaign.trial
 from truewrench.campaign import campaign
-from truewrench.campaign_statistics import cluster_interval, summarise, wilson_interval, wrong_and_confident
+from truewrench.campaign.figures import coverage_figure, nees_figure, sigma_figure
+from truewrench.campaign.statistics import cluster_interval, summarise, wilson_interval, wrong_and_confident
+from truewrench.campaign.trial import SCHEMA, nees, run_trial, trial_seed
+from truewrench.campaign.workers import Lost
 from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.figures_campaign import coverage_figure, nees_figure, sigma_figure
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
 from truewrench.simulate import default_trajectory, simulate
-from truewrench.trial import SCHEMA, nees, run_trial, trial_seed
-from truewrench.workers import Lost
 
 SETTINGS: dict[str, Any] = {
     "sensor": {
@@ -181,9 +181,9 @@ def test_no_trial_is_lost_to_refusals_faults_or_dying_processes(
 ) -> None:
     motion = default_trajectory(rig)
     with monkeypatch.context() as patch:
-        patch.setattr(truewrench.trial, "calibrate", raising(InputError("no motion in it")))
+        patch.setattr(truewrench.campaign.trial, "calibrate", raising(InputError("no motion in it")))
         refused = run_trial(rig, motion, "map", 0, 0)
-        patch.setattr(truewrench.trial, "calibrate", raising(ZeroDivisionError("by nought")))
+        patch.setattr(truewrench.campaign.trial, "calibrate", raising(ZeroDivisionError("by nought")))
         fault = run_trial(rig, motion, "map", 0, 1)
     assert not isinstance(refused, UnsupportedError)
     assert not isinstance(fault, UnsupportedError)

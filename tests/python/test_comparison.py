@@ -14,11 +14,11 @@ import yaml
 
 from truewrench.calibration import AXES, Calibration
 from truewrench.cli import main
-from truewrench.comparison import Comparison, compare_held_out
 from truewrench.log import Log
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, simulate
+from truewrench.validation.comparison import Comparison, compare_held_out
 
 
 def settings_of(**changes: Any) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from truewrench import demo
 from truewrench.calibration import load_calibration
 from truewrench.estimate.windows import estimate_windows
 from truewrench.io.tables import read_log
+from truewrench.motion.trajectory import integrate_wrench
 from truewrench.rig import load_rig
-from truewrench.trajectory import integrate_wrench
 
 FILES = {
     "rig.yaml",

@@ -12,7 +12,7 @@ from bags import MS, START, Bag
 
 from truewrench.cli import main
 from truewrench.errors import InputError
-from truewrench.inspect_recording import RecordingContent, TopicContent, inspect_recording
+from truewrench.inspection.recording import RecordingContent, TopicContent, inspect_recording
 
 
 def written(tmp_path: Path, kind: str = "mcap") -> Path:

@@ -16,6 +16,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import truewrench as tw
+from truewrench.arm.robot import robot_of
+from truewrench.arm.track import tracked
 from truewrench.arm_simulation.drive import Driven
 from truewrench.arm_simulation.motion import default_motion
 from truewrench.arm_simulation.run import Moved, arm_with, move, record
@@ -25,11 +27,9 @@ from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.windows import WindowEstimate, estimate_windows
 from truewrench.log import Log
+from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig
-from truewrench.robot import robot_of
 from truewrench.split import rows_of
-from truewrench.track import tracked
-from truewrench.trajectory_joint import SplineJoints
 from truewrench.truth import Truth, begin, stamps_of, stated, write_run
 from truewrench.validation import validate
 

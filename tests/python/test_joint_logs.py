@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from truewrench.errors import InputError
-from truewrench.inspect_log import inspect_log
+from truewrench.inspection.log import inspect_log
 from truewrench.io.tables import read_log
 from truewrench.rig import Rig
 from truewrench.split import held_out, rows_of

@@ -11,9 +11,9 @@ import pytest
 from truewrench.errors import UnsupportedError
 from truewrench.estimate.least_squares import least_squares
 from truewrench.log import Log
+from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
-from truewrench.smooth import segments, smooth_twist
 
 EXACT = {"mass": 0, "center_of_mass": 0, "inertia": 0}
 

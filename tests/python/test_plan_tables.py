@@ -9,8 +9,8 @@ import pytest
 
 from truewrench.errors import InputError
 from truewrench.io.plans import joint_columns, read_joint_plan, read_plan
-from truewrench.trajectory import HarmonicTwist
-from truewrench.trajectory_joint import SplineJoints
+from truewrench.motion.trajectory import HarmonicTwist
+from truewrench.motion.trajectory_joint import SplineJoints
 
 JOINTS = ("shoulder", "wrist")
 

@@ -25,7 +25,7 @@ def swing(names: tuple[str, ...], i: int) -> tuple[dict[str, float], dict[str, f
 
 
 def joints_of(rig: Rig) -> tuple[str, ...]:
-    from truewrench.robot import robot_of
+    from truewrench.arm.robot import robot_of
 
     return tuple(robot_of(rig).joints)
 

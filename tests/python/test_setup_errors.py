@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from truewrench.rig import Rig
-from truewrench.setup_errors import (
+from truewrench.simulate import simulate
+from truewrench.verdict.setup_errors import (
     Suspicion,
     parameters_off_their_priors,
     setup_errors_in_estimate,
     setup_errors_in_logs,
     suspected_setup_errors,
 )
-from truewrench.signed_axes import _same_trace
-from truewrench.simulate import simulate
+from truewrench.verdict.signed_axes import _same_trace
 
 PRIOR, DEPARTURE, NOISE = 0.3, 0.15, 0.01
 SPAN = np.array([500.0, 500, 500, 50, 50, 50])

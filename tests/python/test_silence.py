@@ -10,11 +10,11 @@ import pytest
 
 from truewrench.calibration import AXES
 from truewrench.log import Log
+from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.silence import channel_faults, still_twists
 from truewrench.simulate import default_trajectory, simulate
-from truewrench.trajectory import HarmonicTwist
+from truewrench.verdict.silence import channel_faults, still_twists
 
 
 @pytest.fixture(scope="module")

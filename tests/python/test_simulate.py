@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from truewrench.errors import InputError, UnsupportedError
+from truewrench.motion.trajectory import Body, attitude
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, default_trajectory, simulate, wrench_on_sensor
-from truewrench.trajectory import Body, attitude
 
 QUIET = {"sensor": {"noise": [1e-12] * 6}, "motion": {"noise": [1e-12] * 6}}
 

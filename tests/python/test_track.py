@@ -12,18 +12,18 @@ import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from truewrench.arm.robot import robot_of
+from truewrench.arm.track import track, tracked, tracked_streams
 from truewrench.arm_simulation.model import Reading
 from truewrench.arm_simulation.motion import default_motion
 from truewrench.arm_simulation.run import arm_with
 from truewrench.errors import InputError
 from truewrench.inertial import inertial_wrench
 from truewrench.log import Log
+from truewrench.motion.spatial import twist_adjoint
+from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig
-from truewrench.robot import robot_of
-from truewrench.spatial import twist_adjoint
 from truewrench.split import held_out
-from truewrench.track import track, tracked, tracked_streams
-from truewrench.trajectory_joint import SplineJoints
 from truewrench.truth import stated
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

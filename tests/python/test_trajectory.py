@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from truewrench.trajectory import (
+from truewrench.motion.trajectory import (
     Body,
     HarmonicTwist,
     SplineTwist,

@@ -15,10 +15,10 @@ from truewrench.calibration import AXES, Calibration, LogReport, Verdict
 from truewrench.errors import InputError
 from truewrench.inertial import inertial_wrench
 from truewrench.log import Log
+from truewrench.motion.trajectory import Body
 from truewrench.rig import Rig
 from truewrench.simulate import simulate, wrench_on_sensor
 from truewrench.split import held_out
-from truewrench.trajectory import Body
 from truewrench.validation import Validation, validate
 
 SPAN = np.array([500.0, 500, 500, 50, 50, 50])

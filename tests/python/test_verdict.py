@@ -17,9 +17,9 @@ from truewrench.estimate.fits import group_fits
 from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
 from truewrench.io.tables import read_log
 from truewrench.log import Log
+from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
 from truewrench.simulate import default_trajectory, simulate
-from truewrench.trajectory import HarmonicTwist
 from truewrench.verdict import judge_reference, judge_windows, undetermined_directions
 
 Array = NDArray[np.float64]

@@ -16,9 +16,9 @@ from truewrench.bound import bound
 from truewrench.errors import InputError
 from truewrench.estimate.windows import WindowEstimate, estimate_windows
 from truewrench.log import Log
+from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, default_trajectory, simulate
-from truewrench.trajectory import HarmonicTwist
 
 Array = NDArray[np.float64]
 Method = Literal["map", "online"]

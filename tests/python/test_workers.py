@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from truewrench.workers import Lost, in_processes
+from truewrench.campaign.workers import Lost, in_processes
 
 
 def test_every_item_comes_back_once_with_its_result() -> None:

@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 
 from truewrench.arm_simulation.model import Arm, Reading
-from truewrench.trajectory_joint import JointTrajectory
+from truewrench.motion.trajectory_joint import JointTrajectory
 
 __all__ = ["Driven", "Servo", "drive", "servo_for"]
 

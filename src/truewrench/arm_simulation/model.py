@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.trajectory import Body
+from truewrench.motion.trajectory import Body
 
 __all__ = ["Arm", "Reading", "arm_of"]
 

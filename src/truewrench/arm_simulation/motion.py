@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.arm.robot import Robot
 from truewrench.arm_simulation.model import Arm, Reading
 from truewrench.errors import InputError
+from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig
-from truewrench.robot import Robot
-from truewrench.trajectory_joint import SplineJoints
 
 __all__ = ["default_motion"]
 

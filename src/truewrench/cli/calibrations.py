@@ -184,7 +184,7 @@ def apply(
     with progress_bar() as update:
         show = lambda rows: update(f"{rows} rows", None)  # noqa: E731
         if output.suffix.lower() == ".mcap":
-            from truewrench.apply_recording import apply_to_recording
+            from truewrench.apply.recording import apply_to_recording
 
             done = apply_to_recording(loaded, log, output, predict=predict, progress=show)
         else:

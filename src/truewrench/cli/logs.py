@@ -25,7 +25,7 @@ def inspect(
     debug: DebugOption = False,
 ) -> Outcome:
     """Show what is in a log: streams, rates, gaps, ranges; of a recording, its topics too."""
-    from truewrench.inspect_log import inspect_log
+    from truewrench.inspection.log import inspect_log
     from truewrench.io.recordings.reader import is_recording
     from truewrench.summary import log_summary
 
@@ -36,8 +36,8 @@ def inspect(
 
 
 def _inspect_recording(log: Path) -> Outcome:
-    from truewrench.inspect_recording import inspect_recording
-    from truewrench.recording_summary import recording_summary
+    from truewrench.inspection.recording import inspect_recording
+    from truewrench.inspection.words import recording_summary
 
     with progress_bar() as update:
         content = inspect_recording(log, lambda messages: update(f"{messages} messages", None))

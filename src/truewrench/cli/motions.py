@@ -76,7 +76,7 @@ def follow(
     debug: DebugOption = False,
 ) -> Outcome:
     """Turn a planned twist into motions of an arm's joints, within their limits."""
-    from truewrench.follow import follow_plan
+    from truewrench.planning.follow import follow_plan
     from truewrench.rig import load_rig
 
     done = follow_plan(load_rig(rig), plan, of=of, payload=payload, rate=rate)

@@ -33,7 +33,7 @@ def demo(
     check_folder(output)
     with progress_bar() as update:
         if arm is not None:
-            from truewrench.demo_arm import run_arm
+            from truewrench.demo.arm import run_arm
 
             result = run_arm(arm, output, seed=seed, progress=update)
         else:
@@ -64,7 +64,7 @@ def campaign(
 ) -> Outcome:
     """Simulate and calibrate many times: accuracy, honesty, time. A rerun goes on where it stood."""
     from truewrench.campaign import campaign as run
-    from truewrench.campaign_statistics import campaign_words
+    from truewrench.campaign.statistics import campaign_words
     from truewrench.io.plans import read_plan
     from truewrench.rig import load_rig
 

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.arm.track import TrackedStream, tracked_streams
 from truewrench.errors import UnsupportedError
 from truewrench.log import Log
+from truewrench.motion.spatial import cross_matrix, twist_adjoint
 from truewrench.rig import Rig
-from truewrench.spatial import cross_matrix, twist_adjoint
-from truewrench.track import TrackedStream, tracked_streams
 
 __all__ = ["add_tracked_motion"]
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
+from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.motion_noise import twist_noise
 from truewrench.payload import payload_wrench
 from truewrench.rig import Rig
-from truewrench.smooth import segments, smooth_twist
 
 __all__ = ["LeastSquaresEstimate", "least_squares"]
 

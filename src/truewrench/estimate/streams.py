@@ -13,10 +13,10 @@ from truewrench import _core
 from truewrench.errors import InputError
 from truewrench.estimate.joints import add_tracked_motion
 from truewrench.log import Log
+from truewrench.motion.smooth import smooth_twist
 from truewrench.motion_noise import twist_noise
 from truewrench.payload import core_payload
 from truewrench.rig import Rig
-from truewrench.smooth import smooth_twist
 from truewrench.split import rows_of
 
 __all__ = ["Part", "links", "noise_behind_filter", "parts_of", "recorded", "unfiltered"]

@@ -12,8 +12,8 @@ from truewrench.errors import InputError
 from truewrench.io.cells import numbers
 from truewrench.io.table import ACCELERATION, TWIST
 from truewrench.io.tables import TimeReader, open_table, require
-from truewrench.trajectory import SplineTwist
-from truewrench.trajectory_joint import SplineJoints
+from truewrench.motion.trajectory import SplineTwist
+from truewrench.motion.trajectory_joint import SplineJoints
 
 __all__ = ["joint_columns", "read_joint_plan", "read_plan"]
 

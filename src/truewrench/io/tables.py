@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from truewrench.arm.track import track
 from truewrench.errors import InputError
 from truewrench.io.cells import numbers, to_nanoseconds
 from truewrench.io.csv_table import CsvTable
@@ -22,7 +23,6 @@ from truewrench.io.recordings.reader import is_recording
 from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST, Chunk, Table
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.track import track
 
 __all__ = [
     "ACCELERATION",

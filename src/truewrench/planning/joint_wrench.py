@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.arm.robot import Robot, robot_of
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.plans import joint_columns
+from truewrench.motion.trajectory import SplineTwist, integrate_wrench
+from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.joint_check import check_joints
 from truewrench.planning.joint_space import joint_limits
 from truewrench.planning.limits import Limits
 from truewrench.planning.period import plan_rows
+from truewrench.planning.resolved_rate import follow_twist, limits_of
 from truewrench.planning.result import Design
 from truewrench.planning.search import Progress
 from truewrench.planning.wrench_plan import best_sinusoids, facts_of, scaled
-from truewrench.resolved_rate import follow_twist, limits_of
 from truewrench.rig import Rig
-from truewrench.robot import Robot, robot_of
-from truewrench.trajectory import SplineTwist, integrate_wrench
-from truewrench.trajectory_joint import SplineJoints
 
 __all__ = ["design_joint_wrench"]
 

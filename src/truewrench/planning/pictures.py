@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from truewrench.figures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
-from truewrench.figures_arm import arm_figure, colour_bar, heat_map
+from truewrench.figures.arm import arm_figure, colour_bar, heat_map
 from truewrench.planning.check import AXES
 from truewrench.planning.limits import Usage, wrench_fraction
 from truewrench.planning.result import Plan

@@ -10,6 +10,8 @@ import numpy as np
 
 from truewrench.errors import InputError
 from truewrench.log import Log
+from truewrench.motion.trajectory import SplineTwist
+from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.period import check_harmonics
 from truewrench.planning.prediction import HEAVIER, Prediction, predict
 from truewrench.planning.result import Design, Plan
@@ -18,8 +20,6 @@ from truewrench.planning.twist_plan import design_twist
 from truewrench.planning.wrench_plan import design_wrench
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
-from truewrench.trajectory import SplineTwist
-from truewrench.trajectory_joint import SplineJoints
 
 __all__ = ["plan"]
 

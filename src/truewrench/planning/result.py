@@ -15,12 +15,12 @@ from truewrench.files import write_yaml
 from truewrench.io.joint_trajectory import write_joint_trajectory
 from truewrench.io.plans import joint_columns
 from truewrench.io.tables import write_table
+from truewrench.motion.trajectory import Trajectory, excitation_alpha
+from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.planning.check import Preview
 from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures
 from truewrench.rig import Rig
-from truewrench.trajectory import Trajectory, excitation_alpha
-from truewrench.trajectory_joint import JointTrajectory
 
 __all__ = ["Design", "Plan"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.trajectory import Body, motion_of_wrench, rotation_matrix
+from truewrench.motion.trajectory import Body, motion_of_wrench, rotation_matrix
 
 __all__ = ["Batch", "Motions", "integrated", "without_drift"]
 

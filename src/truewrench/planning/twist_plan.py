@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.io.tables import ACCELERATION, TWIST
+from truewrench.motion.trajectory import SplineTwist
 from truewrench.payload import payload_wrench
 from truewrench.planning.check import check_twist
 from truewrench.planning.criterion import Criterion
@@ -19,7 +20,6 @@ from truewrench.planning.search import Found, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
 from truewrench.planning.twist_space import pose_space, pose_twist, twist_space
 from truewrench.rig import Rig
-from truewrench.trajectory import SplineTwist
 
 __all__ = ["design_twist", "twist_design"]
 

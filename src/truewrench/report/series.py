@@ -16,8 +16,8 @@ from truewrench.estimate.streams import noise_behind_filter, unfiltered
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.evidence import Evidence
 from truewrench.log import Log
-from truewrench.residuals import residuals
 from truewrench.split import held_out
+from truewrench.validation.residuals import residuals
 
 __all__ = ["Record", "Series", "record_of"]
 

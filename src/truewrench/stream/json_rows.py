@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 
 from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST
 from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST
+from truewrench.rig.strict import shown
 from truewrench.stream.lines import LONGEST
-from truewrench.strict import shown
 
 __all__ = ["LineError", "Row", "motion_of", "read_row"]
 

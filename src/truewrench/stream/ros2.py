@@ -15,11 +15,11 @@ from cyclonedds.idl import IdlStruct
 from cyclonedds.util import duration
 
 from truewrench.apply import corrector
+from truewrench.arm.robot import robot_of
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.table import TWIST
 from truewrench.rig import Rig
-from truewrench.robot import robot_of
 from truewrench.stream.progress import Progress
 from truewrench.stream.ros2_node import Node, lost, ros_type, taken, unreliable
 from truewrench.stream.ros2_types import (

@@ -19,6 +19,7 @@ from typing import Any, Self
 
 import numpy.typing as npt
 
+from truewrench.arm.robot import robot_of
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
 from truewrench.evidence import Evidence
@@ -27,7 +28,6 @@ from truewrench.io.tables import read_log, write_table
 from truewrench.log import Log
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.robot import robot_of
 from truewrench.stream.progress import Progress
 from truewrench.stream.record import Record
 

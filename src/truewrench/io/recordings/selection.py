@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truewrench.arm.robot import robot_of
 from truewrench.calibration import AXES
 from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS, commanded, named_topic, one_topic, topics_in_words
 from truewrench.io.recordings.reader import Recording, Topic
 from truewrench.io.recordings.streams import Stream, clock_notes, gather, role_of
 from truewrench.rig import Rig
-from truewrench.robot import robot_of
 
 __all__ = ["Selection", "select"]
 

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from truewrench.arm.track import tracked
 from truewrench.calibration import AXES, AxisImprovement, Calibration, Verdict
 from truewrench.errors import InputError
 from truewrench.files import write_yaml
 from truewrench.log import Log
-from truewrench.residuals import LONGEST_LAG, Residuals, joined_columns, residuals
-from truewrench.residuals import tared as is_tared
 from truewrench.rig import Rig
-from truewrench.track import tracked
+from truewrench.validation.residuals import LONGEST_LAG, Residuals, joined_columns, residuals
+from truewrench.validation.residuals import tared as is_tared
 
 __all__ = ["AxisValidation", "Validation", "validate", "worse"]
 

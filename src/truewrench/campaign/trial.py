@@ -15,10 +15,10 @@ from scipy.special import ndtri
 
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError, UnsupportedError
+from truewrench.motion.trajectory import Trajectory
 from truewrench.pipeline import EstimatorName, calibrate
 from truewrench.rig import Rig
 from truewrench.simulate import Truth, simulate
-from truewrench.trajectory import Trajectory
 
 __all__ = ["SCHEMA", "STREAMS", "Row", "make_row", "nees", "run_trial", "trial_seed"]
 

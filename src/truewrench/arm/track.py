@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, make_interp_spline
 
+from truewrench.arm.robot import BaseMotion, Robot, robot_of, rotation_of
 from truewrench.errors import InputError
-from truewrench.joint_spline import JointSpline, fit_joints
 from truewrench.log import Log, Reference, Tracking
+from truewrench.motion.joint_spline import JointSpline, fit_joints
+from truewrench.motion.smooth import segments
 from truewrench.rig import Rig
-from truewrench.robot import BaseMotion, Robot, robot_of, rotation_of
-from truewrench.smooth import segments
 
 __all__ = ["TrackedStream", "track", "tracked", "tracked_streams"]
 

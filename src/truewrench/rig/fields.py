@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from truewrench.errors import InputError
 from truewrench.files import Locate
-from truewrench.strict import key_path, shown
+from truewrench.rig.strict import key_path, shown
 
 __all__ = ["Fields"]
 

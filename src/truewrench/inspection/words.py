@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from truewrench.inspect_recording import RecordingContent, StreamContent
+from truewrench.inspection.recording import RecordingContent, StreamContent
 
 __all__ = ["recording_summary"]
 

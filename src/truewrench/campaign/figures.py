@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2, norm
 
 from truewrench.calibration import AXES
-from truewrench.campaign_statistics import Campaign, wilson_interval
+from truewrench.campaign.statistics import Campaign, wilson_interval
 from truewrench.figures import BLUE, GREY, VERMILION, finish
 
 __all__ = ["coverage_figure", "nees_figure", "sigma_figure"]

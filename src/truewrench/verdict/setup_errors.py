@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from truewrench import signed_axes
 from truewrench.errors import InputError
 from truewrench.estimate.least_squares import least_squares
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.setup_hypotheses import PRIOR_ODDS, Hypothesis, Kind, drifts, payload_units, scales
+from truewrench.verdict import signed_axes
+from truewrench.verdict.setup_hypotheses import PRIOR_ODDS, Hypothesis, Kind, drifts, payload_units, scales
 
 __all__ = [
     "Suspicion",

@@ -15,8 +15,8 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from truewrench.errors import InputError
 from truewrench.files import read_yaml
-from truewrench.payload_sources import AnyPayload
-from truewrench.sections import (
+from truewrench.rig.payload_sources import AnyPayload
+from truewrench.rig.sections import (
     InertiaSpec,
     LimitsSpec,
     MotionSpec,
@@ -29,7 +29,7 @@ from truewrench.sections import (
     TemperatureSpec,
     UncertaintySpec,
 )
-from truewrench.strict import (
+from truewrench.rig.strict import (
     Positive,
     Section,
     SixPositives,

@@ -22,18 +22,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from truewrench import _core
-from truewrench.campaign_statistics import Campaign, summarise
+from truewrench.campaign.figures import coverage_figure, nees_figure, sigma_figure
+from truewrench.campaign.statistics import Campaign, summarise
+from truewrench.campaign.trial import SCHEMA, Row, make_row, run_trial, trial_seed
+from truewrench.campaign.workers import Lost, available_cores, in_processes
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.figures_campaign import coverage_figure, nees_figure, sigma_figure
 from truewrench.files import read_yaml, write_yaml
 from truewrench.io.output import write_batches
+from truewrench.motion.trajectory import Trajectory
 from truewrench.pipeline import EstimatorName
 from truewrench.rig import Rig
+from truewrench.rig.strict import key_path
 from truewrench.simulate import default_trajectory
-from truewrench.strict import key_path
-from truewrench.trajectory import Trajectory
-from truewrench.trial import SCHEMA, Row, make_row, run_trial, trial_seed
-from truewrench.workers import Lost, available_cores, in_processes
 
 __all__ = ["FORMAT", "campaign"]
 
@@ -127,7 +127,7 @@ def _build() -> str:
     digest = hashlib.sha256()
     core = find_spec(f"truewrench._core_{_core.variant}")
     assert core is not None
-    for path in [*sorted(Path(__file__).parent.rglob("*.py")), Path(str(core.origin))]:
+    for path in [*sorted(Path(__file__).parents[1].rglob("*.py")), Path(str(core.origin))]:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 

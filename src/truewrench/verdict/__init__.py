@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from truewrench import _core
-from truewrench.advice import advice
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.noise import Noise, hidden_delay
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.setup_errors import (
+from truewrench.verdict.advice import advice
+from truewrench.verdict.setup_errors import (
     Suspicion,
     parameters_off_their_priors,
     setup_errors_in_estimate,
     setup_errors_in_logs,
 )
-from truewrench.silence import channel_faults
+from truewrench.verdict.silence import channel_faults
 
 __all__ = [
     "gain_reasons",

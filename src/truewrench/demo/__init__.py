@@ -35,10 +35,7 @@ from truewrench.figures import (
     reading_error_figure,
 )
 from truewrench.files import write_yaml
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
-from truewrench.trajectory import (
+from truewrench.motion.trajectory import (
     Body,
     WrenchMotion,
     WrenchSinusoids,
@@ -46,6 +43,9 @@ from truewrench.trajectory import (
     integrate_wrench,
     rotation_matrix,
 )
+from truewrench.pipeline import calibrate
+from truewrench.rig import Rig
+from truewrench.simulate import SimulatedRun, simulate
 
 __all__ = ["NOISE", "Comparison", "Result", "compare", "run", "simulate_case"]
 

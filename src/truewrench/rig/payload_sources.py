@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, AliasChoices, Discriminator, Field, Tag, ValidationError, ValidationInfo
 
-from truewrench.sections import PayloadSpec, UncertaintySpec
-from truewrench.strict import (
+from truewrench.rig.sections import PayloadSpec, UncertaintySpec
+from truewrench.rig.strict import (
     Numbers,
     Positive,
     Section,
@@ -26,7 +26,7 @@ from truewrench.strict import (
     refuse,
     shown,
 )
-from truewrench.urdf import nearest, read_urdf
+from truewrench.rig.urdf import nearest, read_urdf
 
 __all__ = ["AnyPayload", "FrankaPayload", "UrPayload", "UrdfPayload"]
 

@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import robots
+from truewrench.arm.robot import robot_of
 from truewrench.arm_simulation import ArmRun, simulate_arm, simulate_plan
 from truewrench.arm_simulation.run import arm_with
 from truewrench.calibration import Calibration
+from truewrench.campaign.trial import nees
 from truewrench.errors import UnsupportedError
-from truewrench.figures_arm import arm_figure, driven_figure, gain_figure
+from truewrench.figures.arm import arm_figure, driven_figure, gain_figure
 from truewrench.files import write_yaml
 from truewrench.io.tables import read_log
 from truewrench.pipeline import calibrate
 from truewrench.planning.planner import plan as make_plan
 from truewrench.planning.result import Plan
 from truewrench.rig import Rig, load_rig
-from truewrench.robot import robot_of
-from truewrench.trial import nees
 from truewrench.validation import Validation, validate
 
 __all__ = ["run_arm"]

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_validator
 
-from truewrench.ati_cal import read_ati_cal
-from truewrench.strict import (
+from truewrench.rig.ati_cal import read_ati_cal
+from truewrench.rig.strict import (
     Listed,
     Mapped,
     Matrix,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from truewrench.errors import InputError
-from truewrench.inspect_log import GAP_PERIODS, ColumnContent, Gap
+from truewrench.inspection.log import GAP_PERIODS, ColumnContent, Gap
 from truewrench.io.recordings.choice import KEYS, commanded
 from truewrench.io.recordings.layout import Layout
 from truewrench.io.recordings.reader import Batch, Recording, Topic, open_recording

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.rig import Rig
-from truewrench.urdf import model_of, nearest
+from truewrench.rig.urdf import model_of, nearest
 
 __all__ = ["ArmMotion", "BaseMotion", "Robot", "load_robot", "robot_of", "rotation_of"]
 

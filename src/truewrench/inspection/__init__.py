@@ -1,0 +1,1 @@
+"""What is in a log or a recording."""
