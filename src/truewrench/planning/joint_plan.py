@@ -30,7 +30,7 @@ __all__ = ["design_joints", "simulated_joints"]
 
 Array = NDArray[np.float64]
 
-_EFFORT = Effort(random=120, starts=5, first=20, finalists=2, iterations=45, again=20, rounds=1, excess=0.02)
+_EFFORT = Effort(random=120, starts=6, first=20, finalists=2, iterations=60, again=20, rounds=1, excess=0.02)
 
 
 def design_joints(rig: Rig, payload: str, criterion: Literal["A", "D"], progress: Progress) -> Design:
