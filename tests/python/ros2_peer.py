@@ -23,7 +23,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 asked: dict[str, Any] = json.loads(sys.stdin.readline())
-PATIENCE = 20.0  # [s] for everything
+PATIENCE = 60.0  # [s] for everything
 
 rclpy.init()
 node = rclpy.create_node("driver")
