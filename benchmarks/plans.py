@@ -62,13 +62,14 @@ def reference(harmonics: int = 6) -> Rig:
     return Rig.from_mapping(settings)
 
 
-def exact(name: str, **changes: Any) -> Rig:
-    """The rig of an arm with an exact payload and clock."""
+def rig_of(name: str, *, exact: bool = True, **changes: Any) -> Rig:
+    """The rig of an arm, its section `plan` changed; payload and clock exact, or as packaged."""
     path = robots.path(name)
     settings = load_rig(path).to_mapping()
-    for payload in settings["payloads"].values():
-        payload["uncertainty"] = {"mass": 0, "center_of_mass": 0, "inertia": 0}
-    settings["sensor"]["time_offset_prior"] = 0
+    if exact:
+        for payload in settings["payloads"].values():
+            payload["uncertainty"] = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+        settings["sensor"]["time_offset_prior"] = 0
     settings["plan"] |= changes
     return Rig.from_mapping(settings, path)
 
@@ -110,7 +111,7 @@ def arms_table() -> None:
     """Every packaged arm."""
     lines = []
     for name in robots.NAMES:
-        rig = exact(name)
+        rig = rig_of(name)
         best = plan(rig)
         found = {"optimal": best}
         if not rig.in_gravity:
@@ -123,8 +124,8 @@ def durations_table() -> None:
     """What an arm like the SPDM's reaches in a minute, ten and sixty."""
     lines = []
     for seconds in (60.0, 600.0, 3600.0):
-        for words, rig in (("exact", exact("spdm", duration=seconds)), ("as packaged", packaged(seconds))):
-            found = plan(rig)
+        for words, exact in (("exact", True), ("as packaged", False)):
+            found = plan(rig_of("spdm", exact=exact, duration=seconds))
             assert found.prediction is not None
             sources = ", ".join(
                 f"{k.replace('_', ' ')} {v:.4f}" for k, v in found.prediction.limited_by.items()
@@ -135,14 +136,6 @@ def durations_table() -> None:
                 [f"{seconds:g}", words, yes, f"{found.predicted_rms:.4f}", f"{largest:.4f}", sources]
             )
     runs.table(("s", "payload and clock", "within limits", "RMS sigma", "largest", "by source"), lines)
-
-
-def packaged(seconds: float) -> Rig:
-    """The rig of the SPDM-like arm with what is uncertain of its payload and clock."""
-    path = robots.path("spdm")
-    settings = load_rig(path).to_mapping()
-    settings["plan"]["duration"] = seconds
-    return Rig.from_mapping(settings, path)
 
 
 def main() -> None:
