@@ -2,7 +2,7 @@
 
     python benchmarks/recordings.py gains
     python benchmarks/recordings.py throughput
-    python benchmarks/recordings.py memory [--numbers]
+    python benchmarks/recordings.py memory [--numbers] [--format bag]
 
 `gains` calibrates one simulated run out of every format. `throughput` reads a file whose every message is of
 use, in turn by `rosbags`, which makes an object of every message, and by this package, which makes the
@@ -54,6 +54,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=3, help="turns of which the fastest counts")
     parser.add_argument("--size", type=float, default=2.0, help="of the recording for `memory` [GB]")
     parser.add_argument("--numbers", action="store_true", help="`memory` of a recording without pictures")
+    parser.add_argument("--format", choices=["mcap", "bag"], default="mcap", help="for `memory`")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         if arguments.what == "gains":
@@ -61,7 +62,7 @@ def main() -> None:
         elif arguments.what == "throughput":
             throughput(Path(folder), arguments.duration, arguments.repeat)
         else:
-            memory(Path(folder), arguments.size, arguments.numbers)
+            memory(Path(folder), arguments.format, arguments.size, arguments.numbers)
 
 
 def run_of(duration: float) -> tuple[Rig, dict[str, Any]]:
@@ -175,13 +176,13 @@ READERS = {
 }
 
 
-def numbers_run(folder: Path, size: float) -> Path:
+def numbers_run(folder: Path, storage: str, size: float) -> Path:
     """As many wrenches and joints as make a file of a size [GB]: two messages, but for their stamps."""
-    _, short = arm_run(folder, "mcap", 0.001)
+    _, short = arm_run(folder, storage, 0.001)
     with AnyReader([short]) as reader:
         messages = [(c.topic, c.msgtype, data[:4], data[12:]) for c, _, data in reader.messages()]
     weight = sum(43 + len(rest) + 12 for *_, rest in messages)
-    with Bag(folder / "numbers", "mcap") as bag:
+    with Bag(folder / "numbers", storage) as bag:
         for i in range(int(size * 1e9 / weight)):
             stamp = START + i * MS
             packed = struct.pack("<iI", *divmod(stamp, 10**9))
@@ -190,18 +191,18 @@ def numbers_run(folder: Path, size: float) -> Path:
     return bag.path
 
 
-def memory(folder: Path, size: float, numbers: bool) -> None:
+def memory(folder: Path, kind: str, size: float, numbers: bool) -> None:
     print("| reading | GB | peak memory, MB |\n|---|---|---|")
     for share in (0.1, 1.0):
         part = folder / str(share)
         part.mkdir()
         if numbers:
-            path = numbers_run(part, size * share)
+            path = numbers_run(part, kind, size * share)
         else:
-            _, path = arm_run(part, "mcap", 60.0 * share, int(1000 * size * share))
+            _, path = arm_run(part, kind, 60.0 * share, int(1000 * size * share))
         for words, code in READERS.items():
             script = f"""
-import resource, sys
+import sys
 from pathlib import Path
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import recordings
@@ -213,7 +214,8 @@ from truewrench.inspection.recording import inspect_recording
 from truewrench.rig import load_rig
 path, rig = Path({str(path)!r}), load_rig(robots.path("panda"))
 {code}
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+status = Path("/proc/self/status").read_text()  # of this program alone, not of the one that started it
+print(float(status.split("VmHWM:")[1].split()[0]) / 1024)
 """
             done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
             print(f"| {words} | {size * share:.2g} | {float(done.stdout):.0f} |", flush=True)

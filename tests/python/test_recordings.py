@@ -103,6 +103,25 @@ def test_recording_split_over_files_is_one_log(run: tuple[Rig, Columns], tmp_pat
     assert log.notes == ()
 
 
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_folder_that_states_another_quality_of_service_than_its_files_is_read(
+    run: tuple[Rig, Columns], tmp_path: Path, kind: str
+) -> None:
+    """As after a conversion by `ros2 bag`."""
+    folder = record(tmp_path / "run", kind, run[1])
+    said = yaml.safe_load((folder / "metadata.yaml").read_text())
+    for topic in said["rosbag2_bagfile_information"]["topics_with_message_count"]:
+        topic["topic_metadata"]["offered_qos_profiles"] = [{
+            "history": "keep_last", "depth": 7, "reliability": "best_effort", "durability": "volatile",
+            "deadline": {"sec": 0, "nsec": 0}, "lifespan": {"sec": 0, "nsec": 0}, "liveliness": "automatic",
+            "liveliness_lease_duration": {"sec": 0, "nsec": 0}, "avoid_ros_namespace_conventions": False,
+        }]  # fmt: skip
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(said))
+    log = read_log(folder, run[0])
+    np.testing.assert_array_equal(log.raw[:, 2], run[1]["raw_2"])
+    assert log.notes == ()
+
+
 def test_number_of_messages_other_than_stated_is_noted(run: tuple[Rig, Columns], tmp_path: Path) -> None:
     folder = record(tmp_path / "run", "mcap", run[1])
     text = (folder / "metadata.yaml").read_text()

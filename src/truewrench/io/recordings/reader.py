@@ -80,6 +80,8 @@ class Recording:
         for connection in reader.connections:
             self._connections.setdefault(f"{connection.topic}\n{connection.msgtype}", []).append(connection)
         self.topics = tuple(self._topic(connections) for connections in self._connections.values())
+        for connection in _as_stored(reader):
+            self._connections[f"{connection.topic}\n{connection.msgtype}"].append(connection)
 
     def _topic(self, connections: list[Connection]) -> Topic:
         first = connections[0]
@@ -144,6 +146,20 @@ class Recording:
             yield from self._reader.messages(connections=connections)
 
 
+def _as_stored(reader: Any) -> Iterator[Connection]:
+    """Connections of a rosbag2 folder as its files describe them.
+
+    `rosbags` passes over the messages of a file whose quality of service is not that of `metadata.yaml`, word
+    by word, as it is not after a conversion by `ros2 bag`.
+    """
+    by_topic = {(c.topic, c.msgtype): c for c in reader.connections}
+    for file in getattr(getattr(reader, "storage", None), "storages", ()):
+        for stored in file.connections:
+            known = by_topic.get((stored.topic, stored.msgtype))
+            if known is not None:
+                yield known._replace(ext=stored.ext, digest=stored.digest)
+
+
 def is_recording(path: Path) -> bool:
     """Whether a file or folder is a recording, by its first bytes or its name."""
     if path.is_dir():
@@ -170,13 +186,13 @@ def open_recording(path: Path) -> Iterator[Recording]:
     ros1 = path.suffix.lower() == ".bag" and path.is_file()
     with _faults_of(path):
         if ros1:
-            from rosbags.rosbag1 import Reader as Reader1
+            from truewrench.io.recordings.bag import BagReader
 
-            reader: AbstractContextManager[Any] = Reader1(path)
+            reader: AbstractContextManager[Any] = BagReader(path)
         else:
-            from rosbags.rosbag2 import Reader as Reader2
+            from rosbags.rosbag2 import Reader
 
-            reader = Reader2(path)
+            reader = Reader(path)
         opened = reader.__enter__()
     try:
         with _faults_of(path):
