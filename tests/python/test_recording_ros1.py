@@ -82,5 +82,5 @@ def test_broken_chunk_is_an_error(tmp_path: Path) -> None:
     at = data.index((17).to_bytes(4, "little") * 4)  # a message in the middle
     data[at - 4 : at] = np.uint32(10**6).tobytes()  # which says that it is longer than all
     path.write_bytes(data)
-    with pytest.raises(ReaderError, match="chunk at byte .* a record of 1000000 bytes"), BagReader(path) as r:
-        list(r.messages())
+    with pytest.raises(ReaderError, match="a record of 1000000 bytes"), BagReader(path) as reader:
+        list(reader.messages())

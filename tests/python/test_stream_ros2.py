@@ -20,11 +20,13 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from truewrench.apply import corrector
 from truewrench.arm_simulation import simulate_arm
 from truewrench.calibration import Calibration, Verdict, load_calibration
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
+from truewrench.simulate import simulate
 from truewrench.stream.ros2 import Topics, calibrate_topics, correct_topic
 from truewrench.stream.ros2_node import Node, configuration, domain_id, ros_type, taken
 from truewrench.stream.ros2_types import TYPE_HASHES, Float64MultiArray, Header, Time, WrenchStamped
@@ -51,9 +53,9 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("truewrench.stream.ros2._PATIENCE", 60.0)  # machines under test are busy
 
 
-def start_peer(**asked: Any) -> subprocess.Popen[str]:
+def start_peer(script: str = "ros2_peer.py", **asked: Any) -> subprocess.Popen[str]:
     pipe = subprocess.PIPE
-    command = [sys.executable, str(HERE / "ros2_peer.py")]
+    command = [sys.executable, str(HERE / script)]
     peer = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
     assert peer.stdin is not None
     peer.stdin.write(json.dumps(asked) + "\n")
@@ -299,11 +301,120 @@ def test_several_topics_of_a_type_are_listed(calibration: Calibration) -> None:
         correct_topic(calibration, Topics(), stop, print, 1.0)
 
 
-def test_twist_rig_in_gravity_is_refused_with_what_would_do(settings: dict[str, Any]) -> None:
+def test_twist_rig_in_gravity_asks_for_its_topic(settings: dict[str, Any]) -> None:
     rig = Rig.from_mapping({**settings, "gravity": [0, 0, -9.81]})
-    refused = pytest.raises(UnsupportedError, match="JSON lines with gx gy gz")
+    refused = pytest.raises(
+        UnsupportedError, match=r"recording.gravity_topic: found nothing, expected the topic"
+    )
     with Stop() as stop, LiveCalibration(rig, "default") as session, refused:
         calibrate_topics(session, None, Topics(), stop, print, 1.0)
+
+
+@pytest.mark.parametrize("twist_topic", ["/twist", None])
+@needs_rclpy
+def test_calibrates_from_a_twist_in_gravity_and_corrects_as_soon_as_it_may(
+    settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch, twist_topic: str | None
+) -> None:
+    """Twist, direction of gravity and temperature by topics of their own; wrenches by the latest estimate."""
+    topics = {"wrench": "/ft/wrench_raw", "gravity": "/down", "temperature": "/warm"}
+    rig = Rig.from_mapping({
+        **settings, "gravity": [0, 0, -9.81], "plan": {"duration": 6}, "required": 10.0,
+        "simulate": {"rate": 50, "sensor_rate": 100, "gain": "random", "seed": 3},
+        "temperature": {"prior": 1e-3},
+        "recording": {f"{role}_topic": name for role, name in topics.items()},
+    })  # fmt: skip
+    log = simulate(rig).log
+    begin = 1_700_000_000_000_000_000
+    streams = {
+        "/ft/wrench_raw": ("geometry_msgs/msg/WrenchStamped", log.raw),
+        "/twist": ("geometry_msgs/msg/TwistStamped", log.twist),
+        "/down": ("geometry_msgs/msg/Vector3Stamped", log.gravity),
+        "/warm": ("sensor_msgs/msg/Temperature", 20.0 + 0.0 * log.raw[:, :1]),
+    }
+    sent = {
+        topic: (kind, [
+            (begin + int(at), values.tolist())
+            for at, values in zip(log.time_ns, rows, strict=True) if np.isfinite(values).all()
+        ])
+        for topic, (kind, rows) in streams.items() if rows is not None
+    }  # fmt: skip
+    total = sum(len(of) for _, of in sent.values())
+    listen = ["/truewrench/wrench", "/truewrench/wrench_std"]
+    peer = start_peer("ros2_publisher.py", streams=sent, listen=listen)
+    used: list[Calibration] = []
+
+    def noted(found: Calibration, name: str) -> Any:
+        used.append(found)
+        return corrector(found, name)
+
+    monkeypatch.setattr("truewrench.stream.ros2.corrector", noted)
+    heard: set[str] = set()
+
+    def refused(words: str) -> None:
+        assert "found no stamp" in words  # the probes
+        before = len(heard)
+        heard.add(words.partition(":")[0])
+        if before < len(heard) == len(sent):
+            assert peer.stdin is not None
+            peer.stdin.write("heard\n")
+            peer.stdin.flush()
+
+    def end(stop: Stop, session: LiveCalibration) -> None:
+        deadline = time.monotonic() + 90.0
+        while session.record.samples < total and time.monotonic() < deadline:
+            time.sleep(0.05)
+        stop.request()
+
+    with Stop() as stop, LiveCalibration(rig, "default") as session:
+        threading.Thread(target=end, args=[stop, session]).start()
+        asked = Topics(motion=twist_topic, reliable=True)
+        counts, final = calibrate_topics(session, None, asked, stop, refused, 90.0)
+        columns = session.record.columns()
+    said = json.loads(peer.communicate()[0])
+    assert (counts.used, counts.lost) == (total, 0)
+    for name, values in {"wz": log.twist[:, 5], "gz": log.gravity[:, 2], "raw_3": log.raw[:, 3]}.items():
+        np.testing.assert_array_equal(columns[name], values)
+    assert final.usable
+    assert used  # an estimate on the way was usable, too
+    raw = dict(sent["/ft/wrench_raw"][1])
+    wrenches, stds = (
+        {stamp: np.array(values) for topic, stamp, values in said if topic == name} for name in listen
+    )
+    assert wrenches
+    for stamp, wrench in wrenches.items():
+        by_each = [np.linalg.solve(found.gain, raw[stamp] - found.offset) for found in used]
+        assert min(np.abs(wrench - one).max() for one in by_each) < 1e-9
+    assert stds.keys() <= wrenches.keys()
+    assert all((std > 0.0).all() for std in stds.values())
+
+
+@pytest.mark.parametrize("name", ["Imu", "Temperature", "Vector3Stamped"])
+def test_other_messages_are_read_as_ros_2_packs_them(name: str) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = {ros_type(kind).rpartition("/")[2]: kind for kind in TYPE_HASHES}[name]
+    draw, types = np.random.default_rng(3), store.types
+
+    def filled(type_name: str) -> Any:
+        if type_name == "std_msgs/msg/Header":
+            stamp = types["builtin_interfaces/msg/Time"](sec=5, nanosec=6)
+            return types[type_name](stamp=stamp, frame_id="frame")
+        fields = {}
+        for field, (node, what) in store.fielddefs[type_name][1]:
+            if node == 2:
+                fields[field] = filled(what)
+            else:
+                fields[field] = draw.normal(size=9) if node == 3 else float(draw.normal())
+        return types[type_name](**fields)
+
+    message = filled(ros_type(kind))
+    read = kind.deserialize(bytes(store.serialize_cdr(message, ros_type(kind))))
+    expected = {
+        "Imu": lambda m: (m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z),
+        "Temperature": lambda m: (m.temperature,),
+        "Vector3Stamped": lambda m: (m.vector.x, m.vector.y, m.vector.z),
+    }[name](message)
+    assert read.values == expected
+    assert (read.header.stamp.ns, read.header.frame_id) == (5_000_000_006, "frame")
 
 
 def test_environment_of_ros_decides_who_is_met(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,7 +73,6 @@ def stream(
         rig is not None,
         {"--output": output, "--payload": payload, "--joint-topic": joint_topic},
     )
-    _check_belongs("CALIBRATION", rig is None, {"--output-topic": output_topic})
     of_ros = {"--wrench-topic": wrench_topic, "--joint-topic": joint_topic, "--output-topic": output_topic}
     _check_belongs("--ros2", ros2, {**of_ros, "--reliable": reliable or None, "--duration": seconds})
     from truewrench.calibration import load_calibration

@@ -11,26 +11,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from cyclonedds.idl import IdlStruct
 from cyclonedds.util import duration
 
 from truewrench.apply import corrector
-from truewrench.arm.robot import robot_of
 from truewrench.calibration import Calibration
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.io.table import TWIST
+from truewrench.errors import InputError
+from truewrench.io.recordings.choice import KEYS
 from truewrench.rig import Rig
 from truewrench.stream.progress import Progress
 from truewrench.stream.ros2_node import Node, lost, ros_type, taken, unreliable
+from truewrench.stream.ros2_sources import SensorSource, Source, motion_sources
 from truewrench.stream.ros2_types import (
     DiagnosticArray,
     DiagnosticStatus,
-    Float64MultiArray,
     Header,
-    JointState,
     KeyValue,
     Time,
-    TwistStamped,
     WrenchStamped,
 )
 from truewrench.stream.stop import Stop
@@ -42,6 +38,9 @@ __all__ = ["OUTPUT", "Counts", "Topics", "calibrate_topics", "correct_topic"]
 
 OUTPUT = "/truewrench/wrench"
 """Topic of the corrected wrench."""
+
+STD = "_std"
+"""What the topic of its 1 sigma ends in."""
 
 DIAGNOSTICS = "/diagnostics"
 
@@ -82,38 +81,6 @@ class Counts:
     lost: int = 0
 
 
-class _Sensor:
-    """Messages of a sensor with n channels: wrenches where there are six, else plain arrays."""
-
-    def __init__(self, rig: Rig) -> None:
-        self._n = rig.sensor.n
-        self._receive = rig.recording.stamps == "receive"
-        self.kind: type[IdlStruct] = WrenchStamped if self._n == 6 else Float64MultiArray
-
-    def read(self, message: Any, info: Any) -> tuple[Header, int, Any]:
-        """Header, time [ns] and channels.
-
-        Raises:
-            InputError: the message has not n finite channels, or no stamp.
-        """
-        if self.kind is WrenchStamped:
-            header, values = message.header, message.values
-        else:
-            header, values = Header(Time.of(info.source_timestamp)), message.data
-            if len(values) != self._n:
-                raise InputError(f"found {len(values)} numbers, expected {self._n}: one per channel")
-        if not math.isfinite(sum(values)):
-            raise InputError(f"found {list(values)}, expected finite channels")
-        return header, info.source_timestamp if self._receive else _stamp(header), values
-
-
-def _stamp(header: Header) -> int:
-    if header.stamp.ns == 0:
-        expected = "a stamp in every message, or `recording: {stamps: receive}` in the rig"
-        raise InputError(f"found no stamp, expected {expected}")
-    return header.stamp.ns
-
-
 class _Order:
     """Stamps that increase; a source that begins again, far back, is let through."""
 
@@ -127,6 +94,47 @@ class _Order:
         self._last = stamp
 
 
+class _Wrenches:
+    """The true wrench on a topic, and its 1 sigma on another, where somebody listens."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._wrench = node.writer(topic, WrenchStamped)
+        self._std = node.writer(topic + STD, WrenchStamped)
+
+    def use(self, calibration: Calibration) -> None:
+        """From now on.
+
+        Raises:
+            InputError: its gain cannot be inverted.
+        """
+        self._correct = corrector(calibration, "ROS 2").correct
+        self._raw = np.empty((1, calibration.n))
+
+    def write(self, header: Header, channels: Sequence[float], with_std: bool) -> None:
+        """Publish the wrench of a sample.
+
+        Raises:
+            InputError: there is none.
+        """
+        self._raw[0] = channels
+        wrench, std = self._correct(self._raw)
+        values = wrench[0].tolist()
+        if not math.isfinite(sum(values)):
+            raise InputError("found channels of such a size that no wrench can be told")
+        self._wrench.write(WrenchStamped.of(header, values))
+        if with_std:
+            self._std.write(WrenchStamped.of(header, std[0].tolist()))
+
+    @property
+    def std_wanted(self) -> bool:
+        """Whether anybody listens to the 1 sigma."""
+        return bool(self._std.get_matched_subscriptions())
+
+    def finish(self) -> None:
+        """Wait for what is still under way."""
+        self._wrench.wait_for_acks(duration(seconds=1))
+
+
 def correct_topic(
     calibration: Calibration, topics: Topics, stop: Stop, complain: Complain, seconds: float = math.inf
 ) -> Counts:
@@ -138,37 +146,40 @@ def correct_topic(
     Raises:
         InputError: no topic is found, or the gain cannot be inverted.
     """
-    correct = corrector(calibration, "ROS 2").correct
-    sensor, order, counts = _Sensor(calibration.rig), _Order(), Counts()
+    sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
     node = Node()
-    name = topics.wrench or node.find(sensor.kind, {topics.output}, _PATIENCE, stop)
-    if name.strip("/") == topics.output.strip("/"):
-        raise InputError.at(None, "--output-topic", f"`{name}`", "another topic than the sensor's own")
-    writer = node.writer(topics.output, WrenchStamped)
+    name = _sensor_topic(node, sensor, topics, stop)
+    wrenches = _Wrenches(node, topics.output)
+    wrenches.use(calibration)
     reader = node.reader(name, sensor.kind, topics.reliable)
-    raw = np.empty((1, calibration.n))
     begun = time.monotonic()
     silent = True
     while not stop.requested and time.monotonic() - begun < seconds:
         node.wait(_WAIT)
+        with_std = wrenches.std_wanted
         for message, info in taken(reader):
             counts.received += 1
             try:
-                header, stamp, raw[0] = sensor.read(message, info)
+                _, stamp, channels = sensor.read(message, info)
                 order.check(stamp)
-                wrench = correct(raw)[0][0].tolist()
-                if not math.isfinite(sum(wrench)):
-                    raise InputError("found channels of such a size that no wrench can be told")
+                wrenches.write(sensor.header(message, info), channels, with_std)
             except InputError as error:
                 counts.refused += 1
                 complain(f"{name}: {error}")
-                continue
-            writer.write(WrenchStamped.of(header, wrench))
-            counts.used += 1
-        silent = _told_silence(silent, counts, begun, node, [(name, sensor.kind, reader)], complain)
-    writer.wait_for_acks(duration(seconds=1))
+            else:
+                counts.used += 1
+        silent = _told_silence(silent, counts, begun, node, [(name, sensor, reader)], complain)
+    wrenches.finish()
     counts.lost = lost(reader)
     return counts
+
+
+def _sensor_topic(node: Node, sensor: SensorSource, topics: Topics, stop: Stop) -> str:
+    own = {topics.output, topics.output + STD}
+    name = topics.wrench or node.find(sensor.kind, own, _PATIENCE, stop)
+    if name.strip("/") in {topic.strip("/") for topic in own}:
+        raise InputError.at(None, "--output-topic", f"`{name}`", "another topic than the sensor's own")
+    return name
 
 
 def _told_silence(
@@ -176,74 +187,25 @@ def _told_silence(
     counts: Counts,
     begun: float,
     node: Node,
-    readers: Sequence[tuple[str, type[IdlStruct], Any]],
+    readers: Sequence[tuple[str, Source, Any]],
     complain: Complain,
 ) -> bool:
     """Whether silence may still have to be told of."""
     if not silent or counts.received or time.monotonic() - begun < _SILENCE:
         return silent and not counts.received
-    for name, kind, reader in readers:
+    for name, source, reader in readers:
         published = node.topics().get(f"/{name.strip('/')}", set())
+        wanted = ros_type(source.kind)
         if not published:
             why = "nobody publishes it"
-        elif ros_type(kind) not in published:
-            why = f"it carries {', '.join(published)}, expected {ros_type(kind)}"
+        elif wanted not in published:
+            why = f"it carries {', '.join(published)}, expected {wanted}"
         elif unreliable(reader):
             why = "its publisher is not reliable: leave --reliable out"
         else:
             why = "its publisher is silent"
         complain(f"{name}: no message for {_SILENCE:g} s: {why}")
     return False
-
-
-class _Motion:
-    """Messages that tell the motion of a rig: its joints, or the twist of the sensor."""
-
-    def __init__(self, rig: Rig) -> None:
-        self._receive = rig.recording.stamps == "receive"
-        self._joints: tuple[str, ...] = ()
-        self.kind: type[IdlStruct] = TwistStamped
-        if rig.motion.source == "joints":
-            self.kind, self._joints = JointState, robot_of(rig).joints
-        elif rig.in_gravity:
-            found = "a twist in gravity, whose direction no topic tells"
-            raise UnsupportedError.at(
-                rig.path, "motion.source", found, "`joints`, or JSON lines with gx gy gz"
-            )
-
-    def read(self, message: Any, info: Any) -> tuple[tuple[str, ...], int, list[float]]:
-        """Columns, time [ns] and values; no columns where no joint moves the sensor.
-
-        Raises:
-            InputError: the message is no such motion.
-        """
-        stamp = info.source_timestamp if self._receive else _stamp(message.header)
-        if self.kind is TwistStamped:
-            return TWIST, stamp, self._checked(list(message.values))
-        names, values = self._of_joints(message)
-        return names, stamp, self._checked(values)
-
-    @staticmethod
-    def _checked(values: list[float]) -> list[float]:
-        if any(map(math.isinf, values)):
-            raise InputError("found an infinity, expected finite numbers, or NaN where there is none")
-        return values
-
-    def _of_joints(self, message: JointState) -> tuple[tuple[str, ...], list[float]]:
-        places = {name: k for k, name in enumerate(message.name)}
-        if len(places) < len(message.name):
-            raise InputError("found a joint a second time, expected every name once")
-        known = [joint for joint in self._joints if joint in places]
-        names: tuple[str, ...] = ()
-        values: list[float] = []
-        for letter, numbers in (("q", message.position), ("dq", message.velocity)):
-            if numbers and len(numbers) != len(places):
-                expected = f"{len(places)}: one per name, or none at all"
-                raise InputError(f"found {len(numbers)} numbers, expected {expected}")
-            if numbers:
-                names += tuple(f"{letter}_{joint}" for joint in known)
-                values += [numbers[places[joint]] for joint in known]
-        return names, values
 
 
 def calibrate_topics(
@@ -256,43 +218,47 @@ def calibrate_topics(
 ) -> tuple[Counts, Progress]:
     """Feed a calibration from the sensor's topic and the motion's until `stop`, then finish it in a folder.
 
-    What is known on the way, and the result, are published as diagnostics.
+    What is known on the way, and the result, are published as diagnostics. As soon as an estimate may be
+    used, wrenches are published by the latest such.
 
     Raises:
         InputError: no topic is found, or no calibration can be made of what arrived.
     """
-    rig = session.rig
-    sensor, motion, counts = _Sensor(rig), _Motion(rig), Counts()
-    channels = tuple(f"raw_{i}" for i in range(rig.sensor.n))
+    rig, counts = session.rig, Counts()
+    sensor, others = SensorSource(rig), motion_sources(rig)
     node = Node()
-    name = topics.wrench or node.find(sensor.kind, {topics.output}, _PATIENCE, stop)
-    moving = topics.motion or node.find(motion.kind, set(), _PATIENCE, stop)
+    names = [_sensor_topic(node, sensor, topics, stop)]
+    for k, source in enumerate(others):
+        given = getattr(rig.recording, KEYS[source.role]) if k else topics.motion
+        names.append(given or node.find(source.kind, set(), _PATIENCE, stop))
     writer = node.writer(DIAGNOSTICS, DiagnosticArray)
+    wrenches = _Wrenches(node, topics.output)
     readers = [
-        (name, sensor.kind, node.reader(name, sensor.kind, topics.reliable)),
-        (moving, motion.kind, node.reader(moving, motion.kind, topics.reliable)),
+        (name, source, node.reader(name, source.kind, topics.reliable))
+        for name, source in zip(names, [sensor, *others], strict=True)
     ]
-
-    def of_sensor(message: Any, info: Any) -> tuple[tuple[str, ...], int, Any]:
-        _, stamp, values = sensor.read(message, info)
-        return channels, stamp, values
-
     begun = time.monotonic()
-    told, progress, silent = begun, Progress(0, 0.0, 0, reason="no estimate yet"), True
+    told, progress, silent, usable = begun, Progress(0, 0.0, 0, reason="no estimate yet"), True, False
     while not stop.requested and time.monotonic() - begun < seconds:
         node.wait(_WAIT)
-        for (topic, _, reader), read in zip(readers, (of_sensor, motion.read), strict=True):
+        with_std = usable and wrenches.std_wanted
+        for topic, source, reader in readers:
             for message, info in taken(reader):
                 counts.received += 1
                 try:
-                    names, stamp, values = read(message, info)
-                    if names:
-                        session.record.add(names, stamp, values)
+                    columns, stamp, values = source.read(message, info)
+                    if columns:
+                        session.record.add(columns, stamp, values)
                         counts.used += 1
+                    if usable and source is sensor:
+                        wrenches.write(sensor.header(message, info), values, with_std)
                 except InputError as error:
                     counts.refused += 1
                     complain(f"{topic}: {error}")
         found = session.poll()
+        if found is not None and found.calibration is not None and found.usable:
+            wrenches.use(found.calibration)
+            usable = True
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress
             writer.write(_diagnostics(rig, progress))

@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import annotations as annotate
-from cyclonedds.idl.types import byte, float64, int32, uint32
+from cyclonedds.idl.types import array, byte, float64, int32, uint32
 
 if TYPE_CHECKING:
     from builtins import list as sequence
+
+    Nine = list[float]
 else:
     from cyclonedds.idl.types import sequence
+
+    Nine = array[float64, 9]
 
 __all__ = [
     "TYPE_HASHES",
@@ -23,11 +27,14 @@ __all__ = [
     "DiagnosticStatus",
     "Float64MultiArray",
     "Header",
+    "Imu",
     "JointState",
     "KeyValue",
+    "Temperature",
     "Time",
     "TwistStamped",
     "Vector3",
+    "Vector3Stamped",
     "Wrench",
     "WrenchStamped",
 ]
@@ -151,6 +158,70 @@ class TwistStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TwistStamped_"):
 
 @dataclass
 @annotate.final
+class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
+    """An orientation."""
+
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+    w: float64 = 1.0
+
+
+def _unknown() -> list[float]:
+    return [0.0] * 9
+
+
+@dataclass
+@annotate.final
+class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
+    """Specific force [m/s^2], and what is not used here."""
+
+    header: Header = field(default_factory=Header)
+    orientation: Quaternion = field(default_factory=Quaternion)
+    orientation_covariance: Nine = field(default_factory=_unknown)
+    angular_velocity: Vector3 = field(default_factory=Vector3)
+    angular_velocity_covariance: Nine = field(default_factory=_unknown)
+    linear_acceleration: Vector3 = field(default_factory=Vector3)
+    linear_acceleration_covariance: Nine = field(default_factory=_unknown)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The specific force."""
+        a = self.linear_acceleration
+        return (a.x, a.y, a.z)
+
+
+@dataclass
+@annotate.final
+class Temperature(IdlStruct, typename="sensor_msgs.msg.dds_.Temperature_"):
+    """A temperature [degrees Celsius]."""
+
+    header: Header = field(default_factory=Header)
+    temperature: float64 = 0.0
+    variance: float64 = 0.0
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """It alone."""
+        return (self.temperature,)
+
+
+@dataclass
+@annotate.final
+class Vector3Stamped(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3Stamped_"):
+    """Three numbers and their time."""
+
+    header: Header = field(default_factory=Header)
+    vector: Vector3 = field(default_factory=Vector3)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """All three."""
+        return (self.vector.x, self.vector.y, self.vector.z)
+
+
+@dataclass
+@annotate.final
 class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
     """Joints by name; each of the other sequences has an entry per name, or none at all."""
 
@@ -223,6 +294,9 @@ TYPE_HASHES: dict[type[IdlStruct], str] = {
     WrenchStamped: "8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77",
     TwistStamped: "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
     JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
+    Imu: "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b",
+    Temperature: "72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
+    Vector3Stamped: "d4829622288cbb443886e7ea94ea5671a3b1be6bab4ad04224432a65f7d7887a",
     Float64MultiArray: "1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f",
     DiagnosticArray: "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
 }

@@ -9,8 +9,9 @@ from pathlib import Path
 from truewrench.errors import InputError
 from truewrench.io.recordings.reader import Topic
 from truewrench.io.recordings.streams import Stream, role_of
+from truewrench.rig import Rig
 
-__all__ = ["KEYS", "commanded", "named_topic", "one_topic", "topics_in_words"]
+__all__ = ["KEYS", "commanded", "named_topic", "one_topic", "roles_of", "topics_in_words"]
 
 KEYS = {
     "wrench": "wrench_topic",
@@ -23,6 +24,19 @@ KEYS = {
 """Of the rig's `recording`, by role."""
 
 _COMMANDS = re.compile(r"(^|[/_])(cmd|command|commands|desired|target|goal|setpoint|reference)([/_]|$)")
+
+
+def roles_of(rig: Rig) -> list[str]:
+    """What a rig uses: the sensor first, then the motion, then what else it names or has priors for."""
+    roles = ["wrench", "joints" if rig.motion.source == "joints" else "twist"]
+    noise = rig.motion.acceleration_noise
+    if rig.recording.imu_topic or (noise is not None and len(noise) == 3):
+        roles.append("imu")
+    if rig.recording.temperature_topic or rig.temperature.prior > 0.0:
+        roles.append("temperature")
+    if rig.recording.gravity_topic:
+        roles.append("gravity")
+    return roles
 
 
 def commanded(topic: str) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from truewrench.arm.robot import robot_of
 from truewrench.calibration import AXES
 from truewrench.errors import InputError
-from truewrench.io.recordings.choice import KEYS, commanded, named_topic, one_topic, topics_in_words
+from truewrench.io.recordings.choice import KEYS, commanded, named_topic, one_topic, roles_of, topics_in_words
 from truewrench.io.recordings.reader import Recording, Topic
 from truewrench.io.recordings.streams import Stream, clock_notes, gather, role_of
 from truewrench.rig import Rig
@@ -51,7 +51,7 @@ def select(
     notes = [*recording.miscounted()]
     chosen = [_sensor(recording, rig, streams)]
     _check(recording, rig, chosen[0])
-    for role in _roles(rig)[1:]:
+    for role in roles_of(rig)[1:]:
         try:
             found = _of_role(recording, rig, role, streams, whole)
             for stream in found:
@@ -73,23 +73,10 @@ def select(
     return Selection(tuple(chosen), _places(rig, chosen), tuple(dict.fromkeys(notes)))
 
 
-def _roles(rig: Rig) -> list[str]:
-    """The sensor first, then what the rig uses."""
-    roles = ["wrench", "joints" if rig.motion.source == "joints" else "twist"]
-    noise = rig.motion.acceleration_noise
-    if rig.recording.imu_topic or (noise is not None and len(noise) == 3):
-        roles.append("imu")
-    if rig.recording.temperature_topic or rig.temperature.prior > 0.0:
-        roles.append("temperature")
-    if rig.recording.gravity_topic:
-        roles.append("gravity")
-    return roles
-
-
 def _topics(recording: Recording, rig: Rig) -> list[Topic]:
     """Those that are named, and all that could be meant where none is."""
     topics: list[Topic] = []
-    for role in _roles(rig):
+    for role in roles_of(rig):
         name = getattr(rig.recording, KEYS[role])
         if role == "twist":
             name = name or rig.recording.joint_topic
