@@ -113,9 +113,9 @@ struct Blocks {
 
   // `per_interval`: blocks of a series on one interval of the spline, where it has at least that many samples.
   void build(const WindowModel<N>& model, const WindowRange& window, const BSpline& spline, int per_interval,
-             double delay) {
+             double delay, double assigned_at) {
     build_motion(model, window, spline, per_interval);
-    build_wrench(model, window, spline, per_interval, delay);
+    build_wrench(model, window, spline, per_interval, delay, assigned_at);
   }
 
   void build_motion(const WindowModel<N>& model, const WindowRange& window, const BSpline& spline,
@@ -151,9 +151,10 @@ struct Blocks {
     }
   }
 
-  // `delay` added to the sensor's stamps.
+  // `delay` added to the sensor's stamps. `assigned_at`: the delay at which samples are dealt out to intervals and
+  // blocks; held while the delay moves by less than an interval, it leaves the cost a smooth function of the delay.
   void build_wrench(const WindowModel<N>& model, const WindowRange& window, const BSpline& spline,
-                    int per_interval, double delay) {
+                    int per_interval, double delay, double assigned_at) {
     wrench.clear();
     const int n = model.layout().channels;
     const WrenchSeries& series = model.log().wrench;
@@ -162,7 +163,7 @@ struct Blocks {
     const int order = reference ? 1 : 0;  // of the coordinates' derivative that is the twist
     const ChannelVector<N> precision = model.precision().cwiseAbs2();
     for_each_block(
-        spline, series.time, delay, window.wrench, per_interval,
+        spline, series.time, assigned_at, window.wrench, per_interval,
         [&](std::size_t k) {
           return model.sensed(k) ? valid_components(series.raw + static_cast<std::size_t>(n) * k, n) : 0U;
         },

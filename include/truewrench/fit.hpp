@@ -46,6 +46,7 @@ struct WindowFit {
   double nested_expected = 0.0;  // and what chance alone gives
   Groups groups{};
   std::vector<ComponentStatistics> components;  // channels, then those of the first series of the motion
+  double assigned_at = 0.0;  // delay at which the sensor's samples were dealt out to blocks
   int disturbances = 0;
   int iterations = 0;
 };

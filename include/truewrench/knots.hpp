@@ -59,7 +59,8 @@ class WindowSolver {
   // One Gauss-Newton step of the motion at a given theta and the information there, on fixed knots.
   Status relinearise(WindowFit& fit, const WindowRange& window, const Eigen::VectorXd& theta) {
     fit.theta = theta;
-    build(blocks_, window, fit.spline, theta);
+    fit.assigned_at = assignment(fit, delay(theta));
+    build(blocks_, window, fit.spline, theta, fit.assigned_at);
     normal_.assemble(model_, blocks_, fit.spline, fit.x, theta, Terms::all, true);
     if (const Status st = normal_.reduce(); st != Status::ok) return st;
     fit.information = {normal_.information(), normal_.score()};
@@ -180,12 +181,15 @@ class WindowSolver {
 
   // Knots much closer in one place than in another.
   static bool crowded(const BSpline& spline) {
-    double narrow = spline.width(0), wide = narrow;
-    for (int i = 1; i < spline.intervals(); ++i) {
-      narrow = std::min(narrow, spline.width(i));
-      wide = std::max(wide, spline.width(i));
-    }
-    return narrow < 0.3 * wide;
+    double wide = 0.0;
+    for (int i = 0; i < spline.intervals(); ++i) wide = std::max(wide, spline.width(i));
+    return narrowest(spline) < 0.3 * wide;
+  }
+
+  static double narrowest(const BSpline& spline) {
+    double narrow = spline.width(0);
+    for (int i = 1; i < spline.intervals(); ++i) narrow = std::min(narrow, spline.width(i));
+    return narrow;
   }
 
   // What an explanation costs: residuals, twice the coefficients (Akaike), and what finding a disturbance among all
@@ -202,8 +206,13 @@ class WindowSolver {
   }
 
   void build(Blocks<N>& blocks, const WindowRange& window, const BSpline& spline,
-             const Eigen::VectorXd& theta) const {
-    blocks.build(model_, window, spline, settings_.blocks_per_interval, delay(theta));
+             const Eigen::VectorXd& theta, double assigned_at) const {
+    blocks.build(model_, window, spline, settings_.blocks_per_interval, delay(theta), assigned_at);
+  }
+
+  // Samples are dealt out anew at a delay of half an interval from where they were.
+  static double assignment(const WindowFit& fit, double delay) {
+    return std::abs(delay - fit.assigned_at) < 0.5 * narrowest(fit.spline) ? fit.assigned_at : delay;
   }
 
   double delay(const Eigen::VectorXd& theta) const {
@@ -212,7 +221,8 @@ class WindowSolver {
   }
 
   WindowStatus solve(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior) {
-    build(blocks_, window, fit.spline, fit.theta);
+    fit.assigned_at = delay(fit.theta);
+    build(blocks_, window, fit.spline, fit.theta, fit.assigned_at);
     for (int i = 0; i < settings_.max_iterations; ++i) {
       normal_.assemble(model_, blocks_, fit.spline, fit.x, fit.theta, terms, prior != nullptr);
       if (normal_.reduce() != Status::ok) return WindowStatus::motion_undetermined;
@@ -239,12 +249,15 @@ class WindowSolver {
         const Coefficients x = fit.x + step * dx;
         const Eigen::VectorXd theta =
             prior != nullptr ? Eigen::VectorXd(fit.theta + step * dtheta) : fit.theta;
+        const double assigned_at = assignment(fit, delay(theta));
         if (prior != nullptr && model_.layout().time_offset) {
-          blocks_.build_wrench(model_, window, fit.spline, settings_.blocks_per_interval, delay(theta));
+          blocks_.build_wrench(model_, window, fit.spline, settings_.blocks_per_interval, delay(theta),
+                               assigned_at);
         }
         if (last || cost(x, theta) + prior_cost(theta, prior) < before - 1e-4 * step * decrement) {
           fit.x = x;
           fit.theta = theta;
+          fit.assigned_at = assigned_at;
           break;
         }
       }
@@ -284,7 +297,7 @@ class WindowSolver {
     out.gain.assign(static_cast<std::size_t>(fit.spline.intervals()), 0.0);
     const bool common = keep || prior != nullptr;
     if (keep) {
-      build(blocks_, window, fit.spline, fit.theta);
+      build(blocks_, window, fit.spline, fit.theta, fit.assigned_at);
       normal_.assemble(model_, blocks_, fit.spline, fit.x, fit.theta, terms, true);
       if (normal_.reduce() == Status::ok) fit.information = {normal_.information(), normal_.score()};
       fit.finer = fit.information;
@@ -292,7 +305,7 @@ class WindowSolver {
     const std::vector<char> all(out.gain.size(), 1);
     const BSpline finer(fit.spline.halved(all));
     const Coefficients x = fit.spline.refined<kCoordinates>(fit.x, finer);
-    build(fine_blocks_, window, finer, fit.theta);
+    build(fine_blocks_, window, finer, fit.theta, delay(fit.theta));
     fine_normal_.assemble(model_, fine_blocks_, finer, x, fit.theta, terms, common);
     if (fine_normal_.reduce() != Status::ok) return out;  // too few samples to ask
     if (keep) fit.finer = {fine_normal_.information(), fine_normal_.score()};
@@ -311,8 +324,14 @@ class WindowSolver {
     if (terms == Terms::all) {
       const WindowModelAt<N> model(model_, fit.theta);
       const WindowModelAt<N> model_new(model_, theta_new);
+      const double later = delay(theta_new) - delay(fit.theta);
       for (const WrenchBlock<N>& b : fine_blocks_.wrench) {
-        const ChannelVector<N> d = raw_of(model_new, b, x_new) - raw_of(model, b, x);
+        ChannelVector<N> d = raw_of(model_new, b, x_new) - raw_of(model, b, x);
+        if (later != 0.0) {  // the blocks stay where they are
+          const auto xi = x.middleRows<kActive>(b.interval);
+          const MotionState state = b.state(xi);
+          d += later * model.raw_by_time(model.raw_by_twist(state.nu), state, b.jerk(xi));
+        }
         out.gain[static_cast<std::size_t>(b.interval / 2)] += b.weight.dot(d.cwiseAbs2());
       }
     }

@@ -102,6 +102,50 @@ TEST(Knots, SlowMotionGetsFewKnotsAndFastMotionMany) {
   EXPECT_GT(fast, 2 * usual);
 }
 
+// Solved for gain and clock on one second of a good sensor with many samples to a block.
+WindowFit joint(bool free_clock, double ahead) {
+  Simulation s = at_frequency(1.0, 1.0);
+  s.motion_rate = s.sensor_rate = 2000.0;
+  s.sensor_sigma = 1e-4;
+  s.twist_sigma = 3e-4;
+  Recording recording = s.record(2);
+  for (double& t : recording.sensor_time) t -= ahead;
+  const LogData data = recording.data();
+  const SensorScale<6> sensor = s.sensor<6>();
+  ParameterLayout layout;
+  layout.time_offset = free_clock;
+  const WindowModel<6> model(data, sensor, layout);
+  Eigen::VectorXd sigma = Eigen::VectorXd::Constant(layout.size(), 0.3);
+  Eigen::VectorXd mean = Eigen::VectorXd::Zero(layout.size());
+  mean.head(s.theta().size()) = s.theta();
+  if (free_clock) sigma[layout.time_offset_begin()] = 5e-3;
+  const Prior prior{sigma.cwiseAbs2().cwiseInverse().asDiagonal(), mean};
+  WindowRange window = whole(recording);
+  window.wrench.first += 30;  // 15 ms: samples whose clock may take them out of the window
+  window.wrench.second -= 30;
+  WindowSolver<6> solver(model, KnotSettings{});
+  return solver.search(window, BSpline(BSpline::uniform(window.begin, window.end, 1)), mean, &prior, 2e-3);
+}
+
+TEST(Knots, ClockThatIsNotKnownNeedsNoMoreOfThem) {
+  const WindowFit known = joint(false, 0.0);
+  ASSERT_EQ(known.status, WindowStatus::fitted);
+  for (const double ahead : {0.0, 1e-3, -4e-3}) {
+    const WindowFit fit = joint(true, ahead);
+    ASSERT_EQ(fit.status, WindowStatus::fitted) << ahead;
+    EXPECT_LE(fit.spline.intervals(), known.spline.intervals() + 2) << ahead;
+    EXPECT_LT(fit.nested - fit.nested_expected, 5.0 * std::sqrt(2.0 * fit.nested_expected)) << ahead;
+    EXPECT_LT(fit.iterations, 60) << ahead;
+    const Eigen::Index clock = fit.theta.size() - 1;
+    Eigen::MatrixXd information = fit.information.matrix;
+    information.diagonal().array() += 1.0 / (0.3 * 0.3);
+    information(clock, clock) += 1.0 / (5e-3 * 5e-3) - 1.0 / (0.3 * 0.3);
+    const double sigma = std::sqrt(information.inverse()(clock, clock));
+    EXPECT_LT(sigma, 3e-3) << ahead;  // the prior is 5e-3
+    EXPECT_NEAR(fit.theta[clock], ahead, 4.0 * sigma) << ahead;
+  }
+}
+
 TEST(Knots, LieWhereTheMotionIsFast) {
   // At rest but for a jolt around t = 4.
   Simulation s;

@@ -217,7 +217,7 @@ void expect_dense_normal_equations(const Scene& scene, double rounding = 1.0) {
   const WindowModel<N> model(data, sensor, scene.layout());
   const BSpline spline(scene.breakpoints);
   Blocks<N> blocks;
-  blocks.build(model, scene.window(), spline, one_sample_a_block, scene.delay());
+  blocks.build(model, scene.window(), spline, one_sample_a_block, scene.delay(), scene.delay());
   WindowNormal<N> normal;
 
   const Eigen::VectorXd r = scene.residuals(scene.x, scene.theta);
@@ -326,7 +326,7 @@ TEST(WindowNormal, MotionTermsAloneLeaveTheSensorOut) {
   const WindowModel<6> model(data, sensor, scene.layout());
   const BSpline spline(scene.breakpoints);
   Blocks<6> blocks;
-  blocks.build(model, scene.window(), spline, one_sample_a_block, 0.0);
+  blocks.build(model, scene.window(), spline, one_sample_a_block, 0.0, 0.0);
   WindowNormal<6> normal;
   normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::motion, false);
   const Eigen::VectorXd r = scene.residuals(scene.x, scene.theta, false);
@@ -350,7 +350,7 @@ TEST(WindowNormal, MotionThatNoStreamDeterminesIsReported) {
   const WindowModel<6> model(data, sensor, scene.layout());
   const BSpline spline(scene.breakpoints);
   Blocks<6> blocks;
-  blocks.build(model, scene.window(), spline, one_sample_a_block, 0.0);
+  blocks.build(model, scene.window(), spline, one_sample_a_block, 0.0, 0.0);
   WindowNormal<6> normal;
   normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::motion, false);
   EXPECT_EQ(normal.reduce(), Status::not_factorizable);
@@ -403,7 +403,7 @@ struct Averaged {
     const WindowModel<6> model(data, sensor, scene.layout());
     const BSpline spline(scene.breakpoints);
     Blocks<6> blocks;
-    blocks.build(model, scene.window(), spline, per_interval, 0.0);
+    blocks.build(model, scene.window(), spline, per_interval, 0.0, 0.0);
     WindowNormal<6> normal;
     normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, true);
     EXPECT_EQ(normal.reduce(), Status::ok);
