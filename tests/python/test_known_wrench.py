@@ -211,3 +211,35 @@ def test_few_rows_are_compared_on_what_was_fitted(rig: Rig, truth: tuple[Array, 
     assert "fewer than 10 rows" in few.figures["held_out"]["none_because"]
     asked = tw.calibrate(rig, weights(truth), held_out=False)
     assert asked.figures["held_out"]["none_because"] == "not asked for"
+
+
+def test_other_weights_confirm_a_calibration(rig: Rig, truth: tuple[Array, Array]) -> None:
+    calibration = tw.calibrate(rig, weights(truth))
+    validations = [tw.validate(calibration, rig, weights(truth, 100, seed)) for seed in range(10, 30)]
+    assert all(found.verdict.usable for found in validations)
+    assert all(axis.better is True for found in validations for axis in found.axes.values())
+    nis = [axis.nis for found in validations for axis in found.axes.values()]
+    assert np.mean(nis) == pytest.approx(1.0, abs=0.05)
+
+
+def test_other_weights_refute_a_gain_that_is_wrong(rig: Rig, truth: tuple[Array, Array]) -> None:
+    calibration = tw.calibrate(rig, weights(truth))
+    wrong = calibration.gain.copy()
+    wrong[4] *= 1.02
+    found = tw.validate(
+        replace(calibration, gain=wrong, inverse=np.linalg.inv(wrong)), rig, weights(truth, 100, 3)
+    )
+    assert not found.verdict.usable
+    assert not found.axes["my"].keep
+    assert found.axes["fz"].keep
+
+
+def test_weights_to_validate_with_need_their_noise_and_some_rows(
+    rig: Rig, truth: tuple[Array, Array]
+) -> None:
+    calibration = tw.calibrate(rig, weights(truth))
+    with pytest.raises(InputError, match="19 rows with raw channels and reference, expected at least 20"):
+        tw.validate(calibration, rig, weights(truth, 19, 3))
+    settings = {key: value for key, value in SETTINGS.items() if key != "reference_noise"}
+    with pytest.raises(InputError, match="reference_noise: found nothing"):
+        tw.validate(calibration, Rig.from_mapping(settings), weights(truth, 100, 3))

@@ -1,9 +1,10 @@
 """Is a calibration better than the nominal gain, on data it has not seen, and is its sigma honest?
 
 The corrected wrench is held against the payload's wrench by a motion that the velocities alone give
-(inertial.py), so that no gain can bend the motion to its favour. Per wrench axis: the RMS residual of the
-nominal and of the new gain with a confidence interval of their ratio by a moving-block bootstrap, and whether
-the residual is as large, and as white, as sensor noise, motion and the calibration's covariance say.
+(inertial.py), so that no gain can bend the motion to its favour, or against reference wrenches where logs
+have them. Per wrench axis: the RMS residual of the nominal and of the new gain with a confidence interval of
+their ratio by a moving-block bootstrap, and whether the residual is as large, and as white, as the noise of
+sensor and motion (or reference) and the calibration's covariance say.
 """
 
 from __future__ import annotations

@@ -52,24 +52,19 @@ def tared(rig: Rig) -> bool:
 def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     """Residuals of one log with the nominal and the calibration's gain.
 
+    Against the wrench by the motion, or against reference wrenches where the log has them.
+
     Raises:
         InputError: for a log without enough rows.
     """
+    known = (
+        _by_motion(calibration, rig, log) if log.reference is None else _by_reference(calibration, rig, log)
+    )
     sensor = rig.sensor
     inverse = np.nan_to_num(calibration.inverse)
     nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
-    tau = calibration.time_offset
-    chunks = _compared(rig, log, tau)
-    if sensor.time_offset_prior > 0.0:
-        tau += _time_offset(chunks, log, inverse, sensor.noise_array, sensor.time_offset_prior)
-        chunks = _compared(rig, log, tau)
-    rows, wrench, variance, twist, acceleration, gravity = (
-        np.concatenate([getattr(chunk, name) for chunk in chunks])
-        for name in ("rows", "wrench", "variance", "twist", "acceleration", "gravity")
-    )
-    raw = log.raw[rows]
+    raw, wrench, payload = log.raw[known.rows], known.wrench, known.payload
     old, new = raw @ nominal_inverse.T - wrench, raw @ inverse.T - wrench
-    payload = _payload_columns(rig, calibration, log.payload, twist, acceleration, gravity)
     n, P, size = sensor.n, calibration.covariance, 6 * sensor.n
     if tared(rig):
         old, new = old - old.mean(axis=0), new - new.mean(axis=0)
@@ -85,22 +80,68 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
         values, axes = np.linalg.eigh(Q)
         columns[:, i, :6] = wrench @ (axes * np.sqrt(np.maximum(values, 0.0)))
     columns[:, :, 6:] = payload
-    lags = min(chunk.covariance.shape[1] for chunk in chunks)
-    lagged = np.zeros((LONGEST_LAG + 1, 6))
-    lagged[:lags] = np.mean([chunk.covariance[:, :lags].mean(axis=0) for chunk in chunks], axis=0)
     return Residuals(
         old,
         new,
         wrench,
-        variance + inverse**2 @ sensor.noise_array**2,
-        variance + nominal_inverse**2 @ sensor.noise_array**2,
+        known.variance + inverse**2 @ sensor.noise_array**2,
+        known.variance + nominal_inverse**2 @ sensor.noise_array**2,
         columns,
-        tuple(np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()),
-        lagged,
-        float(np.median(np.diff(log.time[rows]))),
-        tau,
-        rows,
+        known.begin,
+        known.lagged,
+        float(np.median(np.diff(log.time[known.rows]))),
+        known.time_offset,
+        known.rows,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """The payload's wrench at M rows of a log, by something else than the sensor."""
+
+    rows: NDArray[np.int64]
+    wrench: Array  # (M, 6)
+    variance: Array  # (M, 6)
+    payload: Array  # (M, 6, k) of its errors, those that the payload brings
+    begin: tuple[int, ...]
+    lagged: Array
+    time_offset: float
+
+
+def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
+    sensor = rig.sensor
+    tau = calibration.time_offset
+    chunks = _compared(rig, log, tau)
+    if sensor.time_offset_prior > 0.0:
+        inverse = np.nan_to_num(calibration.inverse)
+        tau += _time_offset(chunks, log, inverse, sensor.noise_array, sensor.time_offset_prior)
+        chunks = _compared(rig, log, tau)
+    rows, wrench, variance, twist, acceleration, gravity = (
+        np.concatenate([getattr(chunk, name) for chunk in chunks])
+        for name in ("rows", "wrench", "variance", "twist", "acceleration", "gravity")
+    )
+    lags = min(chunk.covariance.shape[1] for chunk in chunks)
+    lagged = np.zeros((LONGEST_LAG + 1, 6))
+    lagged[:lags] = np.mean([chunk.covariance[:, :lags].mean(axis=0) for chunk in chunks], axis=0)
+    payload = _payload_columns(rig, calibration, log.payload, twist, acceleration, gravity)
+    begin = np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()
+    return _Known(rows, wrench, variance, payload, tuple(begin), lagged, tau)
+
+
+def _by_reference(calibration: Calibration, rig: Rig, log: Log) -> _Known:
+    assert log.reference is not None
+    if rig.reference_noise is None:
+        expected = "six numbers, 1 sigma of ref_fx ... ref_mz, which the log has"
+        raise InputError.at(rig.path, "reference_noise", "nothing", expected)
+    rows = np.flatnonzero(np.isfinite(log.raw).all(axis=1) & np.isfinite(log.reference).all(axis=1))
+    if rows.size < 2 * _FEWEST:
+        found = f"{rows.size} rows with raw channels and reference"
+        raise InputError.at(log.path, "", found, f"at least {2 * _FEWEST}")
+    variance = np.broadcast_to(np.square(rig.reference_noise), (rows.size, 6))
+    lagged = np.zeros((LONGEST_LAG + 1, 6))
+    lagged[0] = variance[0]
+    none = np.zeros((rows.size, 6, 0))
+    return _Known(rows, log.reference[rows], variance, none, (0,), lagged, calibration.time_offset)
 
 
 def _compared(rig: Rig, log: Log, time_offset: float) -> list[InertialChunk]:
