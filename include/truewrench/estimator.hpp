@@ -62,7 +62,7 @@ struct Estimate {
   std::vector<RowMatrix>
       wrench;  // per log: the payload's wrench at the sensor's samples, NaN where no window or left out
   std::vector<Gate> gates;         // per log: the samples left out
-  double knot_dependence = 0.0;    // deviate of the gain against that of halved knots
+  double knot_dependence = 0.0;    // deviate of gain and clock against those of halved knots
   double window_dependence = 0.0;  // and against that of doubled windows, where there are few samples
   int iterations = 0;
 };
@@ -518,7 +518,21 @@ class Estimator {
     out.status = out.posterior.status;
     const Posterior finer = combine(prior_, fine);
     if (out.status != Status::ok || finer.status != Status::ok) return;
-    out.knot_dependence = disagreement(out.posterior, finer, prior_.layout.gains());
+    out.knot_dependence =
+        std::max(disagreement(out.posterior, finer, prior_.layout.gains()), clock_lost(out.posterior, finer));
+  }
+
+  // A spline moved in time is no spline on the same knots. What it lacks is taken for knowledge of the clock, as good
+  // as it is wrong, where the motion tells little else of it; halved knots lack next to nothing. Equal to the limit
+  // of a dependence where they double the clock's sigma.
+  double clock_lost(const Posterior& posterior, const Posterior& finer) const {
+    if (!prior_.layout.time_offset) return 0.0;
+    double ratio = 1.0;
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      const double sigma = clock(posterior.mean[l], posterior.covariance[l]).second;
+      ratio = std::max(ratio, clock(finer.mean[l], finer.covariance[l]).second / sigma);
+    }
+    return settings_.dependence_sigma * (ratio - 1.0);
   }
 
   void prepare_wrench(Estimate& out) const {

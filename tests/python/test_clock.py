@@ -33,13 +33,16 @@ def rig_of() -> Rig:
     )
 
 
-def explained(offset: float, chi_square: float, samples: int = 12_000, intervals: int = 10) -> Any:
+def explained(
+    offset: float, chi_square: float, samples: int = 12_000, intervals: int = 10, knot_dependence: float = 0.5
+) -> Any:
     """An estimate with one window: its time offset (sigma 0.1 ms) and how well it explains the samples."""
     group = SimpleNamespace(sum_of_squares=chi_square * samples, count=samples)
     window = SimpleNamespace(status=_core.WindowStatus.fitted, intervals=intervals, groups=[group])
     return SimpleNamespace(
-        solved=True, time_offsets=np.array([offset]), time_offsets_std=np.array([1e-4]), windows=[window]
-    )
+        solved=True, time_offsets=np.array([offset]), time_offsets_std=np.array([1e-4]), windows=[window],
+        knot_dependence=knot_dependence,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -52,6 +55,7 @@ def explained(offset: float, chi_square: float, samples: int = 12_000, intervals
         (explained(3e-3, 1.0, intervals=300), False),  # or needs far more knots
         (explained(3e-3, 0.9, samples=6_000), False),  # or leaves half of it out
         (explained(3e-4, 0.99), False),  # three sigma
+        (explained(3e-3, 0.99, knot_dependence=4.0), False),  # or a motion that does not tell the clock
     ],
 )
 def test_clock_is_doubted_where_another_explains_the_record_no_worse(free: Any, doubted: bool) -> None:

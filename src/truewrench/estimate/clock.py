@@ -16,6 +16,7 @@ TRUSTED = 1e-3  # [s] 1 sigma below which a stated clock is put to the test
 WIDE = 5e-3  # [s] 1 sigma of the clock in that test
 DOUBT = 5.0  # sigma
 FEWER = 0.9  # share of the samples that a free clock must explain of those that the stated one does
+DEPENDENCE = _core.EstimatorSettings().dependence_sigma
 _COORDINATES, _DEGREE = 6, 5
 
 
@@ -34,8 +35,8 @@ def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[st
         return []
     sensor = rig.sensor.model_copy(update={"time_offset_prior": WIDE})
     found = estimate(rig.model_copy(update={"sensor": sensor}))
-    if not found.solved:
-        return []
+    if not found.solved or found.knot_dependence > DEPENDENCE:
+        return []  # the motion does not tell the clock
     suspected = np.abs(found.time_offsets) > DOUBT * np.hypot(found.time_offsets_std, stated)
     if not suspected.any() or _worse(found, estimate(rig)):
         return []  # or the search with a free clock went astray
