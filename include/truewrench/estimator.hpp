@@ -24,6 +24,7 @@ struct EstimatorSettings {
   double gap_periods = 5.0;       // no window spans a longer gap
   double dependence_sigma = 3.1;  // the gain must not depend on knots or windows by more than this (99.9%)
   double enough_fitted = 0.9;     // share of the samples in windows that fit, below which a pass is repeated
+  double clock_lost = 0.2;        // nor may halved knots make the clock's sigma larger by this share
   double few_samples = 10.0;      // below so many samples per coefficient, doubled windows are tried as well
   int max_rounds = 6;
   int max_iterations = 25;
@@ -523,8 +524,8 @@ class Estimator {
   }
 
   // A spline moved in time is no spline on the same knots. What it lacks is taken for knowledge of the clock, as good
-  // as it is wrong, where the motion tells little else of it; halved knots lack next to nothing. Equal to the limit
-  // of a dependence where they double the clock's sigma.
+  // as it is wrong, where the motion tells little else of it; halved knots lack next to nothing. As a deviate, which
+  // reaches its limit where they make the clock's sigma larger by more than they may.
   double clock_lost(const Posterior& posterior, const Posterior& finer) const {
     if (!prior_.layout.time_offset) return 0.0;
     double ratio = 1.0;
@@ -532,7 +533,7 @@ class Estimator {
       const double sigma = clock(posterior.mean[l], posterior.covariance[l]).second;
       ratio = std::max(ratio, clock(finer.mean[l], finer.covariance[l]).second / sigma);
     }
-    return settings_.dependence_sigma * (ratio - 1.0);
+    return settings_.dependence_sigma * (ratio - 1.0) / settings_.clock_lost;
   }
 
   void prepare_wrench(Estimate& out) const {
