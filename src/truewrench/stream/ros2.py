@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from cyclonedds.util import duration
 
+from truewrench import _core
 from truewrench.apply import corrector
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
@@ -97,27 +98,21 @@ class _Order:
 class _Wrenches:
     """The true wrench on a topic, and its 1 sigma on another, where somebody listens."""
 
-    def __init__(self, node: Node, topic: str) -> None:
+    def __init__(self, node: Node, topic: str, n: int) -> None:
         self._wrench = node.writer(topic, WrenchStamped)
         self._std = node.writer(topic + STD, WrenchStamped)
+        self._raw = np.empty((1, n))
 
-    def use(self, calibration: Calibration) -> None:
-        """From now on.
-
-        Raises:
-            InputError: its gain cannot be inverted.
-        """
-        self._correct = corrector(calibration, "ROS 2").correct
-        self._raw = np.empty((1, calibration.n))
-
-    def write(self, header: Header, channels: Sequence[float], with_std: bool) -> None:
+    def write(
+        self, correct: _core.Corrector, header: Header, channels: Sequence[float], with_std: bool
+    ) -> None:
         """Publish the wrench of a sample.
 
         Raises:
             InputError: there is none.
         """
         self._raw[0] = channels
-        wrench, std = self._correct(self._raw)
+        wrench, std = correct.correct(self._raw)
         values = wrench[0].tolist()
         if not math.isfinite(sum(values)):
             raise InputError("found channels of such a size that no wrench can be told")
@@ -146,11 +141,11 @@ def correct_topic(
     Raises:
         InputError: no topic is found, or the gain cannot be inverted.
     """
+    correct = corrector(calibration, "ROS 2")  # before a topic is waited for
     sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
     node = Node()
     name = _sensor_topic(node, sensor, topics, stop)
-    wrenches = _Wrenches(node, topics.output)
-    wrenches.use(calibration)
+    wrenches = _Wrenches(node, topics.output, calibration.n)
     reader = node.reader(name, sensor.kind, topics.reliable)
     begun = time.monotonic()
     silent = True
@@ -162,7 +157,7 @@ def correct_topic(
             try:
                 _, stamp, channels = sensor.read(message, info)
                 order.check(stamp)
-                wrenches.write(sensor.header(message, info), channels, with_std)
+                wrenches.write(correct, sensor.header(message, info), channels, with_std)
             except InputError as error:
                 counts.refused += 1
                 complain(f"{name}: {error}")
@@ -232,16 +227,17 @@ def calibrate_topics(
         given = getattr(rig.recording, KEYS[source.role]) if k else topics.motion
         names.append(given or node.find(source.kind, set(), _PATIENCE, stop))
     writer = node.writer(DIAGNOSTICS, DiagnosticArray)
-    wrenches = _Wrenches(node, topics.output)
+    wrenches = _Wrenches(node, topics.output, rig.sensor.n)
+    correct: _core.Corrector | None = None  # of the latest estimate that may be used
     readers = [
         (name, source, node.reader(name, source.kind, topics.reliable))
         for name, source in zip(names, [sensor, *others], strict=True)
     ]
     begun = time.monotonic()
-    told, progress, silent, usable = begun, Progress(0, 0.0, 0, reason="no estimate yet"), True, False
+    told, progress, silent = begun, Progress(0, 0.0, 0, reason="no estimate yet"), True
     while not stop.requested and time.monotonic() - begun < seconds:
         node.wait(_WAIT)
-        with_std = usable and wrenches.std_wanted
+        with_std = correct is not None and wrenches.std_wanted
         for topic, source, reader in readers:
             for message, info in taken(reader):
                 counts.received += 1
@@ -250,15 +246,14 @@ def calibrate_topics(
                     if columns:
                         session.record.add(columns, stamp, values)
                         counts.used += 1
-                    if usable and source is sensor:
-                        wrenches.write(sensor.header(message, info), values, with_std)
+                    if correct is not None and source is sensor:
+                        wrenches.write(correct, sensor.header(message, info), values, with_std)
                 except InputError as error:
                     counts.refused += 1
                     complain(f"{topic}: {error}")
         found = session.poll()
         if found is not None and found.calibration is not None and found.usable:
-            wrenches.use(found.calibration)
-            usable = True
+            correct = corrector(found.calibration, "ROS 2")
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress
             writer.write(_diagnostics(rig, progress))
