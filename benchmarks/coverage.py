@@ -2,6 +2,7 @@
 
     python benchmarks/coverage.py --case uncertain,gravity --runs 500 --out out/coverage
     python benchmarks/coverage.py --case sinusoids,fourier,ripple --runs 2000 --out out/coverage
+    python benchmarks/coverage.py --case tumbling --runs 500 --out out/coverage
     python benchmarks/coverage.py --case clock --runs 200 --out out/coverage
 
 Payload, clock, gain and offset are drawn from the priors of the rig: a gain prior of 0.3, offsets of 10% of
@@ -9,8 +10,10 @@ range, and in `uncertain` and `gravity` a payload known to 1% in mass, 2 mm and 
 known to 1 ms; elsewhere payload and clock are exact. No accuracy is required of the rigs. Covered is the
 share of the 36 gains within 1.96 stated sigma, over all runs and over those whose verdict is usable; all
 else is over all runs. That of wrenches is over other samples of the same sensor, corrected as `apply` does,
-against the true wrench. `clock`: 10 ms between the streams with a prior of 10 ms, beside the same logs
-without a time offset.
+against the true wrench. `tumbling`: a free body of 0.7 kg whose forces are the sines of three frequencies
+and whose moments their cosines, so that the gain undoes any time offset, with a clock known to 1 ms and a
+sensor much better than the velocities. `clock`: 10 ms between the streams with a prior of 10 ms, beside
+the same logs without a time offset.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from truewrench import _core
-from truewrench.motion.trajectory import HarmonicTwist, Trajectory
+from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, WrenchSinusoids, integrate_wrench
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
 
@@ -44,10 +47,34 @@ EXACT = ("sinusoids", "fourier", "ripple")
 UNCERTAIN = ("uncertain", "gravity")
 KNOTS = {"ripple": 0.03}  # of the bound [s]
 SAMPLES = 200  # of the second log
+TUMBLING = {
+    "sensor": {
+        "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+        "feels": "payload_on_sensor",
+        "noise": [1e-3] * 3 + [2e-6] * 3,
+        "range": [10.0] * 3 + [0.02] * 3,
+        "gain_prior": 0.1,
+        "offset_prior": 0,
+        "time_offset_prior": 1e-3,
+    },
+    "payloads": {
+        "default": {
+            "mass": 0.7,
+            "center_of_mass": [-0.012, 0.015, 0.004],
+            "inertia": {"xx": 1.2e-3, "yy": 0.8e-3, "zz": 0.95e-3},
+            "uncertainty": {"mass": 0, "center_of_mass": 0, "inertia": 0},
+        }
+    },
+    "motion": {"source": "twist", "of": "com", "noise": [6e-4] * 6},
+    "required": 10.0,
+    "simulate": {"rate": 1000, "sensor_rate": 1000, "gain": "random", "time_offset": "random"},
+}
 
 
 def rig_of(name: str, cell: tuple[float, float] = CELL) -> Rig:
-    """The rig of a case: that of the case `scenario`, with priors to draw from."""
+    """The rig of a case: that of the case `scenario`, with priors to draw from; or of the free body."""
+    if name == "tumbling":
+        return Rig.from_mapping(TUMBLING)
     settings = cases.rig_of("scenario", cell).to_mapping()
     settings["required"] = 10.0
     del settings["sensor"]["offset_prior"]
@@ -65,6 +92,12 @@ def rig_of(name: str, cell: tuple[float, float] = CELL) -> Rig:
 
 def motion_of(name: str, seed: int) -> Trajectory:
     """The motion of a run; drawn anew for each, but for sinusoids."""
+    if name == "tumbling":
+        rate = 2.0 * np.pi * np.array([5, 7, 9]) / 4.0
+        forces = WrenchSinusoids.of(0.3 * 0.7 * rate, 3e-4 * rate, np.array([5, 7, 9]), 4.0)
+        spec = rig_of(name).payloads["default"]
+        body = Body(spec.mass, np.array(spec.center_of_mass), spec.inertia_matrix)
+        return integrate_wrench(forces, body, 4.0)
     if name == "ripple":
         return cases.motion_of("ripple_8hz", seed)
     if name == "fourier":

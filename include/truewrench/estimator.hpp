@@ -523,9 +523,8 @@ class Estimator {
         std::max(disagreement(out.posterior, finer, prior_.layout.gains()), clock_lost(out.posterior, finer));
   }
 
-  // A spline moved in time is no spline on the same knots. What it lacks is taken for knowledge of the clock, as good
-  // as it is wrong, where the motion tells little else of it; halved knots lack next to nothing. As a deviate, which
-  // reaches its limit where they make the clock's sigma larger by more than they may.
+  // A spline moved in time is no spline on the same knots, and what it lacks is taken for knowledge of the clock. As a
+  // deviate, which reaches its limit where halved knots make the clock's sigma larger by more than they may.
   double clock_lost(const Posterior& posterior, const Posterior& finer) const {
     if (!prior_.layout.time_offset) return 0.0;
     double ratio = 1.0;

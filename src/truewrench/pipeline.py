@@ -167,7 +167,13 @@ def _from_windows(
             **_figures(rig, estimate),
             "noise": noise_figures(rig, noise),
             "held_out": compared.figures,
-            "notes": [*_log_notes(logs), *still_twists(logs), *still_bases(logs), *noise_notes(rig, noise)],
+            "notes": [
+                *_log_notes(logs),
+                *still_twists(logs),
+                *still_bases(logs),
+                *noise_notes(rig, noise),
+                *_clock_notes(estimate),
+            ],
         },
         timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
     )
@@ -305,6 +311,15 @@ def _calibration(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         **rest,
     )
+
+
+def _clock_notes(estimate: WindowEstimate) -> list[str]:
+    if not estimate.clock_untold:
+        return []
+    return [
+        "in this motion a change of time looks like a change of the gain: nothing was learnt of the time "
+        f"offset, and sigma contains what its prior leaves ({1e3 * estimate.time_offsets_std[-1]:.2g} ms)"
+    ]
 
 
 def _log_notes(logs: Sequence[Log]) -> list[str]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from truewrench import _core
+from truewrench.estimate.clock_information import ClockInformation
 from truewrench.estimate.windows import WindowEstimate
+from truewrench.log import Log
 from truewrench.rig import Rig
 
-__all__ = ["clock_doubts", "mostly_unexplained"]
+__all__ = ["clock_doubts", "clock_overclaimed", "mostly_unexplained"]
 
 TRUSTED = 1e-3  # [s] 1 sigma below which a stated clock is put to the test
 WIDE = 5e-3  # [s] 1 sigma of the clock in that test
 DOUBT = 5.0  # sigma
+OVERCLAIMED = 0.6  # of the best possible sigma
 FEWER = 0.9  # share of the samples that a free clock must explain of those that the stated one does
 DEPENDENCE = _core.EstimatorSettings().dependence_sigma
 _COORDINATES, _DEGREE = 6, 5
@@ -49,6 +52,21 @@ def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[st
                 "driver delays one of the streams; state a `time_offset_prior` that allows for it"
             )
     return doubts
+
+
+def clock_overclaimed(rig: Rig, logs: Sequence[Log], estimate: WindowEstimate) -> list[str]:
+    """Whether the clock of one log is claimed better than it could be if all the motion were known."""
+    if len(logs) != 1 or not rig.sensor.time_offset_prior > 0.0 or not estimate.solved:
+        return []
+    best = ClockInformation.of(rig.sensor, logs[0], estimate.gain)
+    claimed = float(estimate.time_offsets_std[0])
+    if best is None or claimed > OVERCLAIMED * best.sigma:
+        return []
+    return [
+        f"the time offset is claimed to {1e3 * claimed:.2g} ms, and the log tells it no better than to "
+        f"{1e3 * best.sigma:.2g} ms: in this motion a change of time looks like a change of the gain; state "
+        "a smaller `time_offset_prior`, or move with more frequencies"
+    ]
 
 
 def mostly_unexplained(estimate: WindowEstimate) -> bool:

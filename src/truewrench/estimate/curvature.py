@@ -20,7 +20,7 @@ _EXACT = 1e-8  # 1 sigma of a departure below which nothing can be said of its e
 _SINGULAR = 1e-3  # of the largest singular value of the gain
 # A product of two normal deviates has long tails: it leaves 2.8 * 1.5 of its own sigma as rarely (0.5%) as
 # one deviate leaves 2.8. A normal distribution that stands for it needs 1.5^2 times its variance.
-_TAILS = 2.25
+TAILS = 2.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +109,7 @@ class Curvature:
         order = np.arange(q).reshape(n, columns)
         at = np.concatenate([order[:, :6].ravel(), order[:, 6:].ravel()])
         moment = (moment + np.outer(mean, mean))[np.ix_(at, at)]
-        return _TAILS * _positive_part(moment, np.sqrt(np.maximum(np.diag(moment), 0.0)))
+        return TAILS * _positive_part(moment, np.sqrt(np.maximum(np.diag(moment), 0.0)))
 
 
 def enlarged(moment: Array, other: Array, sigma: Array) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.errors import InputError
+from truewrench.estimate.clock_information import ClockInformation, with_untold_clock
 from truewrench.estimate.curvature import PAYLOAD, Curvature, enlarged
 from truewrench.estimate.sources import Sources
 from truewrench.estimate.streams import Part, links, noise_behind_filter, parts_of, recorded
@@ -68,6 +69,7 @@ class WindowEstimate:
         wrench_rows: per log, the (M,) rows of the log it belongs to.
         left_out: per log, (M,) whether the sensor's sample was left out as a disturbance.
         motion_left_out: per log, how many samples of the motion were.
+        clock_untold: whether the motion does not tell the time offset from the gain: it is known from priors.
         knot_dependence: standard normal deviate of the gain against that of halved knots.
         window_dependence: and against that of doubled windows.
         iterations: Gauss-Newton steps.
@@ -94,6 +96,7 @@ class WindowEstimate:
     wrench_rows: tuple[NDArray[np.int64], ...]
     left_out: tuple[NDArray[np.bool_], ...]
     motion_left_out: tuple[int, ...]
+    clock_untold: bool
     knot_dependence: float
     window_dependence: float
     iterations: int
@@ -127,6 +130,8 @@ def estimate_windows(
     parts = parts_of(rig, logs)
     prior = _prior(rig, logs, parts, nominal)
     layout = prior.layout
+    generator = _untold_clock(rig, logs, parts)
+    held = rig if generator is None else _with_clock_held(rig)
     streams = [recorded(rig, part) for part in parts]
     estimate = _core.estimate(
         method,
@@ -134,7 +139,7 @@ def estimate_windows(
         scale,
         noise_behind_filter(rig, logs) * sensor.noise_array / scale,
         sensor.sign / span,
-        prior,
+        prior if generator is None else _prior(held, logs, parts, nominal),
         settings or _core.EstimatorSettings(),
     )
 
@@ -155,6 +160,10 @@ def estimate_windows(
     if estimate.solved:
         means = [estimate.mean[k] for k in last]
         covariances = [estimate.covariance[k] for k in last]
+        if generator is not None:
+            means[0], covariances[0] = with_untold_clock(
+                generator, means[0], covariances[0], nominal, sensor.gain_prior, sensor.time_offset_prior
+            )
         normalised = means[-1][: 6 * n].reshape(n, 6)
         stds = [np.sqrt(np.diag(c)) for c in covariances]
         curvatures = _curvatures(rig, logs, layout, means, covariances)
@@ -182,6 +191,10 @@ def estimate_windows(
                 payloads[log.payload] = PayloadDeparture(mean[p], std[p])
         bent_gain = np.diag(moments[-1])[: 6 * n]
         sources = _sources(prior, sensor.gain_prior, covariances[-1], bent_gain, curvatures[-1])
+    history_std = np.array([h.sigma[: 6 * n] for h in estimate.history]).reshape(-1, 6 * n)
+    if generator is not None and estimate.solved:  # which no window's own sigma contains
+        by_clock = covariances[-1][layout.time_offset_begin, : 6 * n] / stds[-1][layout.time_offset_begin]
+        history_std = np.hypot(history_std, by_clock)
     windows, history = estimate.windows, estimate.history  # copies: in terms of logs, not of their parts
     for window in windows:
         window.log = parts[window.log].log
@@ -204,7 +217,7 @@ def estimate_windows(
         history_time=np.array([h.time for h in history]),
         history_log=np.array([h.log for h in history], dtype=np.int64),
         history_gain=np.array([h.mean[: 6 * n].reshape(n, 6) for h in history]).reshape(-1, n, 6) * to_gain,
-        history_std=np.array([h.sigma[: 6 * n].reshape(n, 6) for h in history]).reshape(-1, n, 6) * to_gain,
+        history_std=history_std.reshape(-1, n, 6) * to_gain,
         wrench=_joined(estimate.wrench, of_log),
         wrench_rows=_rows_of_logs(parts, [rows for _, rows in streams], logs),
         left_out=_joined([np.asarray(rows, dtype=bool).ravel() for rows in estimate.left_out], of_log),
@@ -212,10 +225,24 @@ def estimate_windows(
             sum(sum(estimate.motion_left_out[k]) for k in np.flatnonzero(of_log == log))
             for log in range(len(logs))
         ),
+        clock_untold=generator is not None,
         knot_dependence=estimate.knot_dependence,
         window_dependence=estimate.window_dependence,
         iterations=estimate.iterations,
     )
+
+
+def _untold_clock(rig: Rig, logs: Sequence[Log], parts: Sequence[Part]) -> Array | None:
+    """What a change of time does to the wrench, where one log's motion does not tell it from the gain's."""
+    if not rig.sensor.time_offset_prior > 0.0 or len(logs) > 1 or len(parts) > 1:
+        return None
+    found = ClockInformation.of(rig.sensor, logs[0], rig.sensor.nominal_gain_array)
+    return None if found is None else found.generator
+
+
+def _with_clock_held(rig: Rig) -> Rig:
+    sensor = rig.sensor.model_copy(update={"time_offset_prior": 0.0})
+    return rig.model_copy(update={"sensor": sensor})
 
 
 def _kept(layout: _core.ParameterLayout) -> NDArray[np.int64]:

@@ -12,6 +12,7 @@ from scipy.linalg import qr
 
 from truewrench import _core
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
+from truewrench.estimate.clock import clock_overclaimed
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.noise import Noise, hidden_delay
 from truewrench.estimate.windows import WindowEstimate
@@ -104,6 +105,7 @@ def judge_windows(
             f"the gain depends on the length of the windows ({estimate.window_dependence:.1f} sigma): "
             "too few samples for this motion"
         )
+    reasons += clock_overclaimed(rig, logs or (), estimate)
     found, undetermined = gain_reasons(
         rig,
         estimate.gain,
@@ -112,6 +114,12 @@ def judge_windows(
         silent,
     )
     reasons += found
+    if undetermined and estimate.clock_untold:
+        reasons.append(
+            "in this motion a change of time looks like a change of the gain, and the time offset is known "
+            f"only to {1e3 * estimate.time_offsets_std[-1]:.2g} ms: sensor and motion synchronised better (a "
+            "smaller `time_offset_prior`), or a motion of more frequencies, would help"
+        )
     return Verdict(not reasons, tuple(reasons), undetermined)
 
 
