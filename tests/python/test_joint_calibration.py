@@ -129,6 +129,28 @@ def test_arm_gives_an_honest_gain_near_the_bound(arm_rig: RigOf, name: str) -> N
     assert stated == pytest.approx(limits[-1], rel=0.1)
 
 
+def test_parts_of_an_arm_with_times_of_their_own_give_an_honest_gain(scene: Callable[..., Scene]) -> None:
+    recorded = scene((200, 100))
+    scores, squares, limits = [], [], []
+    for seed in range(6):
+        log, truth = recorded.log(seed)
+        assert log.position is not None
+        assert log.velocity is not None
+        turn = np.cumsum(np.isfinite(log.position).all(axis=1)) % 2 == 0
+        apart = np.where(turn[:, None], [True] * 4 + [False] * 3, [False] * 4 + [True] * 3)
+        position, velocity = (np.where(apart, x, np.nan) for x in (log.position, log.velocity))
+        split = tracked(recorded.rig, [replace(log, position=position, velocity=velocity, tracking=None)])
+        estimate = estimate_windows(recorded.rig, split)
+        square, nees = score(recorded.rig, estimate, truth)
+        squares.append(square)
+        scores.append(nees)
+        limits.append(bound(recorded.rig, [log], truth.gain).rms)
+    assert max(scores) < chi2.isf(1e-6, 36) / 36
+    assert 0.7 < np.mean(scores) < 1.2
+    # half of the samples of every joint: no worse than twice the variance
+    assert np.sqrt(np.mean(squares) / np.mean(np.square(limits))) < 1.15 * np.sqrt(2.0)
+
+
 LOGGED: dict[str, dict[str, Any]] = {
     "positions alone": {"noise": None},
     "velocities alone": {"position_noise": None},

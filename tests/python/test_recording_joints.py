@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from bags import MS, START, Bag, write
 
+from truewrench.arm.robot import robot_of
+from truewrench.arm.track import tracked
 from truewrench.errors import InputError
 from truewrench.io.tables import read_log
 from truewrench.rig import Rig
@@ -25,8 +27,6 @@ def swing(names: tuple[str, ...], i: int) -> tuple[dict[str, float], dict[str, f
 
 
 def joints_of(rig: Rig) -> tuple[str, ...]:
-    from truewrench.arm.robot import robot_of
-
     return tuple(robot_of(rig).joints)
 
 
@@ -104,18 +104,33 @@ def test_publishers_that_contradict_one_another_are_refused(joint_rig: Rig, tmp_
         read_log(write(tmp_path, "mcap", fill), joint_rig)
 
 
-def test_parts_of_an_arm_need_stamps_in_common(joint_rig: Rig, tmp_path: Path) -> None:
+@pytest.mark.parametrize("topics", [("/joint_states", "/joint_states"), ("/base/joints", "/wrist/joints")])
+def test_parts_of_an_arm_are_interpolated_at_the_times_of_the_slower(
+    joint_rig: Rig, tmp_path: Path, topics: tuple[str, str]
+) -> None:
     names = joints_of(joint_rig)
+    slow, fast = 5 * MS, 2 * MS
+
+    def state(joints: tuple[str, ...], at: float) -> tuple[dict[str, float], dict[str, float]]:
+        phase = {n: 3.0 * at + names.index(n) for n in joints}
+        return {n: np.sin(p) for n, p in phase.items()}, {n: 3.0 * np.cos(p) for n, p in phase.items()}
 
     def fill(bag: Bag) -> None:
-        for i in range(20):
-            q, dq = swing(names, i)
-            bag.wrench("/ft", START + i * MS, [i] * 6)
-            bag.joints("/joint_states", START + i * MS, {n: q[n] for n in names[:3]}, dq)
-            bag.joints("/joint_states", START + i * MS + 5, {n: q[n] for n in names[3:]}, dq)
+        for i in range(400):
+            bag.wrench("/ft", START + i * slow, [i] * 6)
+            bag.joints(topics[0], START + i * slow, *state(names[:3], 5e-3 * i))
+        for i in range(1000):
+            bag.joints(topics[1], START + i * fast + 7, *state(names[3:], 2e-3 * i + 7e-9))
 
-    with pytest.raises(InputError, match="no stamp in common for the joints"):
-        read_log(write(tmp_path, "mcap", fill), joint_rig)
+    found = tracked(joint_rig, [read_log(write(tmp_path, "mcap", fill), joint_rig)])[0]
+    assert any(f"at the times of {', '.join(names[:3])}" in note for note in found.notes)
+    assert found.twist is not None
+    rows = np.flatnonzero(np.isfinite(found.twist).all(axis=1))
+    assert 395 <= rows.size <= 400
+    at = found.time[rows]
+    q, qd = np.array([[list(x.values()) for x in state(names, t)] for t in at]).swapaxes(0, 1)
+    expected = robot_of(joint_rig).motion(q, qd, np.zeros_like(q)).twist
+    np.testing.assert_allclose(found.twist[rows], expected, atol=1e-6)
 
 
 def test_joint_that_is_missing_is_named_with_those_that_are_there(joint_rig: Rig, tmp_path: Path) -> None:

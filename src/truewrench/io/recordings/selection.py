@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from truewrench.arm.robot import robot_of
 from truewrench.calibration import AXES
@@ -69,7 +67,6 @@ def select(
     if whole:
         _check_complete(recording, rig, chosen, wanted)
         _check_overlap(recording, rig, chosen)
-        notes += _check_joints(recording, chosen)
     return Selection(tuple(chosen), _places(rig, chosen), tuple(dict.fromkeys(notes)))
 
 
@@ -202,27 +199,6 @@ def _check_overlap(recording: Recording, rig: Rig, chosen: Sequence[Stream]) -> 
             if rig.recording.stamps == "header":
                 expected += "; of clocks that differ, `recording: {stamps: receive}` in the rig"
             raise InputError.at(recording.path, "", found, expected)
-
-
-def _check_joints(recording: Recording, chosen: Iterable[Stream]) -> list[str]:
-    """A row counts where all joints have a sample: publishers of parts of an arm have to share stamps."""
-    notes = []
-    for prefix in ("q_", "dq_"):
-        streams = [stream for stream in chosen if stream.columns[0].startswith(prefix)]
-        if len(streams) < 2:
-            continue
-        common: np.ndarray | None = None
-        for stream in streams:
-            time = np.concatenate([block[0] for block in stream.spool.blocks()])
-            common = time if common is None else np.intersect1d(common, time, assume_unique=True)
-        most = max(stream.spool.rows for stream in streams)
-        parts = " and ".join(", ".join(c.partition("_")[2] for c in s.columns) for s in streams)
-        if common is None or not len(common):
-            expected = "all joints of the arm with the same stamps"
-            raise InputError.at(recording.path, "", f"no stamp in common for the joints {parts}", expected)
-        if len(common) < most:
-            notes.append(f"{len(common)} of {most} stamps have samples of the joints {parts}")
-    return notes
 
 
 def _stream_notes(stream: Stream) -> list[str]:

@@ -1,0 +1,76 @@
+"""Joints of one arm whose parts were sampled at times of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.motion.smooth import segments
+
+__all__ = ["on_common_rows"]
+
+Array = NDArray[np.float64]
+
+_POINTS = 4  # of a cubic
+
+
+def on_common_rows(time: Array, joints: Array) -> tuple[Array, list[list[int]]]:
+    """Joints on the rows of the slowest part, where most rows have samples of a part of the arm alone.
+
+    The others are interpolated by a cubic through the four samples around each row, in no gap of them. Its
+    noise is at most that of a sample, and rows of a slower part never share what one sample of a faster one
+    says: no information is made up.
+
+    Args:
+        time: (N,) [s].
+        joints: (N, n) positions or velocities, NaN where there is no sample.
+
+    Returns:
+        The joints (N, n), and the columns of each part, the slowest first; one part where nothing was done.
+    """
+    finite = np.isfinite(joints)
+    complete = int(finite.all(axis=1).sum())
+    parts = _parts(finite)
+    if len(parts) == 1 or 2 * complete >= int(finite.any(axis=1).sum()):
+        return joints, [list(range(joints.shape[1]))]
+    rows = [np.flatnonzero(finite[:, part].all(axis=1)) for part in parts]
+    order = sorted(range(len(parts)), key=lambda k: rows[k].size)
+    parts, rows = [parts[k] for k in order], [rows[k] for k in order]
+    out = np.full_like(joints, np.nan)
+    for part, known in zip(parts, rows, strict=True):
+        out[rows[0][:, None], part] = _interpolated(time[known], joints[known][:, part], time[rows[0]])
+    return out, parts
+
+
+def _parts(finite: NDArray[np.bool_]) -> list[list[int]]:
+    """Columns that mostly have their samples together."""
+    parts: list[list[int]] = []
+    for column in range(finite.shape[1]):
+        for part in parts:
+            both = int((finite[:, column] & finite[:, part[0]]).sum())
+            if 2 * both > min(int(finite[:, column].sum()), int(finite[:, part[0]].sum())):
+                part.append(column)
+                break
+        else:
+            parts.append([column])
+    return parts
+
+
+def _interpolated(time: Array, values: Array, at: Array) -> Array:
+    """(M, n) at times (M,), NaN outside the samples and in their gaps."""
+    out = np.full((at.size, values.shape[1]), np.nan)
+    for piece in segments(time) if time.size else ():
+        known, here = time[piece], values[piece]
+        inside = np.flatnonzero((at >= known[0]) & (at <= known[-1]))
+        if known.size < _POINTS or not inside.size:
+            continue
+        first = np.clip(np.searchsorted(known, at[inside], side="right") - 2, 0, known.size - _POINTS)
+        around = first[:, None] + np.arange(_POINTS)
+        nodes = known[around]
+        weights = np.ones((inside.size, _POINTS))
+        for i in range(_POINTS):
+            for j in range(_POINTS):
+                if i != j:
+                    weights[:, i] *= (at[inside] - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
+        out[inside] = np.einsum("mk,mkn->mn", weights, here[around])
+    return out
