@@ -18,11 +18,17 @@ from truewrench.arm.track import tracked
 from truewrench.bound import oracle_rms
 from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimate.clock import clock_doubts, mostly_unexplained
+from truewrench.estimate.clock import clock_doubts, delay_excluded, mostly_unexplained
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.least_squares import least_squares
-from truewrench.estimate.noise import estimate_with_noise, noise_figures, noise_notes, with_noise
+from truewrench.estimate.noise import (
+    estimate_with_noise,
+    hidden_delay,
+    noise_figures,
+    noise_notes,
+    with_noise,
+)
 from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
 from truewrench.evidence import Evidence
@@ -136,9 +142,16 @@ def _from_windows(
     as_found = with_noise(rig, noise.assumed)  # white, with the spectral density of what was found
     clock.append(time.perf_counter())
     report("judging", None)
-    verdict = judge_windows(rig, estimate, logs, noise)
+
+    def quick(rig: Rig) -> WindowEstimate:
+        return estimate_windows(rig, logs, "online", settings)
+
+    delay = hidden_delay(rig, noise, logs)
+    if delay > 0.0 and delay_excluded(as_found, delay, quick):
+        delay = 0.0
+    verdict = judge_windows(rig, estimate, logs, noise, delay)
     if verdict.usable or mostly_unexplained(estimate):  # a delay spoils a good sensor's fit
-        doubts = clock_doubts(as_found, lambda rig: estimate_windows(rig, logs, "online", settings))
+        doubts = clock_doubts(as_found, quick)
         verdict = replace(verdict, usable=verdict.usable and not doubts, reasons=(*verdict.reasons, *doubts))
     calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())

@@ -312,12 +312,34 @@ def test_the_parts_of_a_walking_log_are_reported_as_one_log() -> None:
         assert wrench.shape == (len(log.time), 6)
 
 
-def test_a_filter_that_the_rig_does_not_state_is_suspected_where_the_clock_is_said_to_be_exact() -> None:
+@pytest.mark.parametrize("pole", [0.9, 0.97])
+def test_a_filter_that_the_rig_does_not_state_is_suspected_where_the_clock_is_said_to_be_exact(
+    pole: float,
+) -> None:
     run = simulate(rig_of(), seed=1)
-    extra = coloured(np.random.default_rng(1), len(run.log.raw), 0.9) * NOISE
-    log = replace(run.log, raw=run.log.raw + extra)
-    calibration = tw.calibrate(rig_of(noise=(np.sqrt(2.0) * NOISE).tolist()), log, held_out=False)
-    assert any("lowpass_hz" in reason for reason in calibration.verdict.reasons)
+    extra = coloured(np.random.default_rng(1), len(run.log.raw), pole) * NOISE
+    first = run.log.raw[:1]
+    filtered = np.asarray(lfilter([1.0 - pole], [1.0, -pole], run.log.raw - first, axis=0)) + first
+    log = rows_of(replace(run.log, raw=filtered + extra), run.log.time > 1.0)
+    calibration = tw.calibrate(rig_of(), log, held_out=False)
+    assert not calibration.verdict.usable
+    assert any("lowpass_hz" in reason or "time offset" in reason for reason in calibration.verdict.reasons), (
+        calibration.verdict.reasons
+    )
+
+
+@pytest.mark.parametrize("rho", [0.5, 0.9])
+def test_coloured_noise_without_a_delay_is_paid_for_and_not_refused(rho: float) -> None:
+    rig, scores, usable = rig_of(), [], 0
+    for seed in range(4):
+        run = simulate(rig_of(noise=(1e-3 * NOISE).tolist()), seed=seed)
+        noise = coloured(np.random.default_rng(seed), len(run.log.raw), rho) * NOISE
+        calibration = tw.calibrate(rig, replace(run.log, raw=run.log.raw + noise), held_out=False)
+        usable += calibration.verdict.usable
+        error = (calibration.gain - run.truth.gain).ravel()
+        scores.append(error @ np.linalg.solve(calibration.covariance[:36, :36], error) / 36.0)
+    assert usable >= 3
+    assert max(scores) < 2.93  # 1e-8 of chi-square
 
 
 def test_a_simulated_walk_ends_at_the_offset_of_the_truth() -> None:

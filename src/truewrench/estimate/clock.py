@@ -12,7 +12,7 @@ from truewrench.estimate.windows import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
 
-__all__ = ["clock_doubts", "clock_overclaimed", "mostly_unexplained"]
+__all__ = ["clock_doubts", "clock_overclaimed", "delay_excluded", "mostly_unexplained"]
 
 TRUSTED = 1e-3  # [s] 1 sigma below which a stated clock is put to the test
 WIDE = 5e-3  # [s] 1 sigma of the clock in that test
@@ -36,9 +36,8 @@ def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[st
     stated = rig.sensor.time_offset_prior
     if stated >= TRUSTED:
         return []
-    sensor = rig.sensor.model_copy(update={"time_offset_prior": WIDE})
-    found = estimate(rig.model_copy(update={"sensor": sensor}))
-    if not found.solved or found.knot_dependence > DEPENDENCE:
+    found = _with_free_clock(rig, WIDE, estimate)
+    if found is None:
         return []  # the motion does not tell the clock
     suspected = np.abs(found.time_offsets) > DOUBT * np.hypot(found.time_offsets_std, stated)
     if not suspected.any() or _worse(found, estimate(rig)):
@@ -52,6 +51,30 @@ def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[st
                 "driver delays one of the streams; state a `time_offset_prior` that allows for it"
             )
     return doubts
+
+
+def delay_excluded(rig: Rig, delay: float, estimate: Callable[[Rig], WindowEstimate]) -> bool:
+    """Whether a clock that is asked for shows that nothing delays the sensor by so much, nor by half of it.
+
+    Args:
+        rig: whose clock is stated to be much better than the delay.
+        delay: that the colour of the noise suggests [s].
+        estimate: on the logs, for a rig.
+    """
+    found = _with_free_clock(rig, max(WIDE, 2.0 * delay), estimate)
+    if found is None or found.clock_untold:
+        return False
+    sigma = np.hypot(found.time_offsets_std, rig.sensor.time_offset_prior)
+    return bool((np.abs(found.time_offsets) + DOUBT * sigma < 0.5 * delay).all())
+
+
+def _with_free_clock(
+    rig: Rig, prior: float, estimate: Callable[[Rig], WindowEstimate]
+) -> WindowEstimate | None:
+    """An estimate with 1 sigma [s] of the clock, None where it does not tell the clock."""
+    sensor = rig.sensor.model_copy(update={"time_offset_prior": prior})
+    found = estimate(rig.model_copy(update={"sensor": sensor}))
+    return found if found.solved and not found.knot_dependence > DEPENDENCE else None
 
 
 def clock_overclaimed(rig: Rig, logs: Sequence[Log], estimate: WindowEstimate) -> list[str]:

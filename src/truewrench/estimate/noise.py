@@ -20,6 +20,7 @@ from truewrench import _core
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.io.table import TWIST
+from truewrench.log import Log
 from truewrench.motion_noise import joint_noise
 from truewrench.rig import Rig
 
@@ -127,7 +128,7 @@ def noise_figures(rig: Rig, noise: Noise) -> dict[str, Any]:
     }
 
 
-def hidden_delay(rig: Rig, noise: Noise, period: float) -> float:
+def hidden_delay(rig: Rig, noise: Noise, logs: Sequence[Log]) -> float:
     """Delay [s] of the low-pass filter that would colour the sensor's noise so; 0 where none is suspected.
 
     A first-order filter of the pole rho has the colour (1 + rho) / (1 - rho), and delays the wrench by its
@@ -136,6 +137,7 @@ def hidden_delay(rig: Rig, noise: Noise, period: float) -> float:
     colour = 1.0 + (float(noise.colour.max()) - 1.0) / MARGIN
     if not noise.coloured or rig.sensor.lowpass_hz is not None:
         return 0.0
+    period = float(np.median(np.diff(logs[0].time[np.isfinite(logs[0].raw).any(axis=1)])))
     delay = period / math.log((colour + 1.0) / (colour - 1.0))
     return delay if rig.sensor.time_offset_prior < EXPLAINS * delay else 0.0
 

@@ -14,7 +14,7 @@ from truewrench import _core
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
 from truewrench.estimate.clock import clock_overclaimed
 from truewrench.estimate.fits import group_fits
-from truewrench.estimate.noise import Noise, hidden_delay
+from truewrench.estimate.noise import Noise
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -65,9 +65,21 @@ _CAUSES = {
 
 
 def judge_windows(
-    rig: Rig, estimate: WindowEstimate, logs: Sequence[Log] = (), noise: Noise | None = None
+    rig: Rig,
+    estimate: WindowEstimate,
+    logs: Sequence[Log] = (),
+    noise: Noise | None = None,
+    hidden_delay: float = 0.0,
 ) -> Verdict:
-    """The verdict on what `map` or `online` found; with the logs, also on how the rig was set up."""
+    """The verdict on what `map` or `online` found; with the logs, also on how the rig was set up.
+
+    Args:
+        rig: sensor, payloads, motion and `required`.
+        estimate: on these logs.
+        logs: may be left out.
+        noise: that was found in the residuals.
+        hidden_delay: of a low-pass filter that the colour of the sensor's noise suggests [s]; 0 for none.
+    """
     faults = channel_faults(rig, logs)
     silent = {fault.channel for fault in faults if fault.silent}
     reasons = [fault.words for fault in faults]
@@ -88,12 +100,11 @@ def judge_windows(
                 f"per degree of freedom ({fit.deviate:.1f} sigma from 1); state the noise as it is, or let "
                 "it be taken from the residuals (--rescale-noise)"
             )
-    delay = hidden_delay(rig, noise, _period(logs)) if noise is not None and logs else 0.0
-    if delay > 0.0:
+    if hidden_delay > 0.0:
         reasons.append(
             "the sensor's noise is coloured as behind a low-pass filter, which would also delay the wrench "
-            f"by about {1e3 * delay:.2g} ms, and the rig states a better clock: state `lowpass_hz`, or a "
-            "`time_offset_prior` of that size"
+            f"by about {1e3 * hidden_delay:.2g} ms, and the rig states a better clock: state `lowpass_hz`, "
+            "or a `time_offset_prior` of that size"
         )
     if estimate.knot_dependence > DEPENDENCE:
         reasons.append(
@@ -287,11 +298,6 @@ def _of_windows(estimate: WindowEstimate) -> list[str]:
         ]
     share = 100.0 * (total - samples["fitted"]) / total
     return [*without, f"{share:.0f} % of the samples lie in rejected windows{level}: {causes}"]
-
-
-def _period(logs: Sequence[Log]) -> float:
-    rows = np.isfinite(logs[0].raw).any(axis=1)
-    return float(np.median(np.diff(logs[0].time[rows])))
 
 
 def _of_disturbances(estimate: WindowEstimate, logs: Sequence[Log]) -> list[str]:
