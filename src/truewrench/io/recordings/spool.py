@@ -15,6 +15,7 @@ from truewrench.errors import InputError
 __all__ = ["Spool"]
 
 _ROWS = 1 << 14  # read at once
+_NEVER = np.iinfo(np.int64).min
 
 
 def _unnamed() -> IO[bytes]:
@@ -38,7 +39,8 @@ class Spool:
     def __init__(self, width: int) -> None:
         self.width = width
         self._row = np.dtype([("time", "<i8"), ("values", "<f8", (width,))])
-        self._file = _unnamed()
+        self._file = _unnamed()  # in order of time,
+        self._late = _unnamed()  # and those that came late
         self.rows = self.repeated = self.late = 0
         self.first = self.last = 0
         self.rate = 0.0
@@ -48,52 +50,54 @@ class Spool:
         """Add rows with stamps (N,) and numbers (N, width)."""
         if not len(time):
             return
-        before = np.concatenate([time[:1] if not self.rows else [self.last], time[:-1]])
-        late = int((time < np.maximum.accumulate(before)).sum())
-        self.late += late
-        if self.rows and not late and time[0] == self.last:
-            self.repeated, time, values = self.repeated + 1, time[1:], values[1:]
-        if not late and len(time):
-            new = np.concatenate([[True], np.diff(time) > 0])
-            self.repeated += int((~new).sum())
-            time, values = time[new], values[new]
-        if not len(time):
-            return
-        self.first = int(time.min()) if not self.rows else min(self.first, int(time.min()))
-        self.last = int(time.max()) if not self.rows else max(self.last, int(time.max()))
-        self.all_nan &= bool(np.isnan(values).all())
+        earlier = np.maximum.accumulate(np.concatenate([[self.last if self.rows else _NEVER], time[:-1]]))
+        late = time < earlier
+        self.late += int(late.sum())
+        self.repeated += int((time == earlier).sum())
         if not self.rate and len(time) > 1:
             period = float(np.median(np.abs(np.diff(time))))
             self.rate = 1e9 / period if period else 0.0
-        self.rows += len(time)
-        self._write(self._file, self._joined(time, values))
+        if late.any():
+            self._write(self._late, self._joined(time[late], values[late]))
+        self.first = min(self.first, int(time.min())) if self.rows else int(time.min())
+        self.last = int(max(time[-1], earlier[-1]))
+        self.all_nan &= bool(np.isnan(values).all())
+        new = time > earlier
+        self.rows += int(new.sum())
+        self._write(self._file, self._joined(time[new], values[new]))
 
     def finish(self) -> None:
-        """Bring the rows into order of time, if they are not; of equal stamps the first stays."""
-        if not self.late:
-            self._file.flush()
-            return
+        """Bring late rows to their places; of equal stamps the first that came stays."""
         self._file.flush()
-        rows = np.memmap(self._file, self._row, "r", shape=(self.rows,))
-        order = np.argsort(rows["time"], kind="stable")
-        time = rows["time"][order]
-        order = order[np.concatenate([[True], np.diff(time) > 0])]
-        self.repeated += self.rows - len(order)
-        target = _unnamed()
-        for start in range(0, len(order), _ROWS):
-            self._write(target, np.asarray(rows[order[start : start + _ROWS]]))
+        if not self.late:
+            return
+        self._late.flush()
+        late = np.memmap(self._late, self._row, "r", shape=(self.late,))
+        time, first = np.unique(late["time"], return_index=True)
+        target, before, rows = _unnamed(), 0, 0
+        for block in self._rows():
+            after = int(np.searchsorted(time, block["time"][-1], side="right"))
+            new = first[before:after][~np.isin(time[before:after], block["time"])]
+            merged = np.concatenate([block, late[new]])
+            self._write(target, merged[np.argsort(merged["time"])])
+            before, rows = after, rows + len(merged)
+        self.repeated += self.rows + self.late - rows
         target.flush()
-        del rows
+        del late
         self._file.close()
-        self._file, self.rows = target, len(order)
+        self._late.close()
+        self._file, self.rows = target, rows
 
     def blocks(self) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]:
         """Stamps (N,) and numbers (N, width) in order of time, block by block."""
+        for rows in self._rows():
+            yield rows["time"].astype(np.int64), rows["values"].astype(np.float64)
+
+    def _rows(self) -> Iterator[npt.NDArray[np.void]]:
         size = self._row.itemsize
         for start in range(0, self.rows, _ROWS):
             count = min(_ROWS, self.rows - start)
-            rows = np.frombuffer(os.pread(self._file.fileno(), count * size, start * size), self._row)
-            yield rows["time"].astype(np.int64), rows["values"].astype(np.float64)
+            yield np.frombuffer(os.pread(self._file.fileno(), count * size, start * size), self._row)
 
     def _joined(self, time: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> npt.NDArray[np.void]:
         rows = np.empty(len(time), self._row)
