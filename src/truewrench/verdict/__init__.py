@@ -14,7 +14,7 @@ from truewrench import _core
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
 from truewrench.estimate.clock import clock_overclaimed
 from truewrench.estimate.fits import group_fits
-from truewrench.estimate.noise import Noise
+from truewrench.estimate.noise import Noise, with_noise
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -116,7 +116,8 @@ def judge_windows(
             f"the gain depends on the length of the windows ({estimate.window_dependence:.1f} sigma): "
             "too few samples for this motion"
         )
-    reasons += clock_overclaimed(rig, logs or (), estimate)
+    as_found = rig if noise is None else with_noise(rig, noise.assumed)
+    reasons += clock_overclaimed(as_found, logs, estimate)
     found, undetermined = gain_reasons(
         rig,
         estimate.gain,
