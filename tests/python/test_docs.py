@@ -13,16 +13,9 @@ from pathlib import Path
 import pytest
 import typer
 import yaml
+from pages import BENCHMARKS, PAGES, ROOT, fenced
 
 from truewrench.cli import app
-
-ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-
-
-def fenced(page: Path, language: str) -> list[str]:
-    """The fenced blocks of a page in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
 
 
 def anchors(page: Path) -> set[str]:
@@ -126,20 +119,18 @@ def test_commands_of_the_tutorial_run_in_order_with_a_short_motion(tmp_path: Pat
 
 
 def test_commands_of_benchmarks_are_understood_by_their_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Up to the point at which hours of work would begin."""
+    """Up to the point at which hours of work would begin; `make test-benchmarks` runs them, smaller."""
     parse = argparse.ArgumentParser.parse_args
 
     def parse_and_stop(parser: argparse.ArgumentParser) -> None:
         parse(parser)
         raise SystemExit("understood")
 
-    blocks = [block for page in PAGES for block in fenced(page, "sh") if "python benchmarks/" in block]
-    commands = [line for block in blocks for line in block.splitlines() if line.startswith("python ")]
-    assert len(commands) > 20
+    assert len(BENCHMARKS) > 20
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(sys, "path", [str(ROOT / "benchmarks"), *sys.path])
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_and_stop)
-    for command in dict.fromkeys(commands):
+    for command in BENCHMARKS:
         _, script, *arguments = shlex.split(command, comments=True)
         monkeypatch.setattr(sys, "argv", [script, *arguments])
         with pytest.raises(SystemExit, match="understood"):

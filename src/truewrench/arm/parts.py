@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.motion.smooth import segments
 
-__all__ = ["on_common_rows"]
+__all__ = ["on_common_rows", "together"]
 
 Array = NDArray[np.float64]
 
 _POINTS = 4  # of a cubic
+
+
+def together(
+    time: Array, joints: Array | None, names: Sequence[str], what: str
+) -> tuple[Array | None, list[str]]:
+    """Joints on rows that all of them have, and a note where some were interpolated; `what` they are."""
+    if joints is None:
+        return None, []
+    joints, parts = on_common_rows(time, joints)
+    if len(parts) == 1:
+        return joints, []
+    slowest, *others = (", ".join(names[k] for k in part) for part in parts)
+    return joints, [
+        f"the {what} of {'; '.join(others)} were interpolated at the times of {slowest}: parts of the arm "
+        "were sampled at times of their own"
+    ]
 
 
 def on_common_rows(time: Array, joints: Array) -> tuple[Array, list[list[int]]]:

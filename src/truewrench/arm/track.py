@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from truewrench.arm.parts import on_common_rows
+from truewrench.arm.parts import together
 from truewrench.arm.robot import BaseMotion, Robot, robot_of, rotation_of
 from truewrench.errors import InputError
 from truewrench.log import Log, Reference, Tracking
@@ -72,10 +72,11 @@ def track(rig: Rig, log: Log) -> Log:
             expected = f"{robot.n}: {', '.join(robot.joints)}"
             raise InputError.at(log.path, name, f"{values.shape[1]} joints", expected)
     base = _Base(rig, log)
-    position, of_positions = _together(robot, log, base.within(log.position), "positions")
-    velocity, of_velocities = _together(robot, log, base.within(log.velocity), "velocities")
-    notes = tuple(dict.fromkeys((*log.notes, *of_positions, *of_velocities)))
-    within = replace(log, position=position, velocity=velocity, notes=notes)
+    position, of_positions = together(log.time, base.within(log.position), robot.joints, "positions")
+    velocity, of_velocities = together(log.time, base.within(log.velocity), robot.joints, "velocities")
+    within = replace(
+        log, position=position, velocity=velocity, notes=(*log.notes, *of_positions, *of_velocities)
+    )
     if log.position is None:
         found = _integrated(rig, robot, base, within)
     elif rig.motion.position_noise is not None:
@@ -268,20 +269,6 @@ def _continuous(attitude: Array | None) -> Array | None:
     signs = np.cumprod(np.where(np.sum(attitude[rows][1:] * attitude[rows][:-1], axis=1) < 0.0, -1.0, 1.0))
     out[rows[1:]] *= signs[:, None]
     return out
-
-
-def _together(robot: Robot, log: Log, joints: Array | None, what: str) -> tuple[Array | None, list[str]]:
-    """Joints of parts of the arm with rows of their own, brought together, and a note on it."""
-    if joints is None:
-        return None, []
-    joints, parts = on_common_rows(log.time, joints)
-    if len(parts) == 1:
-        return joints, []
-    slowest, *others = (", ".join(robot.joints[k] for k in part) for part in parts)
-    return joints, [
-        f"the {what} of {'; '.join(others)} were interpolated at the times of {slowest}: parts of the arm "
-        "were sampled at times of their own"
-    ]
 
 
 def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:
