@@ -255,10 +255,11 @@ def report(rows: list[runs.Row]) -> None:
     fast = sum(r["unresolved"] >= RESOLVED for r in below)
     vague = sum(r["undetermined"] >= DETERMINED for r in below)
     crooked = sum(r["condition"] >= CONDITION for r in below)
+    share = f"{sum(map(good, below)) / len(below):.1%}" if below else "-"
     print(
         f"\n{len(below)} runs have a bound below {BOUND}: {vague} leave a direction undetermined, "
         f"{fast} have motion that no spline follows, "
-        f"{crooked} have an ill-conditioned gain. Of all these {sum(map(good, below)) / len(below):.1%} "
+        f"{crooked} have an ill-conditioned gain. Of all these {share} "
         "are usable, with all windows."
     )
     bad = [r for r in counted if not good(r)]

@@ -50,4 +50,4 @@ def test_command_runs_to_its_end(command: str, tmp_path: Path, request: pytest.F
         check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    assert done.stdout.strip()
+    assert done.stdout.strip() or any(tmp_path.iterdir())  # tables, or what it was told to write
