@@ -8,7 +8,7 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimate.clock_information import ClockInformation
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.windows import WindowEstimate, with_clock
 from truewrench.log import Log
 from truewrench.rig import Rig
 
@@ -72,8 +72,7 @@ def _with_free_clock(
     rig: Rig, prior: float, estimate: Callable[[Rig], WindowEstimate]
 ) -> WindowEstimate | None:
     """An estimate with 1 sigma [s] of the clock, None where it does not tell the clock."""
-    sensor = rig.sensor.model_copy(update={"time_offset_prior": prior})
-    found = estimate(rig.model_copy(update={"sensor": sensor}))
+    found = estimate(with_clock(rig, prior))
     return found if found.solved and not found.knot_dependence > DEPENDENCE else None
 
 

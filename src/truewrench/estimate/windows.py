@@ -18,7 +18,7 @@ from truewrench.estimate.streams import Part, links, noise_behind_filter, parts_
 from truewrench.log import Log
 from truewrench.rig import Rig
 
-__all__ = ["GROUPS", "PayloadDeparture", "WindowEstimate", "estimate_windows"]
+__all__ = ["GROUPS", "PayloadDeparture", "WindowEstimate", "estimate_windows", "with_clock"]
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,6 @@ def estimate_windows(
     prior = _prior(rig, logs, parts, nominal)
     layout = prior.layout
     generator = _untold_clock(rig, logs, parts)
-    held = rig if generator is None else _with_clock_held(rig)
     streams = [recorded(rig, part) for part in parts]
     estimate = _core.estimate(
         method,
@@ -139,7 +138,7 @@ def estimate_windows(
         scale,
         noise_behind_filter(rig, logs) * sensor.noise_array / scale,
         sensor.sign / span,
-        prior if generator is None else _prior(held, logs, parts, nominal),
+        prior if generator is None else _prior(with_clock(rig, 0.0), logs, parts, nominal),
         settings or _core.EstimatorSettings(),
     )
 
@@ -240,8 +239,9 @@ def _untold_clock(rig: Rig, logs: Sequence[Log], parts: Sequence[Part]) -> Array
     return None if found is None else found.generator
 
 
-def _with_clock_held(rig: Rig) -> Rig:
-    sensor = rig.sensor.model_copy(update={"time_offset_prior": 0.0})
+def with_clock(rig: Rig, prior: float) -> Rig:
+    """The rig with another 1 sigma of its time offset [s]; 0 holds it."""
+    sensor = rig.sensor.model_copy(update={"time_offset_prior": prior})
     return rig.model_copy(update={"sensor": sensor})
 
 
