@@ -30,8 +30,8 @@ class DisturbanceScan {
   // `residuals`: one row per sample over its sigma, NaN where there is none.
   explicit DisturbanceScan(
       const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>& residuals)
-      : sums_(residuals.rows() + 1, 3 * residuals.cols()) {
-    const Eigen::Index n = residuals.cols();
+      : components_(residuals.cols()), sums_(residuals.rows() + 1, 2 * residuals.cols() + 1) {
+    const Eigen::Index n = components_;
     sums_.row(0).setZero();
     for (Eigen::Index k = 0; k < residuals.rows(); ++k) {
       sums_.row(k + 1) = sums_.row(k);
@@ -39,8 +39,8 @@ class DisturbanceScan {
         const double r = residuals(k, c);
         if (!std::isfinite(r)) continue;
         sums_(k + 1, c) += r;
-        sums_(k + 1, n + c) += r * r;
-        sums_(k + 1, 2 * n + c) += 1.0;
+        sums_(k + 1, n + c) += 1.0;
+        sums_(k + 1, 2 * n) += r * r;
       }
     }
   }
@@ -50,23 +50,10 @@ class DisturbanceScan {
   // Deviate of samples [first, last): of the means, the larger of that of all components together and that of each
   // alone; or of the sum of squares.
   double deviate(std::size_t first, std::size_t last, bool of_means) const {
-    const Eigen::Index n = sums_.cols() / 3;
-    const auto a = sums_.row(static_cast<Eigen::Index>(first));
-    const auto b = sums_.row(static_cast<Eigen::Index>(last));
-    double means = 0.0, squares = 0.0, count = 0.0, components = 0.0, largest = 0.0;
-    for (Eigen::Index c = 0; c < n; ++c) {
-      const double k = b[2 * n + c] - a[2 * n + c];
-      if (k < 0.5) continue;
-      const double shift = (b[c] - a[c]) * (b[c] - a[c]) / k;
-      means += shift;
-      components += 1.0;
-      squares += b[n + c] - a[n + c];
-      count += k;
-      largest = std::max(largest, shift);
-    }
-    if (components < 0.5) return 0.0;
-    if (!of_means) return chi_square_deviate(squares, count);
-    return std::max(chi_square_deviate(means, components), std::sqrt(largest));
+    const Sums s = sums(first, last);
+    if (s.components == 0) return 0.0;
+    if (!of_means) return chi_square_deviate(s.squares, s.count);
+    return std::max(chi_square_deviate(s.means, s.components), std::sqrt(s.largest));
   }
 
   // Stretches beyond what chance gives, the strongest first. The motion bends towards a disturbance and throws the
@@ -78,19 +65,50 @@ class DisturbanceScan {
   }
 
  private:
+  struct Sums {
+    int components = 0;  // that have samples
+    double means = 0.0;  // squared means over their variance, summed
+    double largest = 0.0;
+    double squares = 0.0;
+    double count = 0.0;
+  };
+
+  Sums sums(std::size_t first, std::size_t last) const {
+    const Eigen::Index n = components_;
+    const double* a = sums_.data() + static_cast<Eigen::Index>(first) * sums_.cols();
+    const double* b = sums_.data() + static_cast<Eigen::Index>(last) * sums_.cols();
+    Sums s;
+    for (Eigen::Index c = 0; c < n; ++c) {
+      const double k = b[n + c] - a[n + c];
+      if (k < 0.5) continue;
+      const double shift = (b[c] - a[c]) * (b[c] - a[c]) / k;
+      ++s.components;
+      s.means += shift;
+      s.count += k;
+      s.largest = std::max(s.largest, shift);
+    }
+    s.squares = b[2 * n] - a[2 * n];
+    return s;
+  }
+
   std::vector<Disturbance> find(std::size_t longest, double false_alarms, bool of_means) const {
     const std::size_t n = samples();
     if (n == 0) return {};
     // Stretches of one length overlap and lengths grow in powers of two: so many are independent.
-    const Eigen::Index components = sums_.cols() / 3;
-    const double looks = 2.0 * static_cast<double>(n) * static_cast<double>(2 * components + 2);
+    const double looks = 2.0 * static_cast<double>(n) * static_cast<double>(2 * components_ + 2);
     const double limit = normal_quantile(false_alarms / looks);
+    std::vector<double> limits{0.0};  // of the squared means of so many components
+    for (int c = 1; c <= components_; ++c) limits.push_back(chi_square_at(limit, c));
+    const auto beyond = [&](const Sums& s) {
+      if (s.components == 0) return false;
+      if (!of_means) return s.squares > chi_square_at(limit, s.count);
+      return s.means > limits[static_cast<std::size_t>(s.components)] || s.largest > limit * limit;
+    };
     std::vector<Disturbance> found;
     for (std::size_t length = 1; length <= std::max<std::size_t>(longest, 1); length *= 2) {
       const std::size_t step = std::max<std::size_t>(1, length / 8);
       for (std::size_t k = 0; k + length <= n; k += step) {
-        const double z = deviate(k, k + length, of_means);
-        if (z > limit) found.push_back({k, k + length, z});
+        if (beyond(sums(k, k + length))) found.push_back({k, k + length, deviate(k, k + length, of_means)});
       }
     }
     std::sort(found.begin(), found.end(), [](const Disturbance& a, const Disturbance& b) {
@@ -129,7 +147,9 @@ class DisturbanceScan {
     return d;
   }
 
-  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> sums_;
+  Eigen::Index components_;
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>
+      sums_;  // per component of r, of samples; of r^2
 };
 
 }  // namespace truewrench

@@ -26,6 +26,8 @@ struct EstimatorSettings {
   double enough_fitted = 0.9;     // share of the samples in windows that fit, below which a pass is repeated
   double clock_lost = 0.2;        // nor may halved knots make the clock's sigma larger by this share
   double few_samples = 10.0;      // below so many samples per coefficient, doubled windows are tried as well
+  double disregard = 1e12;  // times its variance, a sensor's noise that leaves the motion to the velocities
+  double believe = 10.0;    // by which the variance of a sensor that does not fit yet is lowered at a time
   int max_rounds = 6;
   int max_iterations = 25;
   double tolerance = 1e-9;  // last Gauss-Newton decrement of the common parameters
@@ -102,12 +104,89 @@ class Estimator {
   Estimate map() {
     Estimate out;
     std::vector<Item> items;
+    share_all(out, items, gradually(out, items));
+    if (out.status == Status::ok && fitted_share(out.windows) >= settings_.enough_fitted) return out;
+    // What fits badly as a whole may still fit in most places: by windows in sequence, and the better one stands.
+    Estimate other;
     std::vector<InformationSum> coarse, fine;
-    first_pass(out, items, coarse, fine);
-    out.posterior = combine(prior_, coarse);
+    items.clear();
+    first_pass(other, items, coarse, fine);
+    other.posterior = combine(prior_, coarse);
+    other.status = other.posterior.status;
+    other.history.clear();
+    share_all(other, items, spacings(other.windows));
+    if (other.status == Status::ok && fitted_share(other.windows) > fitted_share(out.windows)) return other;
+    return out;
+  }
+
+ private:
+  struct Item {
+    std::size_t log;
+    WindowRange range;
+    WindowFit fit;
+  };
+
+  static double fitted_share(const std::vector<WindowReport>& windows) {
+    double fitted = 0.0, all = 0.0;
+    for (const WindowReport& w : windows) {
+      all += static_cast<double>(w.samples);
+      if (w.status == WindowStatus::fitted) fitted += static_cast<double>(w.samples);
+    }
+    return all > 0.0 ? fitted / all : 0.0;
+  }
+
+  // The common parameters from all windows at once, and the knot spacing that the data ask for. A precise sensor whose
+  // gain is not known would bend motion, clock and knots until they agree with it; so it is believed step by step, from
+  // the size of its misfit to its noise.
+  std::vector<double> gradually(Estimate& out, std::vector<Item>& items) {
+    std::vector<double> spacing(logs_.size(), settings_.window / settings_.window_intervals);
+    std::vector<InformationSum> sums(logs_.size(), InformationSum(prior_.layout.size()));
+    out.posterior = combine(prior_, sums);
     out.status = out.posterior.status;
-    out.history.clear();
-    const std::vector<double> spacing = spacings(out.windows);
+    if (out.status != Status::ok) return spacing;
+    disbelieve(settings_.disregard);  // knots of the velocities alone
+    items = lay_out(spacing, settings_.map_window_intervals, out.posterior);
+    double variance = std::max(1.0, misfit_of_sensor(items));
+    for (;;) {
+      disbelieve(variance);
+      iterate(items, out, sums);
+      if (out.status != Status::ok) break;
+      variance = std::min(variance / settings_.believe, settings_.believe * misfit_of_sensor(items));
+      if (variance < settings_.believe) break;
+      disbelieve(variance);
+      parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
+        Item& item = items[k];
+        if (item.fit.status != WindowStatus::fitted) return;
+        WindowSolver<N>(models_[item.log], settings_.knots)
+            .resolve(item.fit, item.range, out.posterior.mean[item.log], finest_[item.log]);
+      });
+    }
+    disbelieve(1.0);
+    std::vector<WindowReport> reports;
+    for (const Item& i : items) reports.push_back(report(i.log, i.range, i.fit));
+    return spacings(reports);
+  }
+
+  void disbelieve(double times) {
+    for (WindowModel<N>& m : models_) m.disbelieve(times);
+  }
+
+  // Mean square of the sensor's residuals over their stated sigma.
+  double misfit_of_sensor(const std::vector<Item>& items) {
+    disbelieve(1.0);
+    std::vector<GroupStatistics> of(items.size());
+    parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
+      const Item& item = items[k];
+      if (item.fit.status != WindowStatus::fitted) return;
+      of[k] = WindowResiduals<N>(models_[item.log], item.fit, item.range).sensor();
+    });
+    GroupStatistics all;
+    for (const GroupStatistics& g : of) all += g;
+    return all.count > 0.0 ? all.sum_of_squares / all.count : 0.0;
+  }
+
+  // `map` on windows of so many knot intervals, longer ones while the gain depends on their length.
+  void share_all(Estimate& out, std::vector<Item>& items, const std::vector<double>& spacing) {
     for (int intervals = settings_.map_window_intervals; out.status == Status::ok; intervals *= 2) {
       share(out, items, spacing, intervals);
       if (out.status != Status::ok) break;
@@ -118,15 +197,7 @@ class Estimator {
     }
     if (out.status == Status::ok) predict(items, out);
     out.gates = gates_;
-    return out;
   }
-
- private:
-  struct Item {
-    std::size_t log;
-    WindowRange range;
-    WindowFit fit;
-  };
 
   // Samples of [begin, end) of a log, given what is known of its clocks.
   WindowRange range(std::size_t log, double begin, double end, bool closed, double delay,

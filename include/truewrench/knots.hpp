@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -90,18 +91,52 @@ class WindowSolver {
     });
   }
 
+  // Knots that the data accept at a given theta, from those of `fit` on; nothing is left out, and nothing judged.
+  void resolve(WindowFit& fit, const WindowRange& window, const Eigen::VectorXd& theta, double finest) {
+    fit.theta = theta;
+    fit.status = WindowStatus::fitted;
+    refine(fit, window, Terms::all, nullptr, finest, false);
+  }
+
   // Statistics of a converged fit: the score test of halved knots, residuals at every sample, leverage; and the
   // verdict on the window.
   void finish(WindowFit& fit, const WindowRange& window, const Prior* prior) {
     const Refinement r = test(fit, window, Terms::all, prior, true);
     fit.nested = r.nested;
     fit.nested_expected = r.expected;
+    WindowResiduals<N>(model_, fit, window).summarise(fit.groups, fit.components);
+    add_leverage(fit);
+    conclude(fit, window);
+  }
+
+ private:
+  struct Refinement {
+    std::vector<double> gain;  // decrease of the cost per interval by halving all of them
+    std::vector<Groups> residuals;
+    double nested = 0.0;
+    double expected = 0.0;
+  };
+
+  // The verdict on a fit that has just passed the test of its knots. The motion's degrees of freedom are counted only
+  // where it matters which groups they came from.
+  void judge(WindowFit& fit, const WindowRange& window, const Refinement& r) {
+    fit.nested = r.nested;
+    fit.nested_expected = r.expected;
     fit.groups = Groups{};
     for (const Groups& g : r.residuals) {
       for (std::size_t k = 0; k < kGroups; ++k) fit.groups[k] += g[k];
     }
-    fit.components = WindowResiduals<N>(model_, fit, window).components();
-    add_leverage(fit);
+    const double most = kCoordinates * fit.spline.coefficients();
+    if (std::any_of(fit.groups.begin(), fit.groups.end(), [&](GroupStatistics g) {
+          g.leverage = most;
+          return g.count > 0.0 && (g.degrees_of_freedom() < 1.0 || g.deviate() > settings_.reject_sigma);
+        })) {
+      add_leverage(fit);
+    }
+    conclude(fit, window);
+  }
+
+  void conclude(WindowFit& fit, const WindowRange& window) const {
     fit.disturbances = gating_.disturbances(window);
     fit.status = gating_.left_out_share(window) > settings_.most_disturbed ? WindowStatus::misfit
                                                                            : WindowStatus::fitted;
@@ -114,14 +149,6 @@ class WindowSolver {
     }
   }
 
- private:
-  struct Refinement {
-    std::vector<double> gain;  // decrease of the cost per interval by halving all of them
-    std::vector<Groups> residuals;
-    double nested = 0.0;
-    double expected = 0.0;
-  };
-
   WindowFit search(const WindowRange& window, const BSpline& start, const Eigen::VectorXd& theta,
                    const Prior* prior, double finest, bool gated) {
     WindowFit fit;
@@ -131,12 +158,17 @@ class WindowSolver {
     // The motion alone first: linear, independent of theta, and a safe start for the joint solution.
     if (!refine(fit, window, Terms::motion, nullptr, finest, gated)) return fit;
     if (!refine(fit, window, Terms::all, prior, finest, gated)) return fit;
-    finish(fit, window, prior);
+    if (prior == nullptr && accepted_) {
+      judge(fit, window, *accepted_);
+    } else {
+      finish(fit, window, prior);
+    }
     return fit;
   }
 
   bool refine(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior, double finest,
               bool gated) {
+    accepted_.reset();
     for (int level = 0; level < settings_.max_levels; ++level) {
       WindowStatus st = solve(fit, window, terms, prior);
       if (gated) {
@@ -157,9 +189,12 @@ class WindowSolver {
           return false;
         }
       }
-      const Refinement r = test(fit, window, terms, prior, false);
+      Refinement r = test(fit, window, terms, prior, false);
       const std::vector<char> marked = mark(fit.spline, r, finest);
-      if (std::none_of(marked.begin(), marked.end(), [](char m) { return m; })) return true;
+      if (std::none_of(marked.begin(), marked.end(), [](char m) { return m; })) {
+        accepted_ = std::move(r);
+        return true;
+      }
       BSpline finer(fit.spline.halved(marked));
       fit.x = fit.spline.refined<kCoordinates>(fit.x, finer);
       fit.spline = std::move(finer);
@@ -293,7 +328,7 @@ class WindowSolver {
   // of the present knots in fit.information.
   Refinement test(WindowFit& fit, const WindowRange& window, Terms terms, const Prior* prior, bool keep) {
     Refinement out;
-    out.residuals = WindowResiduals<N>(model_, fit, window).groups(terms);
+    if (!keep) out.residuals = WindowResiduals<N>(model_, fit, window).groups(terms);
     out.gain.assign(static_cast<std::size_t>(fit.spline.intervals()), 0.0);
     const bool common = keep || prior != nullptr;
     if (keep) {
@@ -365,7 +400,7 @@ class WindowSolver {
     for (int c = 0; c < n + kCoordinates; ++c) {
       const double l = leverage[static_cast<std::size_t>(c)];
       fit.groups[c < n ? wrench_group(c, n) : motion_group(c - n)].leverage += l;
-      fit.components[static_cast<std::size_t>(c)].all.leverage += l;
+      if (!fit.components.empty()) fit.components[static_cast<std::size_t>(c)].all.leverage += l;
     }
   }
 
@@ -376,6 +411,7 @@ class WindowSolver {
   Blocks<N> fine_blocks_;
   WindowNormal<N> normal_;
   WindowNormal<N> fine_normal_;
+  std::optional<Refinement> accepted_;  // the test that the knots passed last
 };
 
 }  // namespace truewrench

@@ -98,30 +98,25 @@ class Leverage {
   // By Hutchinson's estimator: z^T A z with random signs z has the mean trace(A), and needs only solutions.
   std::vector<double> by_probes() const {
     constexpr int probes = 16;
+    using Signs = Eigen::Matrix<double, 1, probes>;
     std::vector<double> out = blank();
-    std::minstd_rand random(1);
-    std::vector<double> signs(static_cast<std::size_t>(kCoordinates) * blocks_.motion.size() +
-                              static_cast<std::size_t>(channels_) * blocks_.wrench.size());
-    for (int p = 0; p < probes; ++p) {
-      for (double& s : signs) s = random() % 2 == 0 ? 1.0 : -1.0;
-      Eigen::MatrixXd y = Eigen::MatrixXd::Zero(kCoordinates * fit_.spline.coefficients(), 1);
-      // Twice over the rows J of the whitened problem: y = J^T z, then z^T J H^-1 y per component.
-      for (const bool forward : {true, false}) {
-        std::size_t at = 0;
-        const auto visit = [&](int component, int interval, const Active& row) {
-          const double z = signs[at++];
-          for (int k = 0; k < kActive; ++k) {
-            auto entry = y.col(0).template segment<kCoordinates>(kCoordinates * (interval + k));
-            if (forward) {
-              entry += z * row.row(k).transpose();
-            } else {
-              out[static_cast<std::size_t>(component)] += z * row.row(k).dot(entry) / probes;
-            }
-          }
-        };
-        for_each_row(visit);
-        if (forward) normal_.solve(y);
-      }
+    Eigen::MatrixXd y = Eigen::MatrixXd::Zero(kCoordinates * fit_.spline.coefficients(), probes);
+    // Twice over the rows J of the whitened problem: y = J^T z, then z^T J H^-1 y per component.
+    for (const bool forward : {true, false}) {
+      std::minstd_rand random(1);
+      for_each_row([&](int component, int interval, const Active& row) {
+        const auto bits = static_cast<unsigned>(random());
+        Signs z;
+        for (int p = 0; p < probes; ++p) z[p] = bits >> (p + 8) & 1U ? 1.0 : -1.0;
+        const Eigen::Map<const Eigen::Matrix<double, kActive * kCoordinates, 1>> r(row.data());
+        auto entries = y.middleRows<kActive * kCoordinates>(kCoordinates * interval);
+        if (forward) {
+          entries.noalias() += r * z;
+        } else {
+          out[static_cast<std::size_t>(component)] += (r.transpose() * entries).dot(z) / probes;
+        }
+      });
+      if (forward) normal_.solve(y);
     }
     for (double& l : out) l = std::max(l, 0.0);
     return out;

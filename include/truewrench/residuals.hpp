@@ -92,36 +92,46 @@ class WindowResiduals {
   // Per interval and group.
   std::vector<Groups> groups(Terms terms) const {
     std::vector<Groups> out(static_cast<std::size_t>(fit_.spline.intervals()));
-    const auto add = [](GroupStatistics& g, double r) {
-      if (!std::isfinite(r)) return;
-      g.sum_of_squares += r * r;
-      g.count += 1.0;
-    };
     for (std::size_t m = 0; m < window_.motion.size(); ++m) {
       for_each_motion(m, [&](std::size_t, int i, const Vector6& r) {
-        for (int c = 0; c < 6; ++c) add(out[static_cast<std::size_t>(i)][motion_group(c)], r[c]);
+        for (int c = 0; c < 6; ++c) out[static_cast<std::size_t>(i)][motion_group(c)].add(r[c]);
       });
     }
     if (terms == Terms::motion) return out;
     const int n = model_.layout().channels;
     for_each_sensor([&](std::size_t, int i, const ChannelVector<N>& r) {
-      for (int c = 0; c < n; ++c) add(out[static_cast<std::size_t>(i)][wrench_group(c, n)], r[c]);
+      for (int c = 0; c < n; ++c) out[static_cast<std::size_t>(i)][wrench_group(c, n)].add(r[c]);
     });
     return out;
   }
 
-  // Of every channel and every component of the motion's first series.
-  std::vector<ComponentStatistics> components() const {
-    std::vector<ComponentStatistics> out;
+  // Of all channels.
+  GroupStatistics sensor() const {
+    GroupStatistics out;
+    for_each_sensor([&](std::size_t, int, const ChannelVector<N>& r) {
+      for (const double c : r) out.add(c);
+    });
+    return out;
+  }
+
+  // Of the whole window: per group, and of every channel and every component of the motion's first series.
+  void summarise(Groups& groups, std::vector<ComponentStatistics>& components) const {
+    groups = Groups{};
+    components.clear();
+    const int n = model_.layout().channels;
     for (const Terms terms : {Terms::all, Terms::motion}) {
       const std::vector<RowMatrix> all = rows(terms);
-      const Eigen::Index columns = terms == Terms::all ? model_.layout().channels : kCoordinates;
-      for (Eigen::Index c = 0; c < columns; ++c) {
-        ComponentStatistics& s = out.emplace_back();
+      const int columns = terms == Terms::all ? n : kCoordinates;
+      for (int c = 0; c < columns; ++c) {
+        ComponentStatistics& s = components.emplace_back();
         if (!all.empty()) s.add(all.front().col(c).eval());
+        GroupStatistics& g = groups[terms == Terms::all ? wrench_group(c, n) : motion_group(c)];
+        g += s.all;
+        for (std::size_t m = 1; m < all.size(); ++m) {
+          for (const double r : all[m].col(c)) g.add(r);
+        }
       }
     }
-    return out;
   }
 
  private:

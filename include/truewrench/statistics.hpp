@@ -19,6 +19,13 @@ inline double chi_square_deviate(double sum_of_squares, double degrees_of_freedo
   return (std::cbrt(sum_of_squares / degrees_of_freedom) - (1.0 - v)) / std::sqrt(v);
 }
 
+// The sum of squares that has a given deviate.
+inline double chi_square_at(double deviate, double degrees_of_freedom) {
+  const double v = 2.0 / (9.0 * degrees_of_freedom);
+  const double root = 1.0 - v + deviate * std::sqrt(v);
+  return degrees_of_freedom * root * root * root;
+}
+
 // Deviate that noise exceeds with probability p, by Newton's method on the logarithm; p below 0.1.
 inline double normal_quantile(double p) {
   double z = std::sqrt(-2.0 * std::log(p));
@@ -38,6 +45,12 @@ struct GroupStatistics {
   double sum_of_squares = 0.0;  // of residuals over their sigma
   double count = 0.0;
   double leverage = 0.0;  // degrees of freedom that the motion took from this group
+
+  void add(double residual) {
+    if (!std::isfinite(residual)) return;
+    sum_of_squares += residual * residual;
+    count += 1.0;
+  }
 
   double degrees_of_freedom() const { return count - leverage; }
 
@@ -69,11 +82,7 @@ struct ComponentStatistics {
   // A whole series, NaN where there is no sample: runs do not reach across.
   template <typename Series>
   void add(const Series& r) {
-    for (Eigen::Index k = 0; k < r.size(); ++k) {
-      if (!std::isfinite(r[k])) continue;
-      all.sum_of_squares += r[k] * r[k];
-      all.count += 1.0;
-    }
+    for (Eigen::Index k = 0; k < r.size(); ++k) all.add(r[k]);
     for (int level = 0; level < kRuns; ++level) {
       const Eigen::Index length = Eigen::Index{2} << level;
       for (Eigen::Index k = 0; k + length <= r.size(); k += length) {

@@ -10,6 +10,8 @@
 
 #include <Eigen/Dense>
 
+#include <cmath>
+
 namespace truewrench {
 
 template <int N>
@@ -39,7 +41,11 @@ class WindowModel {
         layout_(layout),
         wrench_scale_(sensor.wrench_scale),
         per_channel_(sensor.channel.cwiseInverse()),
-        precision_(sensor.sigma.cwiseInverse()) {}
+        stated_(sensor.sigma.cwiseInverse()),
+        precision_(stated_) {}
+
+  // Takes the variance of the sensor's noise for so many times what is stated.
+  void disbelieve(double times) { precision_ = stated_ / std::sqrt(times); }
 
   const ParameterLayout& layout() const { return layout_; }
   const LogData& log() const { return log_; }
@@ -65,6 +71,7 @@ class WindowModel {
   ParameterLayout layout_;
   Vector6 wrench_scale_;
   ChannelVector<N> per_channel_;
+  ChannelVector<N> stated_;
   ChannelVector<N> precision_;
 };
 

@@ -24,6 +24,14 @@ TEST(NormalQuantile, InvertsTheTailOfTheNormalDistribution) {
   }
 }
 
+TEST(ChiSquareAt, InvertsTheDeviate) {
+  for (const double degrees : {1.0, 6.0, 5000.0}) {
+    for (const double z : {-0.5, 0.0, 3.0, 7.0}) {
+      EXPECT_NEAR(chi_square_deviate(chi_square_at(z, degrees), degrees), z, 1e-9) << degrees;
+    }
+  }
+}
+
 TEST(DisturbanceScan, NoiseAloneGivesNoMoreAlarmsThanItIsAllowed) {
   int alarms = 0;
   for (unsigned seed = 0; seed < 200; ++seed) {

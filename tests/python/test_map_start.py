@@ -1,0 +1,72 @@
+"""Where `map` begins: gains, clocks and payloads far from nominal, read by precise sensors at high rates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_windows import FITTED, error, honest, nees, rig_of
+
+from truewrench import _core
+from truewrench.estimate.windows import estimate_windows
+from truewrench.rig import Rig
+from truewrench.simulate import SimulatedRun, default_trajectory, simulate
+
+FAR = {"gain_prior": 0.5, "time_offset_prior": 5e-3}
+VAGUE = {"mass": 1e-2, "center_of_mass": 2e-3, "inertia": 5e-2}
+SEQUENCE = 100  # Gauss-Newton steps that only a pass in sequence needs
+
+
+def far_rig(noise: float, rate: float) -> Rig:
+    stated = rig_of(
+        sensor={**FAR, "noise": [noise] * 3 + [0.1 * noise] * 3, "offset_prior": 10.0},
+        simulate={"rate": rate, "sensor_rate": rate, "gain": "random", "time_offset": "random"},
+    ).to_mapping()
+    stated["payloads"]["table_1"]["uncertainty"] = VAGUE
+    stated["simulate"] |= {"payload": "random", "offset": "random"}
+    return Rig.from_mapping(stated)
+
+
+def simulated(rig: Rig, seed: int) -> SimulatedRun:
+    return simulate(rig, default_trajectory(rig), seed=seed, payload="table_1")
+
+
+@pytest.mark.parametrize(("noise", "rate"), [(0.5, 100.0), (0.02, 500.0), (2e-3, 1000.0)])
+def test_a_sensor_far_from_nominal_is_found_at_once_however_precise(noise: float, rate: float) -> None:
+    rig, scores = far_rig(noise, rate), []
+    for seed in range(4):
+        run = simulated(rig, seed)
+        estimate = estimate_windows(rig, [run.log])
+        assert all(w.status == FITTED for w in estimate.windows)
+        assert estimate.iterations < SEQUENCE
+        scores.append(nees(rig, estimate, [run]))
+    assert honest(scores, 42)
+
+
+def test_a_contact_in_the_first_second_costs_only_its_samples() -> None:
+    rig = far_rig(0.1, 250.0)
+    run = simulated(rig, 3)
+    raw = run.log.raw.copy()
+    raw[20:70] += 3.0 * rig.sensor.noise_array * np.array([1, -1, 1, 1, -1, -1])
+    raw[[5, 200, 333]] += 50.0 * rig.sensor.noise_array
+    clean, struck = (estimate_windows(rig, [log]) for log in (run.log, replace(run.log, raw=raw)))
+    assert struck.iterations < SEQUENCE
+    assert struck.left_out[0][20:70].mean() > 0.9
+    assert struck.left_out[0].sum() < 70
+    sigma = np.sqrt(np.diag(clean.normalised_covariance))[:36]
+    difference = (error(rig, struck, [run]) - error(rig, clean, [run]))[:36]
+    assert np.abs(difference / sigma).max() < 1.0
+
+
+def test_what_no_window_fits_is_tried_in_sequence() -> None:
+    """A slip of the clock in the middle of a log: the windows on one side of it fit, in whatever order."""
+    rig = rig_of()
+    run = simulate(rig, default_trajectory(rig), seed=1, payload="table_1")
+    raw = run.log.raw.copy()
+    raw[: len(raw) // 3] *= 1.5
+    estimate = estimate_windows(rig, [replace(run.log, raw=raw)])
+    fitted = [w for w in estimate.windows if w.status == FITTED]
+    assert fitted
+    assert len(fitted) < len(estimate.windows)
+    assert all(w.status != _core.WindowStatus.too_short for w in fitted)
