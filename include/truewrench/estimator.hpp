@@ -114,8 +114,8 @@ class Estimator {
     other.posterior = combine(prior_, coarse);
     other.status = other.posterior.status;
     other.history.clear();
-    share_all(other, items, spacings(other.windows));
-    if (other.status == Status::ok && fitted_share(other.windows) > fitted_share(out.windows)) return other;
+    share_all(other, items, spacings(items));
+    if (other.status == Status::ok && fitted_share(other.windows) >= fitted_share(out.windows)) return other;
     return out;
   }
 
@@ -146,6 +146,8 @@ class Estimator {
     if (out.status != Status::ok) return spacing;
     disbelieve(settings_.disregard);  // knots of the velocities alone
     items = lay_out(spacing, settings_.map_window_intervals, out.posterior);
+    std::vector<BSpline> plain;
+    for (const Item& i : items) plain.push_back(i.fit.spline);
     double variance = std::max(1.0, misfit_of_sensor(items));
     for (;;) {
       disbelieve(variance);
@@ -156,15 +158,14 @@ class Estimator {
       disbelieve(variance);
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
         Item& item = items[k];
-        if (item.fit.status != WindowStatus::fitted) return;
-        WindowSolver<N>(models_[item.log], settings_.knots)
-            .resolve(item.fit, item.range, out.posterior.mean[item.log], finest_[item.log]);
+        if (!enough_samples(item.range)) return;
+        item.fit =
+            WindowSolver<N>(models_[item.log], settings_.knots)
+                .search(item.range, plain[k], out.posterior.mean[item.log], nullptr, finest_[item.log]);
       });
     }
     disbelieve(1.0);
-    std::vector<WindowReport> reports;
-    for (const Item& i : items) reports.push_back(report(i.log, i.range, i.fit));
-    return spacings(reports);
+    return spacings(items);
   }
 
   void disbelieve(double times) {
@@ -450,16 +451,21 @@ class Estimator {
     return r;
   }
 
-  // Typical knot spacing of every log in the pass before.
-  std::vector<double> spacings(const std::vector<WindowReport>& windows) const {
+  // Typical knot spacing of every log: half of its time has closer knots. What crowds them in one place has no say.
+  std::vector<double> spacings(const std::vector<Item>& items) const {
     std::vector<double> out;
     for (std::size_t l = 0; l < logs_.size(); ++l) {
-      std::vector<double> h;
-      for (const WindowReport& w : windows) {
-        if (w.log == static_cast<int>(l) && w.intervals > 0) h.push_back((w.end - w.begin) / w.intervals);
+      std::vector<double> widths;
+      double left = 0.0;
+      for (const Item& item : items) {
+        if (item.log != l || item.fit.status == WindowStatus::too_short) continue;
+        for (int i = 0; i < item.fit.spline.intervals(); ++i) widths.push_back(item.fit.spline.width(i));
+        left += 0.5 * (item.range.end - item.range.begin);
       }
-      std::sort(h.begin(), h.end());
-      out.push_back(h.empty() ? settings_.window / settings_.window_intervals : h[h.size() / 2]);
+      std::sort(widths.begin(), widths.end());
+      double typical = settings_.window / settings_.window_intervals;
+      for (std::size_t k = 0; k < widths.size() && left > 0.0; ++k) left -= typical = widths[k];
+      out.push_back(typical);
     }
     return out;
   }

@@ -91,13 +91,6 @@ class WindowSolver {
     });
   }
 
-  // Knots that the data accept at a given theta, from those of `fit` on; nothing is left out, and nothing judged.
-  void resolve(WindowFit& fit, const WindowRange& window, const Eigen::VectorXd& theta, double finest) {
-    fit.theta = theta;
-    fit.status = WindowStatus::fitted;
-    refine(fit, window, Terms::all, nullptr, finest, false);
-  }
-
   // Statistics of a converged fit: the score test of halved knots, residuals at every sample, leverage; and the
   // verdict on the window.
   void finish(WindowFit& fit, const WindowRange& window, const Prior* prior) {
@@ -158,11 +151,8 @@ class WindowSolver {
     // The motion alone first: linear, independent of theta, and a safe start for the joint solution.
     if (!refine(fit, window, Terms::motion, nullptr, finest, gated)) return fit;
     if (!refine(fit, window, Terms::all, prior, finest, gated)) return fit;
-    if (prior == nullptr && accepted_) {
-      judge(fit, window, *accepted_);
-    } else {
-      finish(fit, window, prior);
-    }
+    if (prior == nullptr && accepted_) judge(fit, window, *accepted_);
+    if (fit.status != WindowStatus::fitted) finish(fit, window, prior);
     return fit;
   }
 
