@@ -114,7 +114,9 @@ class Estimator {
     other.posterior = combine(prior_, coarse);
     other.status = other.posterior.status;
     other.history.clear();
-    share_all(other, items, spacings(items));
+    share_all(
+        other, items,
+        spacings(items, std::vector<double>(logs_.size(), settings_.window / settings_.window_intervals)));
     if (other.status == Status::ok && fitted_share(other.windows) >= fitted_share(out.windows)) return other;
     return out;
   }
@@ -152,9 +154,10 @@ class Estimator {
     for (;;) {
       disbelieve(variance);
       iterate(items, out, sums);
-      if (out.status != Status::ok) break;
-      variance = std::min(variance / settings_.believe, settings_.believe * misfit_of_sensor(items));
-      if (variance < settings_.believe) break;
+      if (out.status != Status::ok || variance == 1.0) break;
+      spacing = spacings(items, spacing);
+      const double left = settings_.believe * misfit_of_sensor(items);
+      variance = std::max(1.0, std::min(variance / settings_.believe, left));
       disbelieve(variance);
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
         Item& item = items[k];
@@ -165,7 +168,7 @@ class Estimator {
       });
     }
     disbelieve(1.0);
-    return spacings(items);
+    return spacings(items, spacing);
   }
 
   void disbelieve(double times) {
@@ -452,18 +455,19 @@ class Estimator {
   }
 
   // Typical knot spacing of every log: half of its time has closer knots. What crowds them in one place has no say.
-  std::vector<double> spacings(const std::vector<Item>& items) const {
+  // Of the windows that fit; where none does, as before.
+  std::vector<double> spacings(const std::vector<Item>& items, const std::vector<double>& before) const {
     std::vector<double> out;
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       std::vector<double> widths;
       double left = 0.0;
       for (const Item& item : items) {
-        if (item.log != l || item.fit.status == WindowStatus::too_short) continue;
+        if (item.log != l || item.fit.status != WindowStatus::fitted) continue;
         for (int i = 0; i < item.fit.spline.intervals(); ++i) widths.push_back(item.fit.spline.width(i));
         left += 0.5 * (item.range.end - item.range.begin);
       }
       std::sort(widths.begin(), widths.end());
-      double typical = settings_.window / settings_.window_intervals;
+      double typical = before[l];
       for (std::size_t k = 0; k < widths.size() && left > 0.0; ++k) left -= typical = widths[k];
       out.push_back(typical);
     }
