@@ -148,8 +148,8 @@ class DisturbanceScan {
   }
 
   Eigen::Index components_;
-  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>
-      sums_;  // per component of r, of samples; of r^2
+  // Columns: r of every component, samples of every component, r^2 of all.
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> sums_;
 };
 
 }  // namespace truewrench

@@ -114,9 +114,7 @@ class Estimator {
     other.posterior = combine(prior_, coarse);
     other.status = other.posterior.status;
     other.history.clear();
-    share_all(
-        other, items,
-        spacings(items, std::vector<double>(logs_.size(), settings_.window / settings_.window_intervals)));
+    share_all(other, items, spacings(items, first_spacings()));
     if (other.status == Status::ok && fitted_share(other.windows) >= fitted_share(out.windows)) return other;
     return out;
   }
@@ -128,20 +126,30 @@ class Estimator {
     WindowFit fit;
   };
 
-  static double fitted_share(const std::vector<WindowReport>& windows) {
+  // Samples in windows that fit, and in all.
+  static std::pair<double, double> fitted_samples(const std::vector<WindowReport>& windows) {
     double fitted = 0.0, all = 0.0;
     for (const WindowReport& w : windows) {
       all += static_cast<double>(w.samples);
       if (w.status == WindowStatus::fitted) fitted += static_cast<double>(w.samples);
     }
+    return {fitted, all};
+  }
+  static double fitted_share(const std::vector<WindowReport>& windows) {
+    const auto [fitted, all] = fitted_samples(windows);
     return all > 0.0 ? fitted / all : 0.0;
+  }
+
+  // Before anything is known of the motion.
+  std::vector<double> first_spacings() const {
+    return std::vector<double>(logs_.size(), settings_.window / settings_.window_intervals);
   }
 
   // The common parameters from all windows at once, and the knot spacing that the data ask for. A precise sensor whose
   // gain is not known would bend motion, clock and knots until they agree with it; so it is believed step by step, from
   // the size of its misfit to its noise.
   std::vector<double> gradually(Estimate& out, std::vector<Item>& items) {
-    std::vector<double> spacing(logs_.size(), settings_.window / settings_.window_intervals);
+    std::vector<double> spacing = first_spacings();
     std::vector<InformationSum> sums(logs_.size(), InformationSum(prior_.layout.size()));
     out.posterior = combine(prior_, sums);
     out.status = out.posterior.status;
@@ -150,14 +158,14 @@ class Estimator {
     items = lay_out(spacing, settings_.map_window_intervals, out.posterior);
     std::vector<BSpline> plain;
     for (const Item& i : items) plain.push_back(i.fit.spline);
-    double variance = std::max(1.0, misfit_of_sensor(items));
+    double variance = std::max(1.0, settings_.disregard * misfit_of_sensor(items));
     for (;;) {
       disbelieve(variance);
       iterate(items, out, sums);
       if (out.status != Status::ok || variance == 1.0) break;
       spacing = spacings(items, spacing);
-      const double left = settings_.believe * misfit_of_sensor(items);
-      variance = std::max(1.0, std::min(variance / settings_.believe, left));
+      const double left = variance * misfit_of_sensor(items);
+      variance = std::max(1.0, std::min(variance / settings_.believe, settings_.believe * left));
       disbelieve(variance);
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
         Item& item = items[k];
@@ -175,9 +183,8 @@ class Estimator {
     for (WindowModel<N>& m : models_) m.disbelieve(times);
   }
 
-  // Mean square of the sensor's residuals over their stated sigma.
-  double misfit_of_sensor(const std::vector<Item>& items) {
-    disbelieve(1.0);
+  // Mean square of the sensor's residuals over the sigma that they are taken to have.
+  double misfit_of_sensor(const std::vector<Item>& items) const {
     std::vector<GroupStatistics> of(items.size());
     parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
       const Item& item = items[k];
@@ -306,11 +313,7 @@ class Estimator {
       std::vector<Item> pass_items;
       std::vector<InformationSum> pass_coarse, pass_fine;
       const bool ok = sequence(start, clock, pass, pass_items, pass_coarse, pass_fine);
-      double used = 0.0, all = 0.0;
-      for (const WindowReport& w : pass.windows) {
-        all += static_cast<double>(w.samples);
-        if (w.status == WindowStatus::fitted) used += static_cast<double>(w.samples);
-      }
+      const auto [used, all] = fitted_samples(pass.windows);
       if (used > best) {
         best = used;
         converged = ok;

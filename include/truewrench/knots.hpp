@@ -25,7 +25,8 @@ class WindowSolver {
 
   // Searches knots from `start` on. With `prior` theta is solved for, else it is held. Where the window does not fit,
   // or only with knots crowded in one place, or leaves a disturbance in its residuals, it is searched again with
-  // what does not belong left out; of two explanations that fit, the cheaper one stands.
+  // what does not belong left out; of two explanations that fit, the cheaper one stands. A window that fits at a held
+  // theta carries what its verdict took; its noise components and all of its leverage are counted by `finish`.
   WindowFit search(const WindowRange& window, const BSpline& start, const Eigen::VectorXd& theta,
                    const Prior* prior, double finest) {
     gating_.open(window);
@@ -151,6 +152,7 @@ class WindowSolver {
     // The motion alone first: linear, independent of theta, and a safe start for the joint solution.
     if (!refine(fit, window, Terms::motion, nullptr, finest, gated)) return fit;
     if (!refine(fit, window, Terms::all, prior, finest, gated)) return fit;
+    // At a held theta the test that ended the search says all that a window that fits is asked for.
     if (prior == nullptr && accepted_) judge(fit, window, *accepted_);
     if (fit.status != WindowStatus::fitted) finish(fit, window, prior);
     return fit;

@@ -24,7 +24,9 @@ class Held {
 
   WindowFit search(double finest = 0.02) {
     const WindowRange w = whole(recording);
-    return solver_.search(w, BSpline(BSpline::uniform(w.begin, w.end, 1)), theta, nullptr, finest);
+    WindowFit fit = solver_.search(w, BSpline(BSpline::uniform(w.begin, w.end, 1)), theta, nullptr, finest);
+    if (fit.status == WindowStatus::fitted) solver_.finish(fit, w, nullptr);  // the leverage of every group
+    return fit;
   }
   WindowFit finish(const std::vector<double>& breakpoints) {
     WindowFit fit = solver_.hold(whole(recording), BSpline(breakpoints), theta);
