@@ -106,10 +106,10 @@ struct RecordedLog {
 template <int N>
 Estimate run(const std::string& method, std::vector<LogData> logs, const Eigen::VectorXd& channel_scale,
              const Eigen::VectorXd& sigma, const Vector6& wrench_scale, const CommonPrior& prior,
-             const EstimatorSettings& settings) {
+             const EstimatorSettings& settings, const Start& start) {
   Estimator<N> estimator(std::move(logs), SensorScale<N>{channel_scale, sigma, wrench_scale}, prior,
                          settings);
-  return method == "online" ? estimator.online() : estimator.map();
+  return method == "online" ? estimator.online() : estimator.map(start);
 }
 
 void check(const CommonPrior& prior, const std::vector<const RecordedLog*>& logs) {
@@ -135,9 +135,19 @@ void check(const CommonPrior& prior, const std::vector<const RecordedLog*>& logs
   }
 }
 
+void check(const Start& start, const ParameterLayout& layout, std::size_t logs) {
+  if (start.mean.size() != logs || start.spacing.size() != logs)
+    throw nb::value_error("start: one mean and one knot spacing per log are expected");
+  for (const Eigen::VectorXd& mean : start.mean) {
+    if (mean.size() != layout.size())
+      throw nb::value_error("start: every common parameter of a log is expected");
+  }
+}
+
 Estimate estimate(const std::string& method, const std::vector<const RecordedLog*>& logs,
                   const Eigen::VectorXd& channel_scale, const Eigen::VectorXd& sigma,
-                  const Vector6& wrench_scale, const CommonPrior& prior, const EstimatorSettings& settings) {
+                  const Vector6& wrench_scale, const CommonPrior& prior, const EstimatorSettings& settings,
+                  const std::optional<Start>& start) {
   const int n = prior.layout.channels;
   if (method != "online" && method != "map") throw nb::value_error("method must be 'online' or 'map'");
   if (n < 6 || n > max_channels) throw nb::value_error("6 to 32 channels are supported");
@@ -151,9 +161,11 @@ Estimate estimate(const std::string& method, const std::vector<const RecordedLog
       throw nb::value_error("raw: one column per channel is expected");
     }
   }
+  if (start) check(*start, prior.layout, logs.size());
   const nb::gil_scoped_release release;
-  if (n == 6) return run<6>(method, std::move(data), channel_scale, sigma, wrench_scale, prior, settings);
-  return run<Eigen::Dynamic>(method, std::move(data), channel_scale, sigma, wrench_scale, prior, settings);
+  auto* const compute = n == 6 ? run<6> : run<Eigen::Dynamic>;
+  return compute(method, std::move(data), channel_scale, sigma, wrench_scale, prior, settings,
+                 start.value_or(Start{}));
 }
 
 }  // namespace
@@ -334,10 +346,16 @@ void bind_estimator(nb::module_& m) {
           "Per log and series of the motion: how many rows were left out as disturbances.")
       .def_ro("knot_dependence", &Estimate::knot_dependence)
       .def_ro("window_dependence", &Estimate::window_dependence)
+      .def_ro("spacing", &Estimate::spacing, "Per log: typical knot spacing [s]; of `map`.")
       .def_ro("iterations", &Estimate::iterations);
 
+  nb::class_<Start>(m, "Start", "Where `map` may begin: per log.")
+      .def(nb::init<>())
+      .def_rw("mean", &Start::mean, "Common parameters, normalised.")
+      .def_rw("spacing", &Start::spacing, "Of the knots [s].");
+
   m.def("estimate", &estimate, nb::arg("method"), nb::arg("logs"), nb::arg("channel_scale"), nb::arg("sigma"),
-        nb::arg("wrench_scale"), nb::arg("prior"), nb::arg("settings"),
+        nb::arg("wrench_scale"), nb::arg("prior"), nb::arg("settings"), nb::arg("start") = nb::none(),
         "Estimate the normalised gain and what else is common from windows of motion ('online' or 'map').");
 }
 

@@ -35,6 +35,12 @@ struct EstimatorSettings {
   int threads = 0;          // 0: all
 };
 
+// Where `map` may begin: at the parameters and knot spacings of an estimate on nearly the same logs, one per log.
+struct Start {
+  std::vector<Eigen::VectorXd> mean;  // normalised
+  std::vector<double> spacing;        // [s]
+};
+
 struct WindowReport {
   int log = 0;
   double begin = 0.0;
@@ -65,6 +71,7 @@ struct Estimate {
   std::vector<RowMatrix>
       wrench;  // per log: the payload's wrench at the sensor's samples, NaN where no window or left out
   std::vector<Gate> gates;         // per log: the samples left out
+  std::vector<double> spacing;     // per log: typical knot spacing [s]; of `map`
   double knot_dependence = 0.0;    // deviate of gain and clock against those of halved knots
   double window_dependence = 0.0;  // and against that of doubled windows, where there are few samples
   int iterations = 0;
@@ -101,11 +108,20 @@ class Estimator {
     return out;
   }
 
-  Estimate map() {
+  // Without a start all is found from the logs; what a start does not lead to a fit is, too.
+  Estimate map(const Start& start = {}) {
     Estimate out;
     std::vector<Item> items;
+    if (!start.mean.empty()) {
+      begin(out);
+      out.posterior.mean = start.mean;
+      share_all(out, items, start.spacing);
+      if (mostly_fitted(out)) return out;
+      out = {};
+      items.clear();
+    }
     share_all(out, items, gradually(out, items));
-    if (out.status == Status::ok && fitted_share(out.windows) >= settings_.enough_fitted) return out;
+    if (mostly_fitted(out)) return out;
     // What fits badly as a whole may still fit in most places: by windows in sequence, and the better one stands.
     Estimate other;
     std::vector<InformationSum> coarse, fine;
@@ -140,6 +156,17 @@ class Estimator {
     return all > 0.0 ? fitted / all : 0.0;
   }
 
+  bool mostly_fitted(const Estimate& out) const {
+    return out.status == Status::ok && fitted_share(out.windows) >= settings_.enough_fitted;
+  }
+
+  // What the priors say.
+  void begin(Estimate& out) const {
+    out.posterior =
+        combine(prior_, std::vector<InformationSum>(logs_.size(), InformationSum(prior_.layout.size())));
+    out.status = out.posterior.status;
+  }
+
   // Before anything is known of the motion.
   std::vector<double> first_spacings() const {
     return std::vector<double>(logs_.size(), settings_.window / settings_.window_intervals);
@@ -150,18 +177,17 @@ class Estimator {
   // the size of its misfit to its noise.
   std::vector<double> gradually(Estimate& out, std::vector<Item>& items) {
     std::vector<double> spacing = first_spacings();
-    std::vector<InformationSum> sums(logs_.size(), InformationSum(prior_.layout.size()));
-    out.posterior = combine(prior_, sums);
-    out.status = out.posterior.status;
+    begin(out);
     if (out.status != Status::ok) return spacing;
     disbelieve(settings_.disregard);  // knots of the velocities alone
     items = lay_out(spacing, settings_.map_window_intervals, out.posterior);
     std::vector<BSpline> plain;
     for (const Item& i : items) plain.push_back(i.fit.spline);
     double variance = std::max(1.0, settings_.disregard * misfit_of_sensor(items));
+    std::vector<InformationSum> sums;
     for (;;) {
       disbelieve(variance);
-      iterate(items, out, sums);
+      iterate(items, out, sums, variance > 1.0 ? settings_.settled : settings_.tolerance);
       if (out.status != Status::ok || variance == 1.0) break;
       spacing = spacings(items, spacing);
       const double left = variance * misfit_of_sensor(items);
@@ -170,9 +196,9 @@ class Estimator {
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
         Item& item = items[k];
         if (!enough_samples(item.range)) return;
-        item.fit =
-            WindowSolver<N>(models_[item.log], settings_.knots)
-                .search(item.range, plain[k], out.posterior.mean[item.log], nullptr, finest_[item.log]);
+        const BSpline& knots = item.fit.status == WindowStatus::fitted ? item.fit.spline : plain[k];
+        item.fit = WindowSolver<N>(models_[item.log], settings_.knots)
+                       .search(item.range, knots, out.posterior.mean[item.log], nullptr, finest_[item.log]);
       });
     }
     disbelieve(1.0);
@@ -208,6 +234,7 @@ class Estimator {
     }
     if (out.status == Status::ok) predict(items, out);
     out.gates = gates_;
+    out.spacing = spacings(items, spacing);
   }
 
   // Samples of [begin, end) of a log, given what is known of its clocks.
@@ -241,7 +268,7 @@ class Estimator {
   // The common parameters on all windows with their knots held, and the verdict on every window there.
   void settle(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
               std::vector<InformationSum>& fine) {
-    out.converged = iterate(items, out, coarse);
+    out.converged = iterate(items, out, coarse, settings_.tolerance);
     if (out.status != Status::ok) return;
     review(items, out.posterior.mean);
     sum(items, coarse, fine);
@@ -540,7 +567,7 @@ class Estimator {
   }
 
   // Gauss-Newton on the common parameters with the knots held.
-  bool iterate(std::vector<Item>& items, Estimate& out, std::vector<InformationSum>& sums) {
+  bool iterate(std::vector<Item>& items, Estimate& out, std::vector<InformationSum>& sums, double tolerance) {
     double decrement = 0.0;
     for (int i = 0; i < settings_.max_iterations; ++i) {
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
@@ -559,7 +586,7 @@ class Estimator {
       decrement = moved(out.posterior.mean, next);
       out.posterior = std::move(next);
       ++out.iterations;
-      if (decrement < settings_.tolerance) return true;
+      if (decrement < tolerance) return true;
     }
     return decrement < settings_.settled;
   }

@@ -728,9 +728,32 @@ class Estimate:
     def window_dependence(self) -> float: ...
 
     @property
+    def spacing(self) -> list[float]:
+        """Per log: typical knot spacing [s]; of `map`."""
+
+    @property
     def iterations(self) -> int: ...
 
-def estimate(method: str, logs: Sequence[RecordedLog], channel_scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], sigma: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], wrench_scale: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], prior: CommonPrior, settings: EstimatorSettings) -> Estimate:
+class Start:
+    """Where `map` may begin: per log."""
+
+    def __init__(self) -> None: ...
+
+    @property
+    def mean(self) -> list[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+        """Common parameters, normalised."""
+
+    @mean.setter
+    def mean(self, arg: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], /) -> None: ...
+
+    @property
+    def spacing(self) -> list[float]:
+        """Of the knots [s]."""
+
+    @spacing.setter
+    def spacing(self, arg: Sequence[float], /) -> None: ...
+
+def estimate(method: str, logs: Sequence[RecordedLog], channel_scale: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], sigma: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], wrench_scale: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], prior: CommonPrior, settings: EstimatorSettings, start: Start | None = None) -> Estimate:
     """
     Estimate the normalised gain and what else is common from windows of motion ('online' or 'map').
     """

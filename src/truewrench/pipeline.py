@@ -157,7 +157,7 @@ def _from_windows(
     clock.append(time.perf_counter())
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
-        found = estimate_windows(as_found, kept, estimator, settings)
+        found = estimate_windows(as_found, kept, estimator, settings, estimate)
         return _of_estimate(rig, kept, estimator, found, Verdict(True)) if found.solved else None
 
     compared: Comparison | str = "not asked for"

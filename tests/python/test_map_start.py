@@ -56,3 +56,26 @@ def test_a_contact_in_the_first_second_costs_only_its_samples() -> None:
     sigma = np.sqrt(np.diag(clean.normalised_covariance))[:36]
     difference = (error(rig, struck, [run]) - error(rig, clean, [run]))[:36]
     assert np.abs(difference / sigma).max() < 1.0
+
+
+def test_a_start_spares_the_way_to_the_same_gain() -> None:
+    rig = far_rig(0.02, 500.0)
+    run = simulated(rig, 0)
+    cold = estimate_windows(rig, [run.log])
+    warm = estimate_windows(rig, [run.log], start=cold)
+    assert warm.iterations < 0.5 * cold.iterations
+    sigma = np.sqrt(np.diag(cold.normalised_covariance))[:36]
+    difference = (error(rig, warm, [run]) - error(rig, cold, [run]))[:36]
+    assert np.abs(difference / sigma).max() < 0.3
+
+
+def test_a_start_that_leads_nowhere_is_left() -> None:
+    rig = far_rig(0.02, 500.0)
+    run, other = simulated(rig, 0), simulated(rig, 1)
+    cold, elsewhere = (estimate_windows(rig, [r.log]) for r in (run, other))
+    elsewhere = replace(elsewhere, gain=-3.0 * elsewhere.gain, spacings=100.0 * elsewhere.spacings)
+    found = estimate_windows(rig, [run.log], start=elsewhere)
+    assert all(w.status == FITTED for w in found.windows)
+    sigma = np.sqrt(np.diag(cold.normalised_covariance))[:36]
+    difference = (error(rig, found, [run]) - error(rig, cold, [run]))[:36]
+    assert np.abs(difference / sigma).max() < 0.3

@@ -72,6 +72,7 @@ class WindowEstimate:
         clock_untold: whether the motion does not tell the time offset from the gain: it is known from priors.
         knot_dependence: standard normal deviate of the gain against that of halved knots.
         window_dependence: and against that of doubled windows.
+        spacings: (L,) typical knot spacing of every log [s]; NaN for `online`.
         iterations: Gauss-Newton steps.
     """
 
@@ -99,6 +100,7 @@ class WindowEstimate:
     clock_untold: bool
     knot_dependence: float
     window_dependence: float
+    spacings: Array
     iterations: int
 
     @property
@@ -118,8 +120,16 @@ def estimate_windows(
     logs: Sequence[Log],
     method: Literal["map", "online"] = "map",
     settings: _core.EstimatorSettings | None = None,
+    start: WindowEstimate | None = None,
 ) -> WindowEstimate:
     """Estimate one gain, and per log an offset and a time offset; payloads within their uncertainty.
+
+    Args:
+        rig: sensor, payloads and motion.
+        logs: with the twist, and gravity where it acts.
+        method: of the core.
+        settings: of the core.
+        start: of `map`, where to begin: its estimate on nearly the same logs, as many as here.
 
     Raises:
         InputError: for a log without a twist or without gravity where gravity acts.
@@ -132,17 +142,18 @@ def estimate_windows(
     layout = prior.layout
     generator = _untold_clock(rig, logs, parts)
     streams = [recorded(rig, part) for part in parts]
+    asked = prior if generator is None else _prior(with_clock(rig, 0.0), logs, parts, nominal)
+    to_gain = scale[:, None] / span  # SI gain per normalised gain
     estimate = _core.estimate(
         method,
         [part for part, _ in streams],
         scale,
         noise_behind_filter(rig, logs) * sensor.noise_array / scale,
         sensor.sign / span,
-        prior if generator is None else _prior(with_clock(rig, 0.0), logs, parts, nominal),
+        asked,
         settings or _core.EstimatorSettings(),
+        None if start is None or not start.solved else _start(start, logs, parts, asked, to_gain, scale),
     )
-
-    to_gain = scale[:, None] / span  # SI gain per normalised gain
     units = np.append(to_gain.ravel(), scale)
     normalised = nominal
     covariance = np.diag(
@@ -227,8 +238,37 @@ def estimate_windows(
         clock_untold=generator is not None,
         knot_dependence=estimate.knot_dependence,
         window_dependence=estimate.window_dependence,
+        spacings=np.array([estimate.spacing[k] if estimate.spacing else np.nan for k in last]),
         iterations=estimate.iterations,
     )
+
+
+def _start(
+    found: WindowEstimate,
+    logs: Sequence[Log],
+    parts: Sequence[Part],
+    prior: _core.CommonPrior,
+    to_gain: Array,
+    scale: Array,
+) -> _core.Start:
+    """An estimate in the terms of the core, per part of a log; what it does not hold is as stated."""
+    layout = prior.layout
+    of_log = np.tile(prior.mean, (len(logs), 1))
+    of_log[:, : found.gain.size] = (found.gain / to_gain).ravel()
+    if layout.offset:
+        of_log[:, layout.offset_begin : layout.offset_begin + layout.channels] = found.offsets / scale
+    if layout.temperature and found.offset_temperature is not None:
+        first = layout.temperature_begin
+        of_log[:, first : first + layout.channels] = found.offset_temperature / scale
+    if layout.time_offset:
+        of_log[:, layout.time_offset_begin] = found.time_offsets
+    for row, log in zip(of_log, logs, strict=True):
+        if layout.payload and log.payload in found.payloads:
+            row[layout.payload_begin : layout.payload_begin + PAYLOAD] = found.payloads[log.payload].mean
+    start = _core.Start()
+    start.mean = [of_log[part.log] for part in parts]
+    start.spacing = [float(found.spacings[part.log]) for part in parts]
+    return start
 
 
 def _untold_clock(rig: Rig, logs: Sequence[Log], parts: Sequence[Part]) -> Array | None:
