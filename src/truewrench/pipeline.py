@@ -18,9 +18,9 @@ from truewrench.arm.track import tracked
 from truewrench.bound import oracle_rms
 from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimate.clock import clock_doubts, delay_excluded, mostly_unexplained
+from truewrench.estimate.clock import clock_doubts, delay_excluded
 from truewrench.estimate.ekf import estimate_ekf
-from truewrench.estimate.fits import group_fits
+from truewrench.estimate.fits import group_fits, mostly_unexplained
 from truewrench.estimate.least_squares import least_squares
 from truewrench.estimate.noise import (
     estimate_with_noise,
@@ -150,8 +150,9 @@ def _from_windows(
     if delay > 0.0 and delay_excluded(as_found, delay, quick):
         delay = 0.0
     verdict = judge_windows(rig, estimate, logs, noise, delay)
-    if verdict.usable or mostly_unexplained(estimate):  # a delay spoils a good sensor's fit
-        doubts = clock_doubts(as_found, quick)
+    # a delay spoils a good sensor's fit
+    if verdict.usable or noise.resized or mostly_unexplained(estimate.windows):
+        doubts = clock_doubts(rig if noise.resized else as_found, quick)
         verdict = replace(verdict, usable=verdict.usable and not doubts, reasons=(*verdict.reasons, *doubts))
     calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())

@@ -165,18 +165,21 @@ def test_coloured_noise_is_seen_and_paid_for(rho: float) -> None:
         assert np.mean(ignored) > 2.0 * np.mean(scores)
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("factor", [0.3, 0.77, 2.0])
 def test_misstated_noise_is_refused_and_rescaled_on_request(factor: float) -> None:
     run = simulate(rig_of(), seed=7)
     rig = rig_of(noise=(factor * NOISE).tolist())
     refused = tw.calibrate(rig, run.log, held_out=False)
     assert not refused.verdict.usable
+    assert all("--rescale-noise" in reason for reason in refused.verdict.reasons)
     taken = tw.calibrate(rig, run.log, held_out=False, rescale_noise=True)
     assert taken.verdict.usable, taken.verdict.reasons
     right = tw.calibrate(rig_of(), run.log, held_out=False)
     np.testing.assert_allclose(taken.gain_std, right.gain_std, rtol=0.15)
-    for name, sigma in zip(rig.sensor.channels, NOISE, strict=True):
-        assert taken.figures["noise"][name]["estimated"] == pytest.approx(sigma, rel=0.1)
+    assert np.abs((refused.gain - right.gain) / right.gain_std).max() < 1.0
+    for found in (refused, taken):
+        for name, sigma in zip(rig.sensor.channels, NOISE, strict=True):
+            assert found.figures["noise"][name]["estimated"] == pytest.approx(sigma, rel=0.1)
 
 
 def walked(log: Log, density: Array, rng: np.random.Generator) -> tuple[Log, Array]:

@@ -12,7 +12,7 @@ from truewrench.estimate.windows import WindowEstimate, with_clock
 from truewrench.log import Log
 from truewrench.rig import Rig
 
-__all__ = ["clock_doubts", "clock_overclaimed", "delay_excluded", "mostly_unexplained"]
+__all__ = ["clock_doubts", "clock_overclaimed", "delay_excluded"]
 
 TRUSTED = 1e-3  # [s] 1 sigma below which a stated clock is put to the test
 WIDE = 5e-3  # [s] 1 sigma of the clock in that test
@@ -89,12 +89,6 @@ def clock_overclaimed(rig: Rig, logs: Sequence[Log], estimate: WindowEstimate) -
         f"{1e3 * best.sigma:.2g} ms: in this motion a change of time looks like a change of the gain; state "
         "a smaller `time_offset_prior`, or move with more frequencies"
     ]
-
-
-def mostly_unexplained(estimate: WindowEstimate) -> bool:
-    """Whether most samples of the sensor lie in windows that do not fit."""
-    fitted = sum(w.samples for w in estimate.windows if w.status == _core.WindowStatus.fitted)
-    return 2 * fitted < sum(w.samples for w in estimate.windows)
 
 
 def _worse(free: WindowEstimate, stated: WindowEstimate) -> bool:

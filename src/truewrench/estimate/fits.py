@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from truewrench import _core
 from truewrench.estimate.windows import GROUPS
 
-__all__ = ["GroupFit", "chi_square_deviate", "group_fits"]
+__all__ = ["GroupFit", "chi_square_deviate", "group_fits", "mostly_unexplained"]
 
 
 def chi_square_deviate(chi_square: float, freedom: float) -> float:
@@ -37,3 +37,9 @@ def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> di
             continue
         fits[name] = GroupFit(total / freedom, chi_square_deviate(total / freedom, freedom))
     return fits
+
+
+def mostly_unexplained(windows: Sequence[_core.WindowReport]) -> bool:
+    """Whether most samples of the sensor lie in windows that do not fit."""
+    fitted = sum(w.samples for w in windows if w.status == _core.WindowStatus.fitted)
+    return 2 * fitted < sum(w.samples for w in windows)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.estimate.fits import group_fits
+from truewrench.estimate.fits import group_fits, mostly_unexplained
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.io.table import TWIST
 from truewrench.log import Log
@@ -46,6 +46,7 @@ SILENT = 0.02  # of the assumed noise: a stream that is constant and says nothin
 FITS = 1.3  # variance of the residuals over the stated one up to which it is a matter of colour
 SETTLED = 1.15  # factor between two rounds that ends the search
 ROUNDS = 6
+TOO_SMALL = 2.0, 5.0, 15.0  # factors by which the stated noise may be, where no window fits
 EXPLAINS = 0.3  # 1 sigma of the clock, of a delay that it can take up
 
 
@@ -59,12 +60,14 @@ class Noise:
             or is constant.
         colour: spectral density at the frequencies of the motion over that of white noise of this sigma.
         assumed: 1 sigma of the white noise that the estimate was made with.
+        resized: whether most windows fit only with that, and not with the noise as stated.
     """
 
     given: Array
     estimated: Array
     colour: Array
     assumed: Array
+    resized: bool = False
 
     @property
     def coloured(self) -> bool:
@@ -76,6 +79,8 @@ def estimate_with_noise(
     rig: Rig, estimate: Callable[[Rig, bool], WindowEstimate], rescale: bool
 ) -> tuple[WindowEstimate, Noise]:
     """Estimate with the stated noise, and again with what the residuals show where that is coloured.
+
+    Where most windows do not fit, and do with a larger noise than stated, they are estimated with that.
 
     Args:
         rig: with the stated noise.
@@ -102,7 +107,8 @@ def estimate_with_noise(
         # Windows of the quick pass are solved with a gain of their own, and tell more where none fits.
         first = measured_noise(rig, estimate(rig, True).windows, given)
     if not first.coloured or np.any(np.nan_to_num(first.estimated / base, nan=1.0) ** 2.0 > FITS):
-        return found, noise
+        larger_noise = None if rescale else _with_larger_noise(rig, estimate, found, given)
+        return larger_noise or (found, noise)
     colour = first.colour
     for _ in range(ROUNDS):
         changed = with_noise(rig, base * np.sqrt(colour))
@@ -200,6 +206,25 @@ def _settled_size(
         changed = with_noise(rig, size)
         noise = measured_noise(changed, estimate(changed, True).windows, given)
     return size
+
+
+def _with_larger_noise(
+    rig: Rig, estimate: Callable[[Rig, bool], WindowEstimate], found: WindowEstimate, given: Array
+) -> tuple[WindowEstimate, Noise] | None:
+    """Where most windows do not fit: the estimate with a noise that residuals confirm, if they then do."""
+    if not mostly_unexplained(found.windows):
+        return None
+    for factor in TOO_SMALL:
+        changed = with_noise(rig, factor * given)
+        windows = estimate(changed, True).windows
+        if mostly_unexplained(windows):
+            continue
+        size = _settled_size(rig, estimate, given, measured_noise(changed, windows, given))
+        changed = with_noise(rig, np.maximum(given, size))
+        again = estimate(changed, False)
+        if not mostly_unexplained(again.windows):
+            return again, replace(measured_noise(changed, again.windows, given), resized=True)
+    return None
 
 
 def measured_noise(rig: Rig, windows: Sequence[_core.WindowReport], given: Array | None = None) -> Noise:

@@ -90,6 +90,13 @@ def judge_windows(
         reasons.append("the sums over the windows could not be solved")
     elif not estimate.converged:
         reasons.append("the estimate did not converge")
+    if noise is not None and noise.resized:
+        reasons.append(
+            "residuals do not match the stated noise: noise stated too small, or payload, clock or motion "
+            "not as the rig says; most windows fit only with noise up to "
+            f"{np.max(noise.assumed / noise.given):.3g} times as large, which this result rests on; state "
+            "the noise as it is, or let it be taken from the residuals (--rescale-noise)"
+        )
     for name, fit in group_fits(estimate.windows).items():
         above = fit.chi_square > CHI_SQUARE and fit.deviate > DEVIATE
         below = fit.chi_square < CHI_SQUARE_LOW and fit.deviate < -DEVIATE
