@@ -74,7 +74,7 @@ def draw_motion(
         force = body.mass * speed * rate
         moment = np.diag(body.inertia).mean() * speed * rate
         driven = integrate_wrench(WrenchSinusoids.of(force, moment, k, tau), body, duration)
-        return driven, 0.1 * tau / k.max()
+        return driven, 0.2 / highest_frequency(driven)
     if kind == "fourier":
         base, count = np.exp(rng.uniform(np.log(0.05), np.log(0.25))), 6
         frequency = np.repeat(base * np.arange(1, count + 1)[:, None], 6, axis=1)
@@ -94,6 +94,18 @@ def draw_motion(
         frequency = np.concatenate([frequency, np.zeros((1, 6))])
         phase = np.concatenate([phase, np.full((1, 6), np.pi / 2.0)])
     return HarmonicTwist(amplitude, frequency, phase, duration), 0.2 / frequency.max()
+
+
+def highest_frequency(motion: Trajectory) -> float:
+    """That below which all but a millionth of the power of every component of the twist lies [Hz].
+
+    A light body that moments drive turns many times: its velocities are faster than what drives them.
+    """
+    time = np.linspace(0.0, motion.duration, int(1000 * motion.duration))
+    twist = motion.twist(time)
+    power = np.cumsum(np.abs(np.fft.rfft(twist * np.hanning(len(time))[:, None], axis=0)) ** 2, axis=0)
+    last = [int(np.searchsorted(p, (1.0 - 1e-6) * p[-1])) for p in power.T]
+    return max(last) / motion.duration
 
 
 def unresolved(body: Body, motion: Trajectory, rate: float, noise: Array) -> float:
