@@ -324,11 +324,11 @@ class Estimator {
     bool converged = false;
     double best = -1.0;
     // A clock far from its prior's mean can also keep every window from fitting; tried first at the mean.
-    struct Start {
+    struct Beginning {
       double share;
       double clock;
     };
-    std::vector<Start> starts;
+    std::vector<Beginning> starts;
     for (const double clock :
          prior_.layout.time_offset ? std::vector{0.0, 1.0, -1.0, 2.0, -2.0} : std::vector{0.0}) {
       for (const double share : {0.0, 0.5, 0.25, 0.75}) starts.push_back({share, clock});
