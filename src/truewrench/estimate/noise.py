@@ -46,7 +46,7 @@ SILENT = 0.02  # of the assumed noise: a stream that is constant and says nothin
 FITS = 1.3  # variance of the residuals over the stated one up to which it is a matter of colour
 SETTLED = 1.15  # factor between two rounds that ends the search
 ROUNDS = 6
-TOO_SMALL = 2.0, 5.0, 15.0  # factors by which the stated noise may be, where no window fits
+TOO_SMALL = 2.0, 5.0, 15.0  # times the stated noise, tried where most windows do not fit
 EXPLAINS = 0.3  # 1 sigma of the clock, of a delay that it can take up
 
 
