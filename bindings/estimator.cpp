@@ -136,10 +136,11 @@ void check(const CommonPrior& prior, const std::vector<const RecordedLog*>& logs
 }
 
 void check(const Start& start, const ParameterLayout& layout, std::size_t logs) {
-  if (start.mean.size() != logs || start.spacing.size() != logs)
-    throw nb::value_error("start: one mean and one knot spacing per log are expected");
-  for (const Eigen::VectorXd& mean : start.mean) {
-    if (mean.size() != layout.size())
+  if (start.mean.size() != logs || start.covariance.size() != logs || start.spacing.size() != logs)
+    throw nb::value_error("start: one mean, covariance and knot spacing per log are expected");
+  const int p = layout.size();
+  for (std::size_t l = 0; l < logs; ++l) {
+    if (start.mean[l].size() != p || start.covariance[l].rows() != p || start.covariance[l].cols() != p)
       throw nb::value_error("start: every common parameter of a log is expected");
   }
 }
@@ -346,12 +347,13 @@ void bind_estimator(nb::module_& m) {
           "Per log and series of the motion: how many rows were left out as disturbances.")
       .def_ro("knot_dependence", &Estimate::knot_dependence)
       .def_ro("window_dependence", &Estimate::window_dependence)
-      .def_ro("spacing", &Estimate::spacing, "Per log: typical knot spacing [s]; of `map`.")
+      .def_ro("spacing", &Estimate::spacing, "Per log: typical knot spacing [s].")
       .def_ro("iterations", &Estimate::iterations);
 
   nb::class_<Start>(m, "Start", "Where `map` may begin: per log.")
       .def(nb::init<>())
       .def_rw("mean", &Start::mean, "Common parameters, normalised.")
+      .def_rw("covariance", &Start::covariance, "Of them.")
       .def_rw("spacing", &Start::spacing, "Of the knots [s].");
 
   m.def("estimate", &estimate, nb::arg("method"), nb::arg("logs"), nb::arg("channel_scale"), nb::arg("sigma"),

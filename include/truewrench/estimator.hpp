@@ -35,10 +35,11 @@ struct EstimatorSettings {
   int threads = 0;          // 0: all
 };
 
-// Where `map` may begin: at the parameters and knot spacings of an estimate on nearly the same logs, one per log.
+// Where `map` may begin: at what another estimate says of the parameters and knot spacings, per log.
 struct Start {
   std::vector<Eigen::VectorXd> mean;  // normalised
-  std::vector<double> spacing;        // [s]
+  std::vector<Eigen::MatrixXd> covariance;
+  std::vector<double> spacing;  // [s]
 };
 
 struct WindowReport {
@@ -71,7 +72,7 @@ struct Estimate {
   std::vector<RowMatrix>
       wrench;  // per log: the payload's wrench at the sensor's samples, NaN where no window or left out
   std::vector<Gate> gates;         // per log: the samples left out
-  std::vector<double> spacing;     // per log: typical knot spacing [s]; of `map`
+  std::vector<double> spacing;     // per log: typical knot spacing [s]
   double knot_dependence = 0.0;    // deviate of gain and clock against those of halved knots
   double window_dependence = 0.0;  // and against that of doubled windows, where there are few samples
   int iterations = 0;
@@ -105,33 +106,23 @@ class Estimator {
     }
     if (out.status == Status::ok) out.window_dependence = doubled(items, out.posterior);
     out.gates = gates_;
+    out.spacing = spacings(items, first_spacings());
     return out;
   }
 
-  // Without a start all is found from the logs; what a start does not lead to a fit is, too.
+  // Without a start all is found from the logs at once. What fits badly so, by contacts say, may still fit in most
+  // places: `online`, whose windows come one by one, can then be the start of another attempt.
   Estimate map(const Start& start = {}) {
     Estimate out;
     std::vector<Item> items;
-    if (!start.mean.empty()) {
+    if (start.mean.empty()) {
+      share_all(out, items, gradually(out, items));
+    } else {
       begin(out);
       out.posterior.mean = start.mean;
+      out.posterior.covariance = start.covariance;
       share_all(out, items, start.spacing);
-      if (mostly_fitted(out)) return out;
-      out = {};
-      items.clear();
     }
-    share_all(out, items, gradually(out, items));
-    if (mostly_fitted(out)) return out;
-    // What fits badly as a whole may still fit in most places: by windows in sequence, and the better one stands.
-    Estimate other;
-    std::vector<InformationSum> coarse, fine;
-    items.clear();
-    first_pass(other, items, coarse, fine);
-    other.posterior = combine(prior_, coarse);
-    other.status = other.posterior.status;
-    other.history.clear();
-    share_all(other, items, spacings(items, first_spacings()));
-    if (other.status == Status::ok && fitted_share(other.windows) >= fitted_share(out.windows)) return other;
     return out;
   }
 
@@ -151,15 +142,6 @@ class Estimator {
     }
     return {fitted, all};
   }
-  static double fitted_share(const std::vector<WindowReport>& windows) {
-    const auto [fitted, all] = fitted_samples(windows);
-    return all > 0.0 ? fitted / all : 0.0;
-  }
-
-  bool mostly_fitted(const Estimate& out) const {
-    return out.status == Status::ok && fitted_share(out.windows) >= settings_.enough_fitted;
-  }
-
   // What the priors say.
   void begin(Estimate& out) const {
     out.posterior =
@@ -232,6 +214,7 @@ class Estimator {
           intervals >= 8 * settings_.map_window_intervals)
         break;
     }
+    prepare_wrench(out);
     if (out.status == Status::ok) predict(items, out);
     out.gates = gates_;
     out.spacing = spacings(items, spacing);
@@ -655,7 +638,6 @@ class Estimator {
   }
 
   void predict(const std::vector<Item>& items, Estimate& out) const {
-    prepare_wrench(out);
     parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
       const Item& item = items[k];
       if (item.fit.status != WindowStatus::fitted) return;

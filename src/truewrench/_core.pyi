@@ -729,7 +729,7 @@ class Estimate:
 
     @property
     def spacing(self) -> list[float]:
-        """Per log: typical knot spacing [s]; of `map`."""
+        """Per log: typical knot spacing [s]."""
 
     @property
     def iterations(self) -> int: ...
@@ -745,6 +745,13 @@ class Start:
 
     @mean.setter
     def mean(self, arg: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], /) -> None: ...
+
+    @property
+    def covariance(self) -> list[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]]:
+        """Of them."""
+
+    @covariance.setter
+    def covariance(self, arg: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]], /) -> None: ...
 
     @property
     def spacing(self) -> list[float]:

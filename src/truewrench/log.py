@@ -86,6 +86,7 @@ class Log:
         specific_force: (N, 3) of the sensor origin, sensor axes [m/s^2], None likewise.
         temperature: (N,) [degC], None likewise.
         reference: (N, 6) wrench known from elsewhere, in the rig's sign [N, N m], None likewise.
+        offset_jumps_ns: time stamps at which the offset begins anew.
         tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
         dropped_rows: rows without any measurement, which are not among the N.
@@ -107,6 +108,7 @@ class Log:
     velocity: FloatArray | None = None
     base_twist: FloatArray | None = None
     base_attitude: FloatArray | None = None
+    offset_jumps_ns: tuple[int, ...] = ()
     tracking: Tracking | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0

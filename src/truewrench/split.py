@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from truewrench.errors import InputError
 from truewrench.log import Log
 
-__all__ = ["held_out"]
+__all__ = ["between_jumps", "held_out", "rows_of"]
 
 Array = NDArray[np.float64]
+
+SHORTEST = 100  # rows of a piece of a held-out log
 
 
 def held_out(logs: Sequence[Log], fraction: float = 0.2, blocks: int = 4) -> tuple[list[Log], list[Log]]:
@@ -47,6 +49,15 @@ def held_out(logs: Sequence[Log], fraction: float = 0.2, blocks: int = 4) -> tup
         kept.append(replace(rows_of(log, ~chosen), sha256=""))
         out.append(replace(rows_of(log, chosen), sha256="", nan_counts={}, dropped_rows=0))
     return kept, out
+
+
+def between_jumps(log: Log) -> list[Log]:
+    """A log cut where its offset begins anew, without what is shorter than a validation can use."""
+    if not log.offset_jumps_ns:
+        return [log]
+    piece = np.searchsorted(np.array(log.offset_jumps_ns), log.time_ns, side="right")
+    pieces = [rows_of(log, piece == k) for k in np.unique(piece) if np.count_nonzero(piece == k) >= SHORTEST]
+    return [replace(part, offset_jumps_ns=()) for part in pieces]
 
 
 def rows_of(log: Log, rows: NDArray[np.bool_]) -> Log:

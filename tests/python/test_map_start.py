@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from test_windows import FITTED, error, honest, nees, rig_of
 
+from truewrench import _core
+from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.windows import WindowEstimate, estimate_windows
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, default_trajectory, simulate
@@ -76,7 +78,10 @@ def test_a_start_that_leads_nowhere_is_left() -> None:
     rig = far_rig(0.02, 500.0)
     run, other = simulated(rig, 0), simulated(rig, 1)
     cold, elsewhere = (estimate_windows(rig, [r.log]) for r in (run, other))
-    elsewhere = replace(elsewhere, gain=-3.0 * elsewhere.gain, spacings=100.0 * elsewhere.spacings)
-    found = estimate_windows(rig, [run.log], start=elsewhere)
+    assert elsewhere.beginning is not None
+    elsewhere.beginning.mean = [-3.0 * mean for mean in elsewhere.beginning.mean]
+    elsewhere.beginning.spacing = [100.0 * spacing for spacing in elsewhere.beginning.spacing]
+    attempts = Attempts([], "map", _core.EstimatorSettings())
+    found = attempts.without([run.log], rig, elsewhere)
     assert all(w.status == FITTED for w in found.windows)
     assert apart(rig, run, found, cold) < 0.3

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from truewrench import _core
 from truewrench.bound import bound
 from truewrench.errors import InputError
+from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.windows import WindowEstimate, estimate_windows
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
@@ -447,7 +448,7 @@ def test_ripple_that_the_samples_resolve_is_absorbed(method: Method) -> None:
     scores = []
     for seed in range(6):
         run = simulate(rig, with_ripple(rig, 8.0, 0.005, seed), seed=seed)
-        estimate = estimate_windows(rig, [run.log], method)
+        estimate = Attempts([run.log], method, _core.EstimatorSettings()).best(rig)
         assert all(w.status == FITTED for w in estimate.windows)
         scores.append(nees(rig, estimate, [run]))
     assert honest(scores, 42)

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from truewrench import _core
 from truewrench.estimate.windows import GROUPS
 
-__all__ = ["GroupFit", "chi_square_deviate", "group_fits", "mostly_unexplained"]
+__all__ = ["ENOUGH", "GroupFit", "chi_square_deviate", "fitted_share", "group_fits", "mostly_unexplained"]
+
+ENOUGH = _core.EstimatorSettings().enough_fitted
+"""Share of the samples in windows that fit, below which other ways to an estimate are tried."""
 
 
 def chi_square_deviate(chi_square: float, freedom: float) -> float:
@@ -39,7 +42,12 @@ def group_fits(windows: Sequence[_core.WindowReport], fitted: bool = True) -> di
     return fits
 
 
+def fitted_share(windows: Sequence[_core.WindowReport]) -> float:
+    """Share of the sensor's samples that lie in windows that fit."""
+    fitted = sum(w.samples for w in windows if w.status == _core.WindowStatus.fitted)
+    return fitted / max(1, sum(w.samples for w in windows))
+
+
 def mostly_unexplained(windows: Sequence[_core.WindowReport]) -> bool:
     """Whether most samples of the sensor lie in windows that do not fit."""
-    fitted = sum(w.samples for w in windows if w.status == _core.WindowStatus.fitted)
-    return 2 * fitted < sum(w.samples for w in windows)
+    return fitted_share(windows) < 0.5

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.estimate.fits import group_fits, mostly_unexplained
+from truewrench.estimate.fits import ENOUGH, fitted_share, group_fits, mostly_unexplained
+from truewrench.estimate.streams import parts_of
 from truewrench.estimate.windows import GROUPS, WindowEstimate
 from truewrench.io.table import TWIST
 from truewrench.log import Log
@@ -32,6 +33,7 @@ __all__ = [
     "noise_figures",
     "noise_notes",
     "with_noise",
+    "with_noise_of_walk",
 ]
 
 Array = NDArray[np.float64]
@@ -70,40 +72,48 @@ class Noise:
     resized: bool = False
 
     @property
+    def paid(self) -> bool:
+        """Whether residuals may be smaller than the noise assumed: it has their density, not their size."""
+        return self.coloured or bool((self.assumed > self.given).any())
+
+    @property
     def coloured(self) -> bool:
         """Whether any channel's noise is coloured."""
         return bool((self.colour > NOTICEABLE).any())
 
 
 def estimate_with_noise(
-    rig: Rig, estimate: Callable[[Rig, bool], WindowEstimate], rescale: bool
+    stated: Rig,
+    rig: Rig,
+    found: WindowEstimate,
+    estimate: Callable[[Rig, bool], WindowEstimate],
+    rescale: bool,
 ) -> tuple[WindowEstimate, Noise]:
     """Estimate with the stated noise, and again with what the residuals show where that is coloured.
 
     Where most windows do not fit, and do with a larger noise than stated, they are estimated with that.
 
     Args:
-        rig: with the stated noise.
+        stated: with the stated noise.
+        rig: with noise for an offset that walks, too.
+        found: the estimate with that.
         estimate: the estimator on the logs for a rig; with True its first, quick pass is enough.
         rescale: take the size of the noise from the residuals, too.
     """
-    given = _stated(rig)
-    found = estimate(rig, False)
+    given = _stated(stated)
     noise = measured_noise(rig, found.windows, given)
     if rescale:
         size = _settled_size(rig, estimate, given, noise)
         rig = with_noise(rig, size)
         found = estimate(rig, False)
         noise = measured_noise(rig, found.windows, given)
-    fitted = _all_fitted(found)
-    if fitted and not noise.coloured and np.any(larger := _slightly_larger(rig, found.windows)):
+    if _all_fitted(found) and not noise.coloured and np.any(larger := _slightly_larger(rig, found.windows)):
         rig = with_noise(rig, _stated(rig) * np.sqrt(np.where(larger > 0.0, larger, 1.0)))
         found = estimate(rig, False)
         noise = measured_noise(rig, found.windows, given)
-        fitted = _all_fitted(found)
     base = _stated(rig)
     first = noise
-    if not fitted:
+    if fitted_share(found.windows) < ENOUGH:
         # Windows of the quick pass are solved with a gain of their own, and tell more where none fits.
         first = measured_noise(rig, estimate(rig, True).windows, given)
     if not first.coloured or np.any(np.nan_to_num(first.estimated / base, nan=1.0) ** 2.0 > FITS):
@@ -234,7 +244,10 @@ def measured_noise(rig: Rig, windows: Sequence[_core.WindowReport], given: Array
     given = assumed if given is None else given
     squares, freedom, count = np.zeros(n + 6), np.zeros(n + 6), np.zeros(n + 6)
     run_squares, runs = np.zeros((n + 6, 6)), np.zeros((n + 6, 6))
+    most_fit = fitted_share(windows) >= ENOUGH  # and then the others show what disturbed them, not noise
     for window in windows:
+        if most_fit and window.status != _core.WindowStatus.fitted:
+            continue
         for i, component in enumerate(window.components):
             squares[i] += component.all.sum_of_squares
             count[i] += component.all.count
@@ -291,6 +304,19 @@ def _all_fitted(estimate: WindowEstimate) -> bool:
     return bool(estimate.windows) and all(
         w.status in (_core.WindowStatus.fitted, _core.WindowStatus.too_short) for w in estimate.windows
     )
+
+
+def with_noise_of_walk(rig: Rig, logs: Sequence[Log]) -> Rig:
+    """The rig with larger noise for what an offset walks within the parts of logs (M15b)."""
+    walk, stated = rig.sensor.offset_walk_array, _stated(rig)
+    n, larger = rig.sensor.n, np.ones(stated.size)
+    if not walk.any():
+        return rig
+    for part in parts_of(rig, logs):
+        period = float(np.median(np.diff(logs[part.log].time)))
+        within = (walk * part.duration) ** 2.0 / (10.0 * stated[:n] ** 2.0 * period)
+        larger[:n] = np.maximum(larger[:n], 1.0 + within)
+    return with_noise(rig, stated * np.sqrt(larger))
 
 
 def _stated(rig: Rig) -> Array:

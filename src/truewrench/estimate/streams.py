@@ -23,7 +23,8 @@ __all__ = ["Part", "links", "noise_behind_filter", "parts_of", "recorded", "unfi
 
 Array = NDArray[np.float64]
 
-SHORTEST_PART = 1.0  # [s]
+SHORTEST_PART = 1.0  # [s], or this share of the log if that is less: what a jump in mid-part costs
+LEAST_SHARE = 1.0 / 24.0
 MOST_PARTS = 200  # of one log
 DAY = 86400.0
 _SAME = 1e-7  # [s] 1 sigma, between parts of one log, that stands for the same clock
@@ -49,26 +50,28 @@ class Part:
 
 
 def parts_of(rig: Rig, logs: Sequence[Log]) -> list[Part]:
-    """Every log in parts over which its offset walks less than the part's own noise; whole without a walk."""
+    """Every log in parts over which its offset walks less than the part's own noise, cut where it jumps."""
     walk = rig.sensor.offset_walk_array
     parts = []
     for k, log in enumerate(logs):
-        time = log.time
+        time, origin = log.time, int(log.time_ns[0])
         count = 1
         if walk.any():
             period = float(np.median(np.diff(time)))
             moving = walk > 0.0
             longest = float((rig.sensor.noise_array[moving] * np.sqrt(period) / walk[moving]).min())
-            count = int(np.clip(time[-1] / max(longest, SHORTEST_PART), 1, MOST_PARTS))
+            shortest = min(SHORTEST_PART, LEAST_SHARE * float(time[-1]))
+            count = int(np.clip(time[-1] / max(longest, shortest), 1, MOST_PARTS))
         edges = np.linspace(0.0, time[-1], count + 1)
         edges[-1] = np.inf
+        jumps = 1e-9 * (np.array(log.offset_jumps_ns, dtype=np.int64) - origin)
+        edges = np.union1d(edges, jumps[(jumps > 0.0) & (jumps < time[-1])])
         for begin, end in pairwise(edges):
             chosen = (time >= begin) & (time < end)
             if np.count_nonzero(chosen) < 2:
                 continue
-            rows = log if count == 1 else rows_of(log, chosen)
+            rows = log if chosen.all() else rows_of(log, chosen)
             first, last = time[chosen][[0, -1]]
-            origin = int(log.time_ns[0])
             middle = 0.5 * float(first + last) + 1e-9 * origin
             parts.append(Part(k, rows, origin, middle, float(last - first)))
     return parts
@@ -88,11 +91,14 @@ def links(rig: Rig, parts: Sequence[Part], layout: _core.ParameterLayout) -> lis
             link[: 6 * sensor.n] = 1.0 / (sensor.gain_walk**2.0 * max(step, 1e-3) / DAY)
         if part.log == before.log:
             if layout.offset:
-                walk = (
-                    np.maximum(sensor.offset_walk_array, 1e-12 * sensor.channel_scale) / sensor.channel_scale
+                variance = sensor.offset_walk_array**2.0 * max(step, 1e-9)
+                if any(before.middle < 1e-9 * jump <= part.middle for jump in part.rows.offset_jumps_ns):
+                    variance = variance + sensor.offset_prior_array**2.0
+                normalised = (
+                    np.maximum(variance, (1e-12 * sensor.channel_scale) ** 2.0) / sensor.channel_scale**2.0
                 )
                 o = slice(layout.offset_begin, layout.offset_begin + sensor.n)
-                link[o] = 1.0 / (walk**2.0 * max(step, 1e-9))
+                link[o] = 1.0 / normalised
             if layout.time_offset:
                 link[layout.time_offset_begin] = _SAME**-2.0
         found.append(link if link.any() else np.zeros(0))

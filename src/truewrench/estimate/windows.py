@@ -18,7 +18,7 @@ from truewrench.estimate.streams import Part, links, noise_behind_filter, parts_
 from truewrench.log import Log
 from truewrench.rig import Rig
 
-__all__ = ["GROUPS", "PayloadDeparture", "WindowEstimate", "estimate_windows", "with_clock"]
+__all__ = ["GROUPS", "OffsetPath", "PayloadDeparture", "WindowEstimate", "estimate_windows", "with_clock"]
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,26 @@ class PayloadDeparture:
 
     mean: Array
     std: Array
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetPath:
+    """The offset of one log in each of the parts over which it is constant.
+
+    Attributes:
+        begin: (P,) of the parts [s from the log's first row].
+        end: (P,) [s].
+        offset: (P, n) [raw units].
+    """
+
+    begin: Array
+    end: Array
+    offset: Array
+
+    def at(self, time: Array) -> Array:
+        """(N, n) at times (N,) [s from the log's first row]."""
+        part = np.searchsorted(self.begin, time, side="right") - 1
+        return np.asarray(self.offset[np.clip(part, 0, None)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +92,8 @@ class WindowEstimate:
         clock_untold: whether the motion does not tell the time offset from the gain: it is known from priors.
         knot_dependence: standard normal deviate of the gain against that of halved knots.
         window_dependence: and against that of doubled windows.
-        spacings: (L,) typical knot spacing of every log [s]; NaN for `online`.
+        beginning: for another estimate of these logs, None when nothing could be solved.
+        offset_path: per log, how its offset moved; one entry where it is constant.
         iterations: Gauss-Newton steps.
     """
 
@@ -100,7 +121,8 @@ class WindowEstimate:
     clock_untold: bool
     knot_dependence: float
     window_dependence: float
-    spacings: Array
+    beginning: _core.Start | None
+    offset_path: tuple[OffsetPath, ...]
     iterations: int
 
     @property
@@ -129,7 +151,7 @@ def estimate_windows(
         logs: with the twist, and gravity where it acts.
         method: of the core.
         settings: of the core.
-        start: of `map`, where to begin: its estimate on nearly the same logs, as many as here.
+        start: of `map`, where to begin: another estimate of these logs, or of nearly the same ones.
 
     Raises:
         InputError: for a log without a twist or without gravity where gravity acts.
@@ -152,7 +174,7 @@ def estimate_windows(
         sensor.sign / span,
         asked,
         settings or _core.EstimatorSettings(),
-        None if start is None or not start.solved else _start(start, logs, parts, asked, to_gain, scale),
+        _start(start, parts, asked.layout),
     )
     units = np.append(to_gain.ravel(), scale)
     normalised = nominal
@@ -238,37 +260,50 @@ def estimate_windows(
         clock_untold=generator is not None,
         knot_dependence=estimate.knot_dependence,
         window_dependence=estimate.window_dependence,
-        spacings=np.array([estimate.spacing[k] if estimate.spacing else np.nan for k in last]),
+        beginning=_beginning(estimate) if estimate.solved else None,
+        offset_path=tuple(_path(parts, estimate, layout, scale, k) for k in range(len(logs))),
         iterations=estimate.iterations,
     )
 
 
+def _beginning(estimate: _core.Estimate) -> _core.Start:
+    """What an estimate says, per part of every log."""
+    found = _core.Start()
+    found.mean, found.covariance, found.spacing = estimate.mean, estimate.covariance, estimate.spacing
+    return found
+
+
 def _start(
-    found: WindowEstimate,
-    logs: Sequence[Log],
-    parts: Sequence[Part],
-    prior: _core.CommonPrior,
-    to_gain: Array,
-    scale: Array,
-) -> _core.Start:
-    """An estimate in the terms of the core, per part of a log; what it does not hold is as stated."""
-    layout = prior.layout
-    of_log = np.tile(prior.mean, (len(logs), 1))
-    of_log[:, : found.gain.size] = (found.gain / to_gain).ravel()
-    if layout.offset:
-        of_log[:, layout.offset_begin : layout.offset_begin + layout.channels] = found.offsets / scale
-    if layout.temperature and found.offset_temperature is not None:
-        first = layout.temperature_begin
-        of_log[:, first : first + layout.channels] = found.offset_temperature / scale
-    if layout.time_offset:
-        of_log[:, layout.time_offset_begin] = found.time_offsets
-    for row, log in zip(of_log, logs, strict=True):
-        if layout.payload and log.payload in found.payloads:
-            row[layout.payload_begin : layout.payload_begin + PAYLOAD] = found.payloads[log.payload].mean
+    found: WindowEstimate | None, parts: Sequence[Part], layout: _core.ParameterLayout
+) -> _core.Start | None:
+    """Where to begin with every part of a log, None without an estimate of the same parameters.
+
+    Logs that are now in other parts begin at the end of what they were.
+    """
+    beginning = None if found is None else found.beginning
+    if found is None or beginning is None or any(mean.size != layout.size for mean in beginning.mean):
+        return None
+    before = np.repeat(np.arange(len(found.offset_path)), [len(path.offset) for path in found.offset_path])
+    now = np.array([part.log for part in parts])
+    at = range(len(parts)) if np.array_equal(before, now) else np.searchsorted(before, now, side="right") - 1
     start = _core.Start()
-    start.mean = [of_log[part.log] for part in parts]
-    start.spacing = [float(found.spacings[part.log]) for part in parts]
+    start.mean = [beginning.mean[k] for k in at]
+    start.covariance = [beginning.covariance[k] for k in at]
+    start.spacing = [beginning.spacing[k] for k in at]
     return start
+
+
+def _path(
+    parts: Sequence[Part], estimate: _core.Estimate, layout: _core.ParameterLayout, scale: Array, log: int
+) -> OffsetPath:
+    of_log = [k for k, part in enumerate(parts) if part.log == log]
+    offset = np.zeros((len(of_log), layout.channels))
+    if layout.offset and estimate.solved:
+        o = slice(layout.offset_begin, layout.offset_begin + layout.channels)
+        offset = np.array([estimate.mean[k][o] for k in of_log]) * scale
+    middle = np.array([parts[k].middle - 1e-9 * parts[k].origin_ns for k in of_log])
+    half = 0.5 * np.array([parts[k].duration for k in of_log])
+    return OffsetPath(middle - half, middle + half, offset)
 
 
 def _untold_clock(rig: Rig, logs: Sequence[Log], parts: Sequence[Part]) -> Array | None:

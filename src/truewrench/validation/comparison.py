@@ -20,7 +20,7 @@ from truewrench.errors import InputError
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.split import held_out
+from truewrench.split import between_jumps, held_out
 from truewrench.validation import CHANGE, LOSS, validate, worse
 
 __all__ = ["Comparison", "compare_held_out", "compare_in_sample"]
@@ -62,7 +62,7 @@ def compare_held_out(
     if calibration is None or not np.isfinite(calibration.inverse).all():
         return "without the part to be held out, the record does not give a gain"
     try:
-        found = validate(calibration, rig, out)
+        found = validate(calibration, rig, [piece for log in out for piece in between_jumps(log)])
     except (InputError, np.linalg.LinAlgError) as error:
         return f"the part held out could not be compared: {' '.join(str(error).split())}"
     reasons = [worse(name, axis) for name, axis in found.axes.items() if axis.better is False]
@@ -93,8 +93,8 @@ def compare_in_sample(
     figures = {"none_because": why}
     nominal_inverse = _core.generalised_inverse(rig.sensor.nominal_gain_array, rig.sensor.noise_array)
     old, new = [], []
-    for log, offset, wrench, rows in zip(
-        logs, estimate.offsets, estimate.wrench, estimate.wrench_rows, strict=True
+    for log, path, wrench, rows in zip(
+        logs, estimate.offset_path, estimate.wrench, estimate.wrench_rows, strict=True
     ):
         known = np.isfinite(wrench).all(axis=1) & np.isfinite(log.raw[rows]).all(axis=1)
         if not known.any():
@@ -104,7 +104,7 @@ def compare_in_sample(
         if rig.sensor.offset_prior_array.any():
             nominal -= nominal.mean(axis=0)
         old.append(nominal)
-        new.append((raw - offset) @ inverse.T - wrench[known])
+        new.append((raw - path.at(log.time[rows][known])) @ inverse.T - wrench[known])
     if not old or not np.isfinite(inverse).all():
         return Comparison({}, (), figures)
     before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))

@@ -14,6 +14,7 @@ from truewrench import _core
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
 from truewrench.estimate.clock import clock_overclaimed
 from truewrench.estimate.fits import group_fits
+from truewrench.estimate.moving_offset import Wandering
 from truewrench.estimate.noise import Noise, with_noise
 from truewrench.estimate.windows import WindowEstimate
 from truewrench.log import Log
@@ -70,6 +71,7 @@ def judge_windows(
     logs: Sequence[Log] = (),
     noise: Noise | None = None,
     hidden_delay: float = 0.0,
+    moving: Wandering | None = None,
 ) -> Verdict:
     """The verdict on what `map` or `online` found; with the logs, also on how the rig was set up.
 
@@ -79,6 +81,7 @@ def judge_windows(
         logs: may be left out.
         noise: that was found in the residuals.
         hidden_delay: of a low-pass filter that the colour of the sensor's noise suggests [s]; 0 for none.
+        moving: what an offset had to do to explain the logs.
     """
     faults = channel_faults(rig, logs)
     silent = {fault.channel for fault in faults if fault.silent}
@@ -90,6 +93,13 @@ def judge_windows(
         reasons.append("the sums over the windows could not be solved")
     elif not estimate.converged:
         reasons.append("the estimate did not converge")
+    if moving is not None:
+        walk = ", ".join(f"{q:.3g}" for q in moving.rig.sensor.offset_walk_array)
+        reasons.append(
+            "the logs fit only with an offset that wanders, which this result rests on: state "
+            f"`offset_walk: [{walk}]` if the offset does; a time offset, payload or motion that is not as "
+            "the rig says looks alike"
+        )
     if noise is not None and noise.resized:
         reasons.append(
             "residuals do not match the stated noise: noise stated too small, or payload, clock or motion "
@@ -100,7 +110,7 @@ def judge_windows(
     for name, fit in group_fits(estimate.windows).items():
         above = fit.chi_square > CHI_SQUARE and fit.deviate > DEVIATE
         below = fit.chi_square < CHI_SQUARE_LOW and fit.deviate < -DEVIATE
-        paid = noise is not None and noise.coloured  # density at the motion's frequencies, not the size
+        paid = noise is not None and noise.paid
         if above or (below and not paid):
             reasons.append(
                 f"residuals of {name} do not match the stated noise: chi-square {fit.chi_square:.3g} "

@@ -1,0 +1,123 @@
+"""What is tried, and in which order, where logs do not fit as stated (docs/method.md, "Online and map")."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from truewrench import _core
+from truewrench.estimate.fits import ENOUGH, fitted_share
+from truewrench.estimate.moving_offset import (
+    Jump,
+    Wandering,
+    jump_in,
+    log_cut_at,
+    still_moves,
+    wandering,
+    with_free_offsets,
+)
+from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = ["Attempts"]
+
+NEARLY_ALL = 0.95  # share of the samples that contacts or jumps must explain to be believed
+LEFT_OUT = 0.2  # share of the samples, as contacts: a push that long is asked whether it is an offset
+
+
+@dataclass(slots=True)
+class Attempts:
+    """Estimates from the same logs.
+
+    Attributes:
+        logs: with the twist, and gravity where it acts; cut where their offsets were found to jump.
+        method: the estimator asked for.
+        settings: of the core.
+        jumps: per log, of its offset; empty where none jumps.
+    """
+
+    logs: Sequence[Log]
+    method: Literal["map", "online"]
+    settings: _core.EstimatorSettings
+    jumps: Sequence[Jump | None] = ()
+    _last_quick: tuple[Rig, WindowEstimate] | None = None
+    _free: WindowEstimate | None = None
+
+    def plain(self, rig: Rig, start: WindowEstimate | None = None) -> WindowEstimate:
+        """The estimator asked for, once."""
+        return estimate_windows(rig, self.logs, self.method, self.settings, start)
+
+    def quick(self, rig: Rig) -> WindowEstimate:
+        """The windows in sequence; asked twice in a row for a rig, it is the same estimate."""
+        if self._last_quick is None or self._last_quick[0] is not rig:
+            self._last_quick = rig, estimate_windows(rig, self.logs, "online", self.settings)
+        return self._last_quick[1]
+
+    def best(self, rig: Rig) -> WindowEstimate:
+        """What explains most samples: as a whole, or begun by the windows in sequence."""
+        return self._begun_in_sequence(rig, self.plain(rig))
+
+    def first(self, rig: Rig) -> WindowEstimate:
+        """The same, with offsets that jump where logs fit so."""
+        found = self.plain(rig)
+        if _explained(found, ENOUGH):
+            return found
+        self._free = with_free_offsets(rig, self._as_a_whole)
+        cut = None if self._free is None else self._cut_at_jumps(rig, self._free)
+        return self._begun_in_sequence(rig, found) if cut is None else cut
+
+    def moving(self, rig: Rig, found: WindowEstimate) -> Wandering | None:
+        """With an offset that walks, for logs that fit no other way."""
+        if self._free is None or fitted_share(found.windows) >= ENOUGH:
+            return None
+        return wandering(rig, self.logs, self._free, self.plain)
+
+    def _as_a_whole(self, rig: Rig) -> WindowEstimate:
+        """By `map`, whose wrenches are those of one gain: residuals of `online` show how it was found."""
+        return estimate_windows(rig, self.logs, "map", self.settings)
+
+    def without(self, kept: Sequence[Log], rig: Rig, found: WindowEstimate) -> WindowEstimate:
+        """The estimate from a part of the logs, begun at that from all of them."""
+        again = estimate_windows(rig, kept, self.method, self.settings, found)
+        if fitted_share(again.windows) >= min(ENOUGH, 0.9 * fitted_share(found.windows)):
+            return again
+        return estimate_windows(rig, kept, self.method, self.settings)
+
+    def _cut_at_jumps(self, rig: Rig, shown: WindowEstimate) -> WindowEstimate | None:
+        """The logs cut where an estimate shows that their offsets jump; None where that is not all."""
+        noise, whole = rig.sensor.noise_array, self.logs
+        jumps = [
+            jump_in(log, rows, wrench, noise)
+            for log, rows, wrench in zip(whole, shown.wrench_rows, shown.wrench, strict=True)
+        ]
+        if not any(jumps):
+            return None
+        self.logs = [log_cut_at(log, jump) for log, jump in zip(whole, jumps, strict=True)]
+        cut = self._as_a_whole(rig)
+        moving = any(
+            still_moves(log, rows, wrench, noise)
+            for log, rows, wrench in zip(self.logs, cut.wrench_rows, cut.wrench, strict=True)
+        )
+        if cut.solved and _explained(cut, NEARLY_ALL) and not moving:
+            self.jumps, self._last_quick = jumps, None
+            return cut if self.method == "map" else self.plain(rig)
+        self.logs = whole
+        return None
+
+    def _begun_in_sequence(self, rig: Rig, found: WindowEstimate) -> WindowEstimate:
+        if self.method == "online" or fitted_share(found.windows) >= ENOUGH:
+            return found
+        quick = self.quick(rig)
+        if not quick.solved or fitted_share(quick.windows) == 0.0:
+            return found
+        again = self.plain(rig, quick)
+        better = again.solved and fitted_share(again.windows) >= fitted_share(found.windows)
+        return again if better else found
+
+
+def _explained(estimate: WindowEstimate, share: float) -> bool:
+    left_out = sum(float(rows.sum()) for rows in estimate.left_out)
+    samples = sum(rows.size for rows in estimate.left_out)
+    return fitted_share(estimate.windows) >= share and left_out <= LEFT_OUT * samples

@@ -1,0 +1,198 @@
+"""Offsets that move although the rig says that they do not (docs/method.md, "Drift")."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.estimate.fits import ENOUGH, fitted_share
+from truewrench.estimate.noise import with_noise_of_walk
+from truewrench.estimate.windows import WindowEstimate
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = [
+    "Jump",
+    "Wandering",
+    "jump_in",
+    "log_cut_at",
+    "still_moves",
+    "wandering",
+    "with_free_offsets",
+]
+
+Array = NDArray[np.float64]
+
+SIGNIFICANT = 60.0  # chi-square that a jump explains: 1e-10 of six degrees of freedom
+CHANCE = 30.0  # that the likeliest of all steps may still explain, when the jump is taken out
+DOUBT = 20.0  # of that, what moving the jump may cost: between these times it lies,
+VAGUE = 0.05  # or this share of it, for the wrench is not quite known
+SHARPLY = 8  # rows between which a jump needs no parts of its own: the samples that are wrong are left out
+PIECES = 6  # that the doubtful time is cut into, of
+PIECE = 12  # rows at least: only the one with the jump is lost
+SHORT = 0.05  # share of the rows below which a piece between two cuts is too short to show anything
+LARGEST_STEP = 3.0  # 1 sigma of the walk, in which its largest step must be
+NAMED = 0.2  # of the largest jump in units of noise: what else jumps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Jump:
+    """A change of the offset.
+
+    Attributes:
+        begin: it lies behind this time [s from the log's first row],
+        end: and before this one, the likeliest if they are but a few samples apart.
+        change: (n,) [raw units].
+    """
+
+    begin: float
+    end: float
+    change: Array
+
+    def words(self, rig: Rig) -> str:
+        """When it was, and how much which channel jumps."""
+        sizes = np.abs(self.change) / rig.sensor.noise_array
+        named = np.flatnonzero(sizes > NAMED * sizes.max()).tolist()
+        listed = ", ".join(f"{rig.sensor.channels[i]} by {self.change[i]:.3g}" for i in named)
+        return f"between {self.begin:.3f} and {self.end:.3f} s ({listed})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wandering:
+    """Logs that fit with an offset that walks, and not with one that stays or jumps.
+
+    Attributes:
+        rig: which states the walk, and noise for what an offset walks within a part.
+        estimate: with it.
+    """
+
+    rig: Rig
+    estimate: WindowEstimate
+
+
+def with_free_offsets(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> WindowEstimate | None:
+    """The logs estimated with an offset of its own in every part, None where that does not fit either.
+
+    Args:
+        rig: with an offset for each log.
+        estimate: on the logs, for a rig.
+    """
+    free = rig.sensor.offset_prior_array  # per second: every part is as free as the first one
+    if rig.sensor.pool_offsets or not free.any():
+        return None
+    found = estimate(_with_walk(rig, np.maximum(free, rig.sensor.offset_walk_array)))
+    return found if found.solved and fitted_share(found.windows) >= ENOUGH else None
+
+
+def jump_in(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> Jump | None:
+    """The jump of the offset that explains most of a log whose wrench is known, if that is more than chance.
+
+    Least squares of every channel on wrench, constant and a step, at every row that it can be at.
+
+    Args:
+        log: the whole of it.
+        rows: (M,) of the log that the wrench belongs to.
+        wrench: (M, 6) [N, N m]; NaN where it is not known.
+        noise: (n,) 1 sigma of a sample.
+    """
+    time, y, regressors = _regression(log, rows, wrench, noise)
+    if len(time) < 4 * PIECE:
+        return None
+    explained = _explained_by_a_step(y, regressors)
+    best = int(np.argmax(explained))
+    if explained[best] < SIGNIFICANT:
+        return None
+    unlikely = np.flatnonzero(explained < explained[best] - max(DOUBT, VAGUE * explained[best]))
+    after = int(np.searchsorted(unlikely, best))
+    first, last = int(unlikely[after - 1]) + 1, int(unlikely[after])  # both ends of the log are unlikely
+    step = np.arange(len(time)) >= best
+    change = np.linalg.lstsq(np.column_stack([regressors, step]), y, rcond=None)[0][-1] * noise
+    gap = float(time[best] - time[best - 1])
+    if last - first <= SHARPLY and gap <= SHARPLY * float(np.median(np.diff(time))):
+        return Jump(float(time[best - 1]), float(time[best]), change)
+    return Jump(float(time[first - 1]), float(time[last]), change)
+
+
+def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> bool:
+    """Whether a log that was cut where its offset jumps shows another step, as one that drifts would.
+
+    Args:
+        log: with the cut.
+        rows: (M,) of the log that the wrench belongs to.
+        wrench: (M, 6) of the estimate with the cut [N, N m]; NaN where it is not known.
+        noise: (n,) 1 sigma of a sample.
+    """
+    time, y, regressors = _regression(log, rows, wrench, noise)
+    return len(time) < 4 * PIECE or bool(_explained_by_a_step(y, regressors).max() > CHANCE)
+
+
+def log_cut_at(log: Log, jump: Jump | None) -> Log:
+    """The log with an offset that begins anew at a jump, and in every piece of the time that it may be in."""
+    if jump is None:
+        return log
+    inside = np.count_nonzero((log.time > jump.begin) & (log.time < jump.end))
+    pieces = int(np.clip(inside / PIECE, 1, PIECES))
+    edges = [jump.end] if inside <= SHARPLY else np.linspace(jump.begin, jump.end, pieces + 1).tolist()
+    return replace(log, offset_jumps_ns=tuple(int(log.time_ns[0]) + round(1e9 * edge) for edge in edges))
+
+
+def wandering(
+    rig: Rig, logs: Sequence[Log], free: WindowEstimate, estimate: Callable[[Rig], WindowEstimate]
+) -> Wandering | None:
+    """The logs estimated with a random walk of the size that is seen, None where that does not fit.
+
+    Args:
+        rig: a walk that it states is not made smaller.
+        logs: as recorded.
+        free: estimate in which every part of the logs has an offset of its own.
+        estimate: on the logs, for a rig.
+    """
+    rates = [
+        np.diff(path.offset, axis=0) / np.sqrt(np.diff(0.5 * (path.begin + path.end)))[:, None]
+        for path in free.offset_path
+        if len(path.offset) > 1
+    ]
+    if not rates:
+        return None
+    steps = np.concatenate(rates)
+    walk = np.maximum(np.sqrt(np.mean(steps**2.0, axis=0)), np.abs(steps).max(axis=0) / LARGEST_STEP)
+    sized = with_noise_of_walk(_with_walk(rig, np.maximum(walk, rig.sensor.offset_walk_array)), logs)
+    found = estimate(sized)
+    return Wandering(sized, found) if found.solved and fitted_share(found.windows) >= ENOUGH else None
+
+
+def _regression(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> tuple[Array, Array, Array]:
+    """Times (N,), channels (N, n) in sigma and regressors (N, p): wrench, and a constant from cut to cut."""
+    known = np.isfinite(wrench).all(axis=1) & np.isfinite(log.raw[rows]).all(axis=1)
+    piece = np.searchsorted(np.array(log.offset_jumps_ns, dtype=np.int64), log.time_ns[rows], side="right")
+    long = np.bincount(piece, known) >= SHORT * float(np.count_nonzero(known))
+    known &= long[piece]  # pieces of the doubtful time of a jump have wrenches as uncertain as their motion
+    constants = piece[known, None] == np.flatnonzero(long)
+    return log.time[rows][known], log.raw[rows][known] / noise, np.column_stack([wrench[known], constants])
+
+
+def _explained_by_a_step(y: Array, regressors: Array) -> Array:
+    """(N,) chi-square that a step from each row on explains in all channels, beside the regressors.
+
+    Args:
+        y: (N, n) channels, in sigma.
+        regressors: (N, p).
+    """
+    count = len(y)
+    basis = np.linalg.qr(regressors)[0]
+    residual = y - basis @ (basis.T @ y)
+    residual /= np.maximum(1.0, np.sqrt(np.mean(residual**2, axis=0)))
+    behind = np.cumsum(basis[::-1], axis=0)[::-1]  # of every row and those after it
+    free = np.arange(count, 0, -1) - np.sum(behind**2, axis=1)  # squared norm of what is new in the step
+    shown = np.sum(np.cumsum(residual[::-1], axis=0)[::-1] ** 2, axis=1)
+    explained = np.where(free > 1.0, shown / np.maximum(free, 1.0), 0.0)
+    explained[:PIECE] = explained[count - PIECE :] = 0.0
+    return np.asarray(explained)
+
+
+def _with_walk(rig: Rig, walk: Array) -> Rig:
+    sensor = rig.sensor.model_copy(update={"offset_walk": tuple(walk.tolist())})
+    return rig.model_copy(update={"sensor": sensor})

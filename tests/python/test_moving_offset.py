@@ -1,0 +1,96 @@
+"""Claims about logs whose offset moves although the rig says nothing of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_disturbed_logs import NOISE, gain_error, pushed, rig_of
+
+import truewrench as tw
+from truewrench.calibration import Calibration
+from truewrench.estimate.moving_offset import with_free_offsets
+from truewrench.estimate.windows import estimate_windows
+from truewrench.log import Log
+from truewrench.rig import Rig
+from truewrench.simulate import SimulatedRun, simulate
+
+RATE = 200
+
+
+def jumped(log: Log, at: float, step: Any) -> Log:
+    """The log with offsets that jump by `step` times the noise at a share of it."""
+    raw = log.raw + (log.time > at * log.time[-1])[:, None] * np.asarray(step) * NOISE
+    return replace(log, raw=raw)
+
+
+def nees(rig: Rig, found: Calibration, run: SimulatedRun) -> float:
+    unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel()
+    covariance = found.covariance[:36, :36] * np.outer(unit, unit)
+    d = gain_error(rig, found.gain, run)
+    return float(d @ np.linalg.solve(covariance, d) / 36)
+
+
+def notes_of(found: Calibration) -> list[str]:
+    return [note for note in found.figures["notes"] if "jumps" in note]
+
+
+@pytest.mark.parametrize("estimator", ["map", "online"])
+@pytest.mark.parametrize(("size", "at"), [(4.0, 0.63), (60.0, 0.31)])
+def test_a_jump_of_the_offset_is_found_named_and_paid_for(estimator: Any, size: float, at: float) -> None:
+    rig, scores = rig_of(RATE), []
+    step = size * np.array([1, 0, 0, -0.5, 0, 0])
+    for seed in range(3):
+        run = simulate(rig, seed=seed)
+        found = tw.calibrate(rig, jumped(run.log, at, step), estimator)
+        assert found.verdict.usable, found.verdict.reasons
+        (note,) = notes_of(found)
+        begin, end, jump = re.findall(r"between (\S+) and (\S+) s \(fx by (\S+), mx by \S+\)", note)[0]
+        assert float(begin) < at * run.log.time[-1] < float(end)
+        assert float(jump) == pytest.approx(size * NOISE[0], rel=0.1)
+        scores.append(nees(rig, found, run))
+        end = run.truth.offset + step * NOISE
+        assert (np.abs(found.offset - end) < 4.0 * found.offset_std).all()
+    assert 0.6 < np.mean(scores) < 1.45
+
+
+@pytest.mark.parametrize("shape", ["line", "walk"])
+def test_a_drift_that_no_rig_stated_is_refused_with_the_walk_to_state(shape: str) -> None:
+    rig, scores = rig_of(RATE), []
+    for seed in range(3):
+        run = simulate(rig, seed=seed)
+        drift = 12.0 * np.outer(run.log.time / run.log.time[-1], [1, 1, -1, 1, -1, 1])
+        if shape == "walk":
+            steps = np.random.default_rng(seed).normal(size=drift.shape)
+            drift = 4.0 * np.cumsum(steps, axis=0) / np.sqrt(len(steps))
+        log = replace(run.log, raw=run.log.raw + drift * NOISE)
+        refused = tw.calibrate(rig, log, held_out=False)
+        assert not refused.verdict.usable
+        (walk,) = re.findall(r"offset_walk: \[(.*?)\]", " ".join(refused.verdict.reasons))
+        stated = rig_of(RATE, offset_walk=[float(q) for q in walk.split(",")])
+        found = tw.calibrate(stated, log, held_out=False)
+        assert found.verdict.usable, found.verdict.reasons
+        assert (np.abs(found.gain - refused.gain) < 0.1 * found.gain_std).all()
+        scores.append(nees(stated, found, run))
+    assert np.mean(scores) < 1.45
+
+
+def test_contacts_and_clean_logs_have_offsets_that_stay() -> None:
+    rig = rig_of(RATE)
+    for seed in range(4):
+        run = simulate(rig, seed=seed)
+        for log in (run.log, pushed(run.log, 10.0, 3.0 + seed, 0.3)[0]):
+            found = tw.calibrate(rig, log, held_out=False)
+            assert found.verdict.usable, found.verdict.reasons
+            assert not notes_of(found)
+    assert found.logs[0].disturbances
+
+
+def test_one_offset_for_all_logs_does_not_move() -> None:
+    rig = rig_of(RATE, pool_offsets=True)
+    log = jumped(simulate(rig, seed=1).log, 0.5, [8, 0, 0, 0, 0, 0])
+    assert not with_free_offsets(rig, lambda changed: estimate_windows(changed, [log]))
+    assert not tw.calibrate(rig, log, held_out=False).verdict.usable
