@@ -4,6 +4,7 @@
 // `map`:    all windows share one gain; given it they are independent, and only their small matrices are added.
 #pragma once
 
+#include "truewrench/estimate.hpp"
 #include "truewrench/knots.hpp"
 #include "truewrench/parallel.hpp"
 
@@ -15,68 +16,6 @@
 #include <vector>
 
 namespace truewrench {
-
-struct EstimatorSettings {
-  KnotSettings knots;
-  double window = 1.0;            // shortest window of `online` [s]; doubled while a window has fewer knot
-  int window_intervals = 4;       // intervals than this
-  int map_window_intervals = 64;  // knot intervals of a window of `map`, about
-  double gap_periods = 5.0;       // no window spans a longer gap
-  double dependence_sigma = 3.1;  // the gain must not depend on knots or windows by more than this (99.9%)
-  double enough_fitted = 0.9;     // share of the samples in windows that fit, below which a pass is repeated
-  double clock_lost = 0.2;        // nor may halved knots make the clock's sigma larger by this share
-  double few_samples = 10.0;      // below so many samples per coefficient, doubled windows are tried as well
-  double disregard = 1e12;  // times its variance, a sensor's noise that leaves the motion to the velocities
-  double believe = 10.0;    // by which the variance of a sensor that does not fit yet is lowered at a time
-  int max_rounds = 6;
-  int max_iterations = 25;
-  double tolerance = 1e-9;  // last Gauss-Newton decrement of the common parameters
-  double settled = 2.5e-3;  // what may remain of it after the last iteration: a twentieth of a sigma, squared
-  int threads = 0;          // 0: all
-};
-
-// Where `map` may begin: at what another estimate says of the parameters and knot spacings, per log.
-struct Start {
-  std::vector<Eigen::VectorXd> mean;  // normalised
-  std::vector<Eigen::MatrixXd> covariance;
-  std::vector<double> spacing;  // [s]
-};
-
-struct WindowReport {
-  int log = 0;
-  double begin = 0.0;
-  double end = 0.0;
-  WindowStatus status = WindowStatus::too_short;
-  int intervals = 0;
-  double samples_per_coefficient = 0.0;
-  std::size_t samples = 0;  // rows of the sensor
-  Groups groups{};
-  std::vector<ComponentStatistics> components;
-  double nested = 0.0;
-  double nested_expected = 0.0;
-};
-
-struct HistoryEntry {
-  int log = 0;
-  double time = 0.0;     // end of the window [s]
-  Eigen::VectorXd mean;  // [gain, offset], normalised
-  Eigen::VectorXd sigma;
-};
-
-struct Estimate {
-  Status status = Status::ok;
-  bool converged = false;
-  Posterior posterior;  // normalised
-  std::vector<WindowReport> windows;
-  std::vector<HistoryEntry> history;  // `online`: after every window
-  std::vector<RowMatrix>
-      wrench;  // per log: the payload's wrench at the sensor's samples, NaN where no window or left out
-  std::vector<Gate> gates;         // per log: the samples left out
-  std::vector<double> spacing;     // per log: typical knot spacing [s]
-  double knot_dependence = 0.0;    // deviate of gain and clock against those of halved knots
-  double window_dependence = 0.0;  // and against that of doubled windows, where there are few samples
-  int iterations = 0;
-};
 
 template <int N>
 class Estimator {

@@ -21,16 +21,13 @@ from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.clock import clock_doubts, delay_excluded
 from truewrench.estimate.ekf import estimate_ekf
-from truewrench.estimate.fits import ENOUGH, fitted_share, group_fits, mostly_unexplained
+from truewrench.estimate.fits import group_fits, mostly_unexplained
 from truewrench.estimate.least_squares import least_squares
-from truewrench.estimate.moving_offset import Jump
+from truewrench.estimate.moving_offset import jump_notes
 from truewrench.estimate.noise import (
-    estimate_with_noise,
     hidden_delay,
     noise_figures,
     noise_notes,
-    with_noise,
-    with_noise_of_walk,
 )
 from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.windows import PayloadDeparture, WindowEstimate
@@ -137,42 +134,27 @@ def _from_windows(
     settings.window = settings.window if window is None else window
     settings.threads = threads or 0
     clock = [time.perf_counter()]
-
     attempts = Attempts(logs, estimator, settings)
-
-    def estimated(rig: Rig, quick: bool) -> WindowEstimate:
-        return attempts.quick(rig) if quick else attempts.best(rig)
-
-    with_walk = with_noise_of_walk(rig, logs)
-    first = attempts.first(with_walk)
+    found = attempts.explain(rig, rescale_noise)
+    estimate, noise = found.estimate, found.noise
     logs = attempts.logs  # cut where their offsets jump
-    estimate, noise = estimate_with_noise(rig, with_walk, first, estimated, rescale_noise)
-    moving = (
-        attempts.moving(with_walk, first)
-        if noise.resized or fitted_share(estimate.windows) < ENOUGH
-        else None
-    )
-    if moving is not None:
-        with_walk = moving.rig
-        estimate, noise = estimate_with_noise(rig, with_walk, moving.estimate, estimated, rescale_noise)
-    as_found = with_noise(with_walk, noise.assumed)  # white, with the spectral density of what was found
     clock.append(time.perf_counter())
     report("judging", None)
 
     delay = hidden_delay(rig, noise, logs)
-    if delay > 0.0 and delay_excluded(as_found, delay, attempts.quick):
+    if delay > 0.0 and delay_excluded(found.as_found, delay, attempts.quick):
         delay = 0.0
-    verdict = judge_windows(rig, estimate, logs, noise, delay, moving)
-    # a delay spoils a good sensor's fit
-    if verdict.usable or noise.resized or moving is not None or mostly_unexplained(estimate.windows):
-        doubts = clock_doubts(with_walk if noise.resized else as_found, attempts.quick)
+    verdict = judge_windows(rig, estimate, logs, noise, delay, found.moving)
+    poor = noise.resized or found.moving is not None or mostly_unexplained(estimate.windows)
+    if verdict.usable or poor:  # a delay spoils a good sensor's fit
+        doubts = clock_doubts(found.rig if noise.resized else found.as_found, attempts.quick)
         verdict = replace(verdict, usable=verdict.usable and not doubts, reasons=(*verdict.reasons, *doubts))
     calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
-        found = attempts.without(kept, as_found, estimate)
-        return _of_estimate(rig, kept, estimator, found, Verdict(True)) if found.solved else None
+        again = attempts.without(kept, found.as_found, estimate)
+        return _of_estimate(rig, kept, estimator, again, Verdict(True)) if again.solved else None
 
     compared: Comparison | str = "not asked for"
     if not estimate.solved or np.isnan(np.concatenate(estimate.wrench)).all():
@@ -200,7 +182,7 @@ def _from_windows(
                 *still_bases(logs),
                 *noise_notes(rig, noise),
                 *_clock_notes(estimate),
-                *_jump_notes(rig, attempts.jumps),
+                *jump_notes(rig, attempts.jumps),
             ],
         },
         timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
@@ -347,15 +329,6 @@ def _clock_notes(estimate: WindowEstimate) -> list[str]:
     return [
         "in this motion a change of time looks like a change of the gain: nothing was learnt of the time "
         f"offset, and sigma contains what its prior leaves ({1e3 * estimate.time_offsets_std[-1]:.2g} ms)"
-    ]
-
-
-def _jump_notes(rig: Rig, jumps: Sequence[Jump | None]) -> list[str]:
-    return [
-        f"the offset of log {k + 1} jumps {jump.words(rig)}: it was estimated before and after, and the one "
-        "reported is that at the end"
-        for k, jump in enumerate(jumps)
-        if jump is not None
     ]
 
 

@@ -225,6 +225,25 @@ TEST(Estimator, LogsPooledShareTheGainAndKeepTheirOffsets) {
   }
 }
 
+TEST(Estimator, MapGoesOnFromWhatOnlineFinds) {
+  const Simulation s = with_gain();
+  const Recording recording = s.record(5);
+  const auto estimator = [&] {
+    EstimatorSettings settings;
+    settings.threads = 1;
+    return Estimator<6>({recording.data()}, s.sensor<6>(), prior_of(s), settings);
+  };
+  const Estimate cold = estimator().map();
+  const Estimate online = estimator().online();
+  const Estimate warm = estimator().map({online.posterior.mean, online.posterior.covariance, online.spacing});
+  ASSERT_EQ(warm.status, Status::ok);
+  EXPECT_TRUE(warm.converged);
+  EXPECT_LT(warm.iterations, cold.iterations);
+  const Eigen::VectorXd sigma = cold.posterior.covariance[0].diagonal().cwiseSqrt();
+  const Eigen::VectorXd apart = (warm.posterior.mean[0] - cold.posterior.mean[0]).cwiseQuotient(sigma);
+  EXPECT_LT(apart.cwiseAbs().maxCoeff(), 0.3);
+}
+
 TEST(Estimator, OneOffsetForAllLogsIsKnownBetterThanOneEach) {
   const Simulation s = with_gain();
   const std::vector<Recording> recordings{s.record(1), s.record(2)};

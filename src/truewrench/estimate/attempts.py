@@ -17,14 +17,34 @@ from truewrench.estimate.moving_offset import (
     wandering,
     with_free_offsets,
 )
+from truewrench.estimate.noise import Noise, estimate_with_noise, with_noise, with_noise_of_walk
 from truewrench.estimate.windows import WindowEstimate, estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
 
-__all__ = ["Attempts"]
+__all__ = ["Attempts", "Explanation"]
 
 NEARLY_ALL = 0.95  # share of the samples that contacts or jumps must explain to be believed
 LEFT_OUT = 0.2  # share of the samples, as contacts: a push that long is asked whether it is an offset
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """How logs were explained best.
+
+    Attributes:
+        estimate: of gain and all else.
+        noise: that its residuals show.
+        rig: with the walk of the offset, and the sensor's noise as stated beside what that adds.
+        as_found: with the white noise that the estimate was made with.
+        moving: what an offset had to do for it.
+    """
+
+    estimate: WindowEstimate
+    noise: Noise
+    rig: Rig
+    as_found: Rig
+    moving: Wandering | None
 
 
 @dataclass(slots=True)
@@ -59,24 +79,24 @@ class Attempts:
         """What explains most samples: as a whole, or begun by the windows in sequence."""
         return self._begun_in_sequence(rig, self.plain(rig))
 
-    def first(self, rig: Rig) -> WindowEstimate:
-        """The same, with offsets that jump where logs fit so."""
-        found = self.plain(rig)
-        if _explained(found, ENOUGH):
-            return found
-        self._free = with_free_offsets(rig, self._as_a_whole)
-        cut = None if self._free is None else self._cut_at_jumps(rig, self._free)
-        return self._begun_in_sequence(rig, found) if cut is None else cut
+    def explain(self, stated: Rig, rescale: bool) -> Explanation:
+        """The estimate that explains most, with the noise that the data show.
 
-    def moving(self, rig: Rig, found: WindowEstimate) -> Wandering | None:
-        """With an offset that walks, for logs that fit no other way."""
-        if self._free is None or fitted_share(found.windows) >= ENOUGH:
-            return None
-        return wandering(rig, self.logs, self._free, self.plain)
-
-    def _as_a_whole(self, rig: Rig) -> WindowEstimate:
-        """By `map`, whose wrenches are those of one gain: residuals of `online` show how it was found."""
-        return estimate_windows(rig, self.logs, "map", self.settings)
+        Args:
+            stated: rig as the person states it.
+            rescale: take the size of the noise from the residuals.
+        """
+        rig = with_noise_of_walk(stated, self.logs)
+        first = self._with_jumps(rig)
+        estimate, noise = estimate_with_noise(stated, rig, first, self._estimated, rescale)
+        moving = None
+        poor = noise.resized or fitted_share(estimate.windows) < ENOUGH
+        if poor and self._free is not None and fitted_share(first.windows) < ENOUGH:
+            moving = wandering(rig, self.logs, self._free, self.plain)
+        if moving is not None:
+            rig = moving.rig
+            estimate, noise = estimate_with_noise(stated, rig, moving.estimate, self._estimated, rescale)
+        return Explanation(estimate, noise, rig, with_noise(rig, noise.assumed), moving)
 
     def without(self, kept: Sequence[Log], rig: Rig, found: WindowEstimate) -> WindowEstimate:
         """The estimate from a part of the logs, begun at that from all of them."""
@@ -84,6 +104,22 @@ class Attempts:
         if fitted_share(again.windows) >= min(ENOUGH, 0.9 * fitted_share(found.windows)):
             return again
         return estimate_windows(rig, kept, self.method, self.settings)
+
+    def _estimated(self, rig: Rig, quick: bool) -> WindowEstimate:
+        return self.quick(rig) if quick else self.best(rig)
+
+    def _with_jumps(self, rig: Rig) -> WindowEstimate:
+        """What explains most samples, with offsets that jump where logs fit so."""
+        found = self.plain(rig)
+        if _explained(found, ENOUGH):
+            return found
+        self._free = with_free_offsets(rig, self._as_a_whole)
+        cut = None if self._free is None else self._cut_at_jumps(rig, self._free)
+        return self._begun_in_sequence(rig, found) if cut is None else cut
+
+    def _as_a_whole(self, rig: Rig) -> WindowEstimate:
+        """By `map`, whose wrenches are those of one gain: residuals of `online` show how it was found."""
+        return estimate_windows(rig, self.logs, "map", self.settings)
 
     def _cut_at_jumps(self, rig: Rig, shown: WindowEstimate) -> WindowEstimate | None:
         """The logs cut where an estimate shows that their offsets jump; None where that is not all."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from truewrench.estimate.fits import ENOUGH, fitted_share
 from truewrench.estimate.noise import with_noise_of_walk
@@ -18,6 +19,7 @@ __all__ = [
     "Jump",
     "Wandering",
     "jump_in",
+    "jump_notes",
     "log_cut_at",
     "still_moves",
     "wandering",
@@ -26,9 +28,9 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-SIGNIFICANT = 60.0  # chi-square that a jump explains: 1e-10 of six degrees of freedom
-CHANCE = 30.0  # that the likeliest of all steps may still explain, when the jump is taken out
-DOUBT = 20.0  # of that, what moving the jump may cost: between these times it lies,
+SIGNIFICANT = 5e-11  # chance that noise explains as much as a jump does: chi-square of 60 in six channels
+CHANCE = 4e-5  # and as much as the likeliest of all steps may, when the jump is taken out: 30
+DOUBT = 20.0  # of the chi-square, what moving the jump may cost: between these times it lies,
 VAGUE = 0.05  # or this share of it, for the wrench is not quite known
 SHARPLY = 8  # rows between which a jump needs no parts of its own: the samples that are wrong are left out
 PIECES = 6  # that the doubtful time is cut into, of
@@ -51,13 +53,6 @@ class Jump:
     begin: float
     end: float
     change: Array
-
-    def words(self, rig: Rig) -> str:
-        """When it was, and how much which channel jumps."""
-        sizes = np.abs(self.change) / rig.sensor.noise_array
-        named = np.flatnonzero(sizes > NAMED * sizes.max()).tolist()
-        listed = ", ".join(f"{rig.sensor.channels[i]} by {self.change[i]:.3g}" for i in named)
-        return f"between {self.begin:.3f} and {self.end:.3f} s ({listed})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +98,7 @@ def jump_in(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> J
         return None
     explained = _explained_by_a_step(y, regressors)
     best = int(np.argmax(explained))
-    if explained[best] < SIGNIFICANT:
+    if explained[best] < chi2.isf(SIGNIFICANT, y.shape[1]):
         return None
     unlikely = np.flatnonzero(explained < explained[best] - max(DOUBT, VAGUE * explained[best]))
     after = int(np.searchsorted(unlikely, best))
@@ -126,7 +121,8 @@ def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) 
         noise: (n,) 1 sigma of a sample.
     """
     time, y, regressors = _regression(log, rows, wrench, noise)
-    return len(time) < 4 * PIECE or bool(_explained_by_a_step(y, regressors).max() > CHANCE)
+    limit = chi2.isf(CHANCE, y.shape[1])
+    return len(time) >= 4 * PIECE and bool(_explained_by_a_step(y, regressors).max() > limit)
 
 
 def log_cut_at(log: Log, jump: Jump | None) -> Log:
@@ -162,6 +158,22 @@ def wandering(
     sized = with_noise_of_walk(_with_walk(rig, np.maximum(walk, rig.sensor.offset_walk_array)), logs)
     found = estimate(sized)
     return Wandering(sized, found) if found.solved and fitted_share(found.windows) >= ENOUGH else None
+
+
+def jump_notes(rig: Rig, jumps: Sequence[Jump | None]) -> list[str]:
+    """Per log whose offset jumps, when it did and how much which channel."""
+    notes = []
+    for k, jump in enumerate(jumps):
+        if jump is None:
+            continue
+        sizes = np.abs(jump.change) / rig.sensor.noise_array
+        named = np.flatnonzero(sizes > NAMED * sizes.max()).tolist()
+        listed = ", ".join(f"{rig.sensor.channels[i]} by {jump.change[i]:.3g}" for i in named)
+        notes.append(
+            f"the offset of log {k + 1} jumps between {jump.begin:.3f} and {jump.end:.3f} s ({listed}): it "
+            "was estimated before and after, and the one reported is that at the end"
+        )
+    return notes
 
 
 def _regression(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> tuple[Array, Array, Array]:
