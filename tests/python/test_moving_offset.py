@@ -14,7 +14,9 @@ import truewrench as tw
 from truewrench.calibration import Calibration
 from truewrench.estimate.moving_offset import with_free_offsets
 from truewrench.estimate.windows import estimate_windows
+from truewrench.evidence import Evidence
 from truewrench.log import Log
+from truewrench.report.series import record_of
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, simulate
 
@@ -87,6 +89,17 @@ def test_contacts_and_clean_logs_have_offsets_that_stay() -> None:
             assert found.verdict.usable, found.verdict.reasons
             assert not notes_of(found)
     assert found.logs[0].disturbances
+
+
+def test_the_report_shows_no_step_where_a_jump_was_found() -> None:
+    rig, shown = rig_of(RATE), list[Evidence]()
+    log = jumped(simulate(rig, seed=4).log, 0.5, [20, 0, 0, 0, 0, 0])
+    calibration = tw.calibrate(rig, log, held_out=False, evidence=shown.append)
+    series = record_of(calibration, shown[0]).logs[0]
+    normalised = series.residual / series.sigma
+    late = series.time > 0.6 * log.time[-1]
+    early = series.time < 0.4 * log.time[-1]
+    assert np.abs(np.nanmean(normalised[late], axis=0) - np.nanmean(normalised[early], axis=0)).max() < 0.2
 
 
 def test_one_offset_for_all_logs_does_not_move() -> None:

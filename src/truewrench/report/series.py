@@ -130,7 +130,7 @@ def _of_windows(calibration: Calibration, log: Log, k: int, estimate: WindowEsti
         time=log.time[rows],
         wrench=wrench,
         raw=raw,
-        residual=(raw - estimate.offsets[k]) @ inverse.T - wrench,
+        residual=(raw - estimate.offset_path[k].at(log.time[rows])) @ inverse.T - wrench,
         sigma=np.sqrt(inverse**2 @ noise**2),
         lagged=np.zeros((1, 6)),
         begin=begin,
