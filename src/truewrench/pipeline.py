@@ -147,7 +147,7 @@ def _from_windows(
     verdict = judge_windows(rig, estimate, logs, noise, delay, found.moving)
     poor = noise.resized or found.moving is not None or mostly_unexplained(estimate.windows)
     if verdict.usable or poor:  # a delay spoils a good sensor's fit
-        doubts = clock_doubts(found.rig if noise.resized else found.as_found, attempts.quick)
+        doubts = clock_doubts(found.rig if noise.resized else found.as_found, logs, attempts.quick)
         verdict = replace(verdict, usable=verdict.usable and not doubts, reasons=(*verdict.reasons, *doubts))
     calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())

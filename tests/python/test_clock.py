@@ -62,4 +62,4 @@ def test_clock_is_doubted_where_another_explains_the_record_no_worse(free: Any, 
     def estimate(rig: Rig) -> Any:
         return free if rig.sensor.time_offset_prior > 0.0 else explained(0.0, 1.0)
 
-    assert bool(clock_doubts(rig_of(), estimate)) == doubted
+    assert bool(clock_doubts(rig_of(), [], estimate)) == doubted

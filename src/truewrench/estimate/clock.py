@@ -23,7 +23,7 @@ DEPENDENCE = _core.EstimatorSettings().dependence_sigma
 _COORDINATES, _DEGREE = 6, 5
 
 
-def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[str]:
+def clock_doubts(rig: Rig, logs: Sequence[Log], estimate: Callable[[Rig], WindowEstimate]) -> list[str]:
     """Logs whose time offset, when it is asked for, is not what a rig with exact clocks says.
 
     A delay of the sensor or of the velocities, by a filter or a driver, goes into the gain without a trace in
@@ -31,15 +31,23 @@ def clock_doubts(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> list[st
 
     Args:
         rig: whose clock is stated to be good.
+        logs: of the estimate.
         estimate: on the logs, for a rig.
     """
     stated = rig.sensor.time_offset_prior
     if stated >= TRUSTED:
         return []
-    found = _with_free_clock(rig, WIDE, estimate)
-    if found is None:
-        return []  # the motion does not tell the clock
-    suspected = np.abs(found.time_offsets) > DOUBT * np.hypot(found.time_offsets_std, stated)
+    free = with_clock(rig, WIDE)
+    found = estimate(free)
+    if not found.solved:
+        return []
+    least, sigma = 0.0, np.hypot(found.time_offsets_std, stated)
+    if found.knot_dependence > DEPENDENCE:  # and so may clock and sigma: only what is far off counts
+        told = ClockInformation.of(free.sensor, logs[0], found.gain) if len(logs) == 1 else None
+        if told is None:
+            return []
+        least, sigma = TRUSTED, np.hypot(sigma, told.sigma)
+    suspected = np.abs(found.time_offsets) > np.maximum(DOUBT * sigma, least)
     if not suspected.any() or _worse(found, estimate(rig)):
         return []  # or the search with a free clock went astray
     doubts = []
