@@ -81,6 +81,7 @@ class Estimator {
     }
     return {fitted, all};
   }
+
   // What the priors say.
   void begin(Estimate& out) const {
     out.posterior =

@@ -22,10 +22,11 @@ from truewrench.estimate.windows import WindowEstimate, estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
 
-__all__ = ["Attempts", "Explanation"]
+__all__ = ["LEFT_OUT", "Attempts", "Explanation"]
 
 NEARLY_ALL = 0.95  # share of the samples that contacts or jumps must explain to be believed
-LEFT_OUT = 0.2  # share of the samples, as contacts: a push that long is asked whether it is an offset
+LEFT_OUT = 0.2
+"""Share of the samples left out as contacts that is accepted: beyond it a push may be an offset."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

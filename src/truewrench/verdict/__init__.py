@@ -12,6 +12,7 @@ from scipy.linalg import qr
 
 from truewrench import _core
 from truewrench.calibration import AXES, UNDETERMINED, Undetermined, Verdict
+from truewrench.estimate.attempts import LEFT_OUT
 from truewrench.estimate.clock import clock_overclaimed
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.moving_offset import Wandering
@@ -37,7 +38,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-DISTURBED = 0.2  # share of the samples left out as contact that is still accepted
 REJECTED = 0.05  # share of the samples in rejected windows that is still accepted
 CHI_SQUARE = 1.05  # residual chi-square per degree of freedom that is still accepted,
 CHI_SQUARE_LOW = 0.5  # below it the stated noise is too large to say anything
@@ -322,13 +322,13 @@ def _of_disturbances(estimate: WindowEstimate, logs: Sequence[Log]) -> list[str]
     found = []
     for k, left_out in enumerate(estimate.left_out):
         share = float(left_out.mean()) if left_out.size else 0.0
-        if share > DISTURBED:
+        if share > LEFT_OUT:
             found.append(
                 f"{100.0 * share:.0f} % of the samples of log {k + 1} were left out as contact or spikes: "
                 "too many to trust the rest"
             )
     for k, log in enumerate(logs):
-        if estimate.motion_left_out[k] > DISTURBED * len(log.time_ns):
+        if estimate.motion_left_out[k] > LEFT_OUT * len(log.time_ns):
             found.append(f"too many samples of the motion of log {k + 1} were left out as spikes")
     return found
 
