@@ -7,30 +7,29 @@ carried through to the wrench exactly, in time, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, PchipInterpolator, make_lsq_spline
-from scipy.linalg import cholesky, solve_triangular
+from scipy.interpolate import BSpline, PchipInterpolator
+from scipy.linalg import cho_factor, cho_solve
 
 from truewrench import _core
 from truewrench.arm.track import tracked_streams
 from truewrench.errors import InputError
 from truewrench.log import Log
-from truewrench.motion.smooth import segments, smooth_twist
+from truewrench.motion.smooth import DEGREE, segments, smooth_twist, uniform_knots, uniform_spline
 from truewrench.motion.spatial import twist_adjoint
 from truewrench.motion_noise import twist_noise
 from truewrench.payload import core_payload, payload_wrench
 from truewrench.rig import Rig
 
-__all__ = ["InertialChunk", "inertial_wrench"]
+__all__ = ["InertialChunk", "InertialMotion"]
 
 Array = NDArray[np.float64]
 
-_DEGREE = 5
 _FINER = 1.5  # knots than the coarsest that pass: their bias would count as an error of the sensor
 _CHANCE = 3.0  # sigma of the fall of chi-square by halved knots that chance explains
 _CHUNK = 1500  # rows of a spline, unless that is less than
@@ -68,31 +67,90 @@ class InertialChunk:
     covariance: Array
 
 
-def inertial_wrench(rig: Rig, log: Log, time_offset: float, lags: int) -> list[InertialChunk]:
-    """The wrench at the rows where every raw channel has a sample.
+class InertialMotion:
+    """The motion of a log by its measurements: a spline per component and chunk, fitted once for all times.
 
     Args:
         rig: sensor, payloads, motion.
         log: the rows.
-        time_offset: t_motion = t_sensor + time_offset [s].
-        lags: H, the longest lag of `covariance`.
 
     Raises:
         InputError: for a log without a twist, or without gravity where gravity acts.
     """
-    if log.twist is None:
-        raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
-    if log.gravity is None and rig.in_gravity:
-        raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
-    sensed = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
-    coordinates = _coordinates(rig, log)
-    found = []
-    for piece in _chunks(coordinates.time):
-        at = log.time[sensed] + time_offset
-        inside = (at >= coordinates.time[piece.start]) & (at <= coordinates.time[piece.stop - 1])
-        if np.count_nonzero(inside) > max(_SHORTEST, 2 * lags):
-            found.append(_chunk(rig, log.payload, coordinates, piece, sensed[inside], at[inside], lags))
-    return found
+
+    def __init__(self, rig: Rig, log: Log) -> None:
+        if log.twist is None:
+            raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
+        if log.gravity is None and rig.in_gravity:
+            expected = "gx gy gz, which a twist in gravity needs"
+            raise InputError.at(log.path, "", "no gravity columns", expected)
+        self._rig, self._payload = rig, log.payload
+        self._sensed = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
+        self._time = log.time[self._sensed]
+        self._coordinates = _coordinates(rig, log)
+        self._pieces = list(_chunks(self._coordinates.time))
+        self._fits: dict[int, list[_Spline]] = {}  # by piece, those that were asked for
+
+    def wrench(self, time_offset: float, lags: int) -> list[InertialChunk]:
+        """The wrench at the rows where every raw channel has a sample.
+
+        Args:
+            time_offset: t_motion = t_sensor + time_offset [s].
+            lags: H, the longest lag of `covariance`.
+        """
+        found = []
+        at = self._time + time_offset
+        for k, piece in enumerate(self._pieces):
+            time = self._coordinates.time[piece]
+            inside = (at >= time[0]) & (at <= time[-1])
+            if np.count_nonzero(inside) > max(_SHORTEST, 2 * lags):
+                if k not in self._fits:
+                    self._fits[k] = self._fitted(piece)
+                found.append(self._chunk(self._fits[k], self._sensed[inside], at[inside], time, lags))
+        return found
+
+    def _fitted(self, piece: slice) -> list[_Spline]:
+        coordinates = self._coordinates
+        time, values, noise = coordinates.time[piece], coordinates.values[piece], coordinates.noise
+        spacing = np.minimum(smooth_twist(time, values, noise).spacing, coordinates.widest)
+        return [
+            _Spline(time, column, sigma, _resolved(time, column, sigma, coarse))
+            for column, sigma, coarse in zip(values.T, noise, spacing, strict=True)
+        ]
+
+    def _chunk(
+        self, fits: Sequence[_Spline], rows: NDArray[np.int64], at: Array, time: Array, lags: int
+    ) -> InertialChunk:
+        rig, payload, order = self._rig, self._payload, self._coordinates.order
+
+        def motion(t: Array) -> tuple[Array, Array, Array, Array]:
+            splines = [np.column_stack([fit.spline(t, nu=d) for fit in fits]) for d in range(3)]
+            nu, a, g = self._coordinates.motion(t, np.array(splines))
+            return nu, a, g, payload_wrench(rig, payload, nu, a, g)
+
+        nu, a, g, wrench = motion(at)
+        step = _PERIODS * (time[-1] - time[0])
+        before, after = (np.clip(at + by, time[0], time[-1]) for by in (-step, step))
+        rate = (motion(after)[-1] - motion(before)[-1]) / (after - before)[:, None]
+
+        spec = rig.payloads[payload]
+        shift = _core.twist_shift(spec.center_of_mass_array) if rig.motion.of == "sensor" else np.eye(6)
+        by_a, by_nu = _core.payload_jacobians(core_payload(spec), np.ascontiguousarray(nu @ shift.T))
+        by_a, by_nu = by_a @ shift, by_nu @ shift
+        variance = np.zeros((at.size, 6))
+        lagged = np.unique(np.linspace(0, at.size - lags - 1, _LAGGED).astype(int))
+        later = lagged[:, None] + np.arange(lags + 1)  # (S, H + 1)
+        covariance = np.zeros((lagged.size, lags + 1, 6))
+        for j, fit in enumerate(fits):
+            n_, a_ = by_nu[:, :, j], by_a[:, :, j]  # (M, 6)
+            of = fit.derivatives(at, order)
+            same = of.covariance(np.arange(at.size), np.arange(at.size))
+            variance += n_**2 * same[0, 0] + n_ * a_ * (same[0, 1] + same[1, 0]) + a_**2 * same[1, 1]
+            apart = of.covariance(lagged[:, None], later)
+            for x, first in enumerate((n_, a_)):
+                for y, second in enumerate((n_, a_)):
+                    covariance += first[lagged][:, None] * second[later] * apart[x, y]
+        return InertialChunk(rows, wrench, rate, nu, a, g, variance, lagged, covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,53 +233,6 @@ def _gravity(log: Log) -> PchipInterpolator:
     return PchipInterpolator(log.time[rows], log.gravity[rows], axis=0)
 
 
-def _chunk(
-    rig: Rig,
-    payload: str,
-    coordinates: _Coordinates,
-    piece: slice,
-    rows: NDArray[np.int64],
-    at: Array,
-    lags: int,
-) -> InertialChunk:
-    time, values, noise = coordinates.time[piece], coordinates.values[piece], coordinates.noise
-    span, order = time[-1] - time[0], coordinates.order
-    spacing = np.minimum(smooth_twist(time, values, noise).spacing, coordinates.widest)
-    fits = [
-        _Spline(time, column, sigma, _resolved(time, column, sigma, coarse))
-        for column, sigma, coarse in zip(values.T, noise, spacing, strict=True)
-    ]
-
-    def motion(t: Array) -> tuple[Array, Array, Array, Array]:
-        splines = [np.column_stack([fit.spline(t, nu=d) for fit in fits]) for d in range(3)]
-        nu, a, g = coordinates.motion(t, np.array(splines))
-        return nu, a, g, payload_wrench(rig, payload, nu, a, g)
-
-    nu, a, g, wrench = motion(at)
-    before, after = (np.clip(at + step * _PERIODS * span, time[0], time[-1]) for step in (-1.0, 1.0))
-    rate = (motion(after)[-1] - motion(before)[-1]) / (after - before)[:, None]
-
-    spec = rig.payloads[payload]
-    shift = _core.twist_shift(spec.center_of_mass_array) if rig.motion.of == "sensor" else np.eye(6)
-    by_a, by_nu = _core.payload_jacobians(core_payload(spec), np.ascontiguousarray(nu @ shift.T))
-    by_a, by_nu = by_a @ shift, by_nu @ shift
-    variance = np.zeros((at.size, 6))
-    lagged = np.unique(np.linspace(0, at.size - lags - 1, _LAGGED).astype(int))
-    later = lagged[:, None] + np.arange(lags + 1)  # (S, H + 1)
-    covariance = np.zeros((lagged.size, lags + 1, 6))
-    for j, fit in enumerate(fits):
-        X, dX = fit.roots(at, order)  # (M, p) whose products are covariances of twist and acceleration
-        n_, a_ = by_nu[:, :, j], by_a[:, :, j]  # (M, 6)
-        square, cross, slope = (np.sum(x * y, axis=1)[:, None] for x, y in ((X, X), (X, dX), (dX, dX)))
-        variance += n_**2 * square + 2.0 * n_ * a_ * cross + a_**2 * slope
-        for s, position in enumerate(lagged):
-            there = later[s]
-            for first, x in ((n_, X), (a_, dX)):
-                for second, y in ((n_, X), (a_, dX)):
-                    covariance[s] += first[position] * second[there] * (y[there] @ x[position])[:, None]
-    return InertialChunk(rows, wrench, rate, nu, a, g, variance, lagged, covariance)
-
-
 def _resolved(time: Array, values: Array, sigma: float, spacing: float) -> float:
     """The coarsest spacing not above a given one that halving would not improve by more than chance.
 
@@ -230,12 +241,10 @@ def _resolved(time: Array, values: Array, sigma: float, spacing: float) -> float
     """
 
     def chi_square(intervals: int) -> float:
-        inner = np.linspace(time[0], time[-1], intervals + 1)[1:-1]
-        knots = np.concatenate([np.full(_DEGREE + 1, time[0]), inner, np.full(_DEGREE + 1, time[-1])])
-        return float(np.sum(((values - make_lsq_spline(time, values, knots, k=_DEGREE)(time)) / sigma) ** 2))
+        return float(np.sum(((values - uniform_spline(time, values, intervals)(time)) / sigma) ** 2))
 
     span = time[-1] - time[0]
-    intervals, finest = max(1, round(span / spacing)), max(1, time.size // 3 - _DEGREE)
+    intervals, finest = max(1, round(span / spacing)), max(1, time.size // 3 - DEGREE)
     while 2 * intervals <= finest:
         fall = chi_square(intervals) - chi_square(2 * intervals)
         if fall <= intervals + _CHANCE * np.sqrt(2.0 * intervals):
@@ -249,19 +258,47 @@ class _Spline:
 
     def __init__(self, time: Array, values: Array, sigma: float, spacing: float) -> None:
         intervals = round(_FINER * (time[-1] - time[0]) / spacing)
-        intervals = max(1, min(intervals, time.size // 3 - _DEGREE))
-        inner = np.linspace(time[0], time[-1], intervals + 1)[1:-1]
-        ends = [np.full(_DEGREE + 1, time[0]), np.full(_DEGREE + 1, time[-1])]
-        self._knots = np.concatenate([ends[0], inner, ends[1]])
-        design = BSpline.design_matrix(time, self._knots, _DEGREE) / sigma
+        intervals = max(1, min(intervals, time.size // 3 - DEGREE))
+        self._knots = uniform_knots(time, intervals)
+        design = BSpline.design_matrix(time, self._knots, DEGREE) / sigma
         normal = (design.T @ design).toarray()
-        self._root = cholesky(normal + 1e-12 * np.trace(normal) * np.eye(len(normal)), lower=True)
-        half = solve_triangular(self._root, np.asarray(design.T @ (values / sigma)), lower=True)
-        self.spline = BSpline(self._knots, solve_triangular(self._root.T, half), _DEGREE)
+        normal += 1e-12 * np.trace(normal) * np.eye(len(normal))
+        self._covariance = np.asarray(cho_solve(cho_factor(normal), np.eye(len(normal))))
+        self.spline = BSpline(self._knots, self._covariance @ np.asarray(design.T @ (values / sigma)), DEGREE)
 
-    def roots(self, at: Array, order: int) -> tuple[Array, Array]:
-        """(M, p) each: rows whose inner products are the covariances of a derivative and of the next."""
-        basis = BSpline(self._knots, np.eye(len(self._root)), _DEGREE)
-        values, slopes = (np.asarray(basis(at, nu=d)) for d in (order, order + 1))
-        first, second = (solve_triangular(self._root, x.T, lower=True).T for x in (values, slopes))
-        return np.asarray(first), np.asarray(second)
+    def derivatives(self, at: Array, order: int) -> _Derivatives:
+        """A derivative and the next one at times (M,)."""
+        first, basis = _basis(self._knots, at, order)
+        return _Derivatives(self._covariance, first, np.stack([basis, _basis(self._knots, at, order + 1)[1]]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Derivatives:
+    """Two derivatives of a spline with uncertain coefficients, at M times."""
+
+    of_coefficients: Array  # (p, p) their covariance
+    first: NDArray[np.int64]  # (M,) of the coefficients that act at a time
+    basis: Array  # (2, M, DEGREE + 1) by which
+
+    def covariance(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> Array:
+        """(2, 2, ..., 1) between derivatives at rows and at others, of shapes that broadcast."""
+        active = np.arange(DEGREE + 1)
+        at, there = (self.first[k][..., None] + active for k in (rows, others))
+        between = self.of_coefficients[at[..., :, None], there[..., None, :]]
+        found = np.einsum("x...i,...ij,y...j->xy...", self.basis[:, rows], between, self.basis[:, others])
+        return np.asarray(found)[..., None]
+
+
+def _basis(knots: Array, at: Array, order: int) -> tuple[NDArray[np.int64], Array]:
+    """(M,) the first basis function that acts at a time; (M, DEGREE + 1) a derivative of all that do."""
+    degree = DEGREE - order
+    inner = knots[order : len(knots) - order]
+    design = BSpline.design_matrix(at, inner, degree)
+    first = design.indices.reshape(at.size, degree + 1)[:, 0].astype(np.int64)
+    basis = design.data.reshape(at.size, degree + 1)
+    for k in range(degree + 1, DEGREE + 1):  # each derivative is a difference of splines one degree lower
+        inner = knots[DEGREE - k : len(knots) - DEGREE + k]
+        ahead = first[:, None] + np.arange(k) + 1
+        slope = k * basis / (inner[ahead + k] - inner[ahead])
+        basis = np.pad(slope, ((0, 0), (1, 0))) - np.pad(slope, ((0, 0), (0, 1)))
+    return first, basis

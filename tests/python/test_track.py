@@ -18,7 +18,7 @@ from truewrench.arm_simulation.model import Reading
 from truewrench.arm_simulation.motion import default_motion
 from truewrench.arm_simulation.run import arm_with
 from truewrench.errors import InputError
-from truewrench.inertial import inertial_wrench
+from truewrench.inertial import InertialMotion
 from truewrench.log import Log
 from truewrench.motion.spatial import twist_adjoint
 from truewrench.motion.trajectory_joint import SplineJoints
@@ -326,7 +326,7 @@ def test_a_part_of_a_log_keeps_the_clock_of_its_reference(rig: Rig, motion: Spli
     time = log.time
     whole = replace(log, raw=mujoco(rig, motion, time).wrench)
     for part in held_out([whole], fraction=0.4, blocks=1):
-        chunks = inertial_wrench(rig, part[0], 0.0, lags=4)
+        chunks = InertialMotion(rig, part[0]).wrench(0.0, lags=4)
         for chunk in chunks:
             inner = slice(60, -60)
             off = np.abs(chunk.wrench - part[0].raw[chunk.rows])[inner]

@@ -13,7 +13,7 @@ import yaml
 import truewrench as tw
 from truewrench.calibration import AXES, Calibration, LogReport, Verdict
 from truewrench.errors import InputError
-from truewrench.inertial import inertial_wrench
+from truewrench.inertial import InertialMotion
 from truewrench.log import Log
 from truewrench.motion.trajectory import Body
 from truewrench.rig import Rig
@@ -229,7 +229,7 @@ def test_claimed_variance_of_the_inertial_wrench_is_that_of_its_error(of: str) -
     normalised = []
     for seed in range(4):
         run = simulate(rig, seed=seed)
-        (chunk,) = inertial_wrench(rig, run.log, 0.0, 20)
+        (chunk,) = InertialMotion(rig, run.log).wrench(0.0, 20)
         assert run.log.gravity is not None
         t = run.log.time[chunk.rows]
         truth = wrench_on_sensor(

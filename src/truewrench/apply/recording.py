@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from truewrench.apply import Applied, Run
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
-from truewrench.inertial import inertial_wrench
+from truewrench.inertial import InertialMotion
 from truewrench.io.recordings.writer import mcap_output
 from truewrench.io.tables import named_payload, read_log
 from truewrench.log import Log
@@ -89,7 +89,7 @@ def _predicted(rig: Rig, log: Log, time_offset: float) -> tuple[NDArray[np.int64
         rows = np.zeros(len(log.time_ns), dtype=bool)
         rows[start : start + _ROWS] = True
         part = rows_of(log, rows)
-        chunks = inertial_wrench(rig, part, time_offset, 0)
+        chunks = InertialMotion(rig, part).wrench(time_offset, 0)
         if not chunks:
             continue
         usual = np.median(np.concatenate([chunk.variance for chunk in chunks]), axis=0)

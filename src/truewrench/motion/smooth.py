@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 
-__all__ = ["SmoothTwist", "segments", "smooth_twist"]
+__all__ = ["DEGREE", "SmoothTwist", "segments", "smooth_twist", "uniform_knots", "uniform_spline"]
 
 Array = NDArray[np.float64]
 
-_DEGREE = 5
+DEGREE = 5
+"""Of the splines."""
+
 _SAMPLES_PER_COEFFICIENT = 3.0
 _GAP = 5.0  # nominal periods
 
@@ -57,14 +59,27 @@ def smooth_twist(time: Array, twist: Array, noise: Array) -> SmoothTwist:
     )
 
 
+def uniform_knots(time: Array, intervals: int) -> Array:
+    """Knots of a spline on as many equal intervals, (intervals + 1 + 2 * DEGREE,)."""
+    inner = np.linspace(time[0], time[-1], intervals + 1)[1:-1]
+    return np.concatenate([np.full(DEGREE + 1, time[0]), inner, np.full(DEGREE + 1, time[-1])])
+
+
+def uniform_spline(time: Array, values: Array, intervals: int) -> BSpline:
+    """The least-squares spline through samples on equal intervals."""
+    knots = uniform_knots(time, intervals)
+    try:  # up to ten times faster than QR and, on equal intervals, as accurate
+        return make_lsq_spline(time, values, knots, k=DEGREE, method="norm-eq")
+    except np.linalg.LinAlgError:  # intervals without samples
+        return make_lsq_spline(time, values, knots, k=DEGREE, method="qr")
+
+
 def _fit(time: Array, values: Array, sigma: float) -> tuple[BSpline, int, float]:
-    finest = max(1, int(time.size / _SAMPLES_PER_COEFFICIENT) - _DEGREE)
+    finest = max(1, int(time.size / _SAMPLES_PER_COEFFICIENT) - DEGREE)
     intervals = 1
     while True:
-        inner = np.linspace(time[0], time[-1], intervals + 1)[1:-1]
-        knots = np.concatenate([np.full(_DEGREE + 1, time[0]), inner, np.full(_DEGREE + 1, time[-1])])
-        spline = make_lsq_spline(time, values, knots, k=_DEGREE)
-        freedom = time.size - intervals - _DEGREE
+        spline = uniform_spline(time, values, intervals)
+        freedom = time.size - intervals - DEGREE
         chi_square = float(np.sum(((values - spline(time)) / sigma) ** 2) / freedom)
         if intervals == finest or chi_square < 1.0 + 3.0 * np.sqrt(2.0 / freedom):
             return spline, intervals, chi_square

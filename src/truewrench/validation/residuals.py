@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
-from truewrench.inertial import InertialChunk, inertial_wrench
+from truewrench.inertial import InertialChunk, InertialMotion
 from truewrench.log import Log
 from truewrench.payload import payload_wrench
 from truewrench.rig import PayloadSpec, Rig
@@ -111,11 +111,12 @@ class _Known:
 def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     sensor = rig.sensor
     tau = calibration.time_offset
-    chunks = _compared(rig, log, tau)
+    motion = InertialMotion(rig, log)
+    chunks = _compared(motion, log, tau)
     if sensor.time_offset_prior > 0.0:
         inverse = np.nan_to_num(calibration.inverse)
         tau += _time_offset(chunks, log, inverse, sensor.noise_array, sensor.time_offset_prior)
-        chunks = _compared(rig, log, tau)
+        chunks = _compared(motion, log, tau)
     rows, wrench, variance, twist, acceleration, gravity = (
         np.concatenate([getattr(chunk, name) for chunk in chunks])
         for name in ("rows", "wrench", "variance", "twist", "acceleration", "gravity")
@@ -144,10 +145,9 @@ def _by_reference(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     return _Known(rows, log.reference[rows], variance, none, (0,), lagged, calibration.time_offset)
 
 
-def _compared(rig: Rig, log: Log, time_offset: float) -> list[InertialChunk]:
+def _compared(motion: InertialMotion, log: Log, time_offset: float) -> list[InertialChunk]:
     """The log's chunks without the ends of splines, where the velocities tell little of the acceleration."""
-    chunks = inertial_wrench(rig, log, time_offset, LONGEST_LAG)
-    chunks = chunks or inertial_wrench(rig, log, time_offset, _FEWEST)
+    chunks = motion.wrench(time_offset, LONGEST_LAG) or motion.wrench(time_offset, _FEWEST)
     if not chunks:
         raise InputError.at(log.path, "", "no stretch of motion and raw channels", "at least 2 s of both")
     usual = np.median(np.concatenate([chunk.variance for chunk in chunks]), axis=0)
