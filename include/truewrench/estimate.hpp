@@ -20,6 +20,7 @@ struct EstimatorSettings {
   double few_samples = 10.0;      // below so many samples per coefficient, doubled windows are tried as well
   double disregard = 1e12;  // times its variance, a sensor's noise that leaves the motion to the velocities
   double believe = 10.0;    // by which the variance of a sensor that does not fit yet is lowered at a time
+  double freedom = 4.0;     // of Student's t, as which its noise is taken until then, against contacts
   int max_rounds = 6;
   int max_iterations = 25;
   double tolerance = 1e-9;  // last Gauss-Newton decrement of the common parameters

@@ -96,32 +96,38 @@ class Estimator {
 
   // The common parameters from all windows at once, and the knot spacing that the data ask for. A precise sensor whose
   // gain is not known would bend motion, clock and knots until they agree with it; so it is believed step by step, from
-  // the size of its misfit to its noise.
+  // the size of its misfit to its noise, and samples far off count little on the way. A window that does not fit keeps
+  // its knots: without it, a gain found from few others would be further off.
   std::vector<double> gradually(Estimate& out, std::vector<Item>& items) {
     std::vector<double> spacing = first_spacings();
     begin(out);
     if (out.status != Status::ok) return spacing;
     disbelieve(settings_.disregard);  // knots of the velocities alone
-    items = lay_out(spacing, settings_.map_window_intervals, out.posterior);
+    items = lay_out(spacing, settings_.map_window_intervals, out.posterior, {});
     std::vector<BSpline> plain;
     for (const Item& i : items) plain.push_back(i.fit.spline);
     double variance = std::max(1.0, settings_.disregard * misfit_of_sensor(items));
     std::vector<InformationSum> sums;
-    for (;;) {
+    for (bool all_fit = false;;) {
       disbelieve(variance);
-      iterate(items, out, sums, variance > 1.0 ? settings_.settled : settings_.tolerance);
+      iterate(items, out, sums, settings_.settled, variance == 1.0 && all_fit ? 0.0 : settings_.freedom);
       if (out.status != Status::ok || variance == 1.0) break;
       spacing = spacings(items, spacing);
       const double left = variance * misfit_of_sensor(items);
       variance = std::max(1.0, std::min(variance / settings_.believe, settings_.believe * left));
       disbelieve(variance);
+      std::vector<char> fits(items.size(), 1);
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
         Item& item = items[k];
         if (!enough_samples(item.range)) return;
-        const BSpline& knots = item.fit.status == WindowStatus::fitted ? item.fit.spline : plain[k];
-        item.fit = WindowSolver<N>(models_[item.log], settings_.knots)
-                       .search(item.range, knots, out.posterior.mean[item.log], nullptr, finest_[item.log]);
+        const bool fitted = item.fit.status == WindowStatus::fitted;
+        WindowFit fit = WindowSolver<N>(models_[item.log], settings_.knots)
+                            .search(item.range, fitted ? item.fit.spline : plain[k],
+                                    out.posterior.mean[item.log], nullptr, finest_[item.log]);
+        fits[k] = fit.status == WindowStatus::fitted;
+        if (fits[k] || !fitted) item.fit = std::move(fit);
       });
+      all_fit = std::all_of(fits.begin(), fits.end(), [](char f) { return f != 0; });
     }
     disbelieve(1.0);
     return spacings(items, spacing);
@@ -224,16 +230,19 @@ class Estimator {
   void share(Estimate& out, std::vector<Item>& items, const std::vector<double>& spacing, int intervals) {
     std::vector<InformationSum> coarse, fine;
     bool search_again = true;
+    items.clear();
     for (int round = 0; round < settings_.max_rounds; ++round) {
       const std::vector<Eigen::VectorXd> before = out.posterior.mean;
-      if (search_again) items = lay_out(spacing, intervals, out.posterior);
+      if (search_again) items = lay_out(spacing, intervals, out.posterior, std::move(items));
       settle(out, items, coarse, fine);
       if (out.status != Status::ok) return;
       // A window searched at a poor gain bends its knots to it, or is rejected.
       const bool rejected = std::any_of(items.begin(), items.end(), [](const Item& i) {
         return i.fit.status != WindowStatus::fitted && i.fit.status != WindowStatus::too_short;
       });
-      search_again = (round == 0 || rejected) && moved(before, out.posterior) > 0.1;
+      const double by = moved(before, out.posterior);
+      search_again = (round == 0 || rejected) && by > 0.1;
+      if (by > prior_.layout.size()) items.clear();  // else windows that fit stay as they are
       if (search_again) continue;
       if (std::max(out.knot_dependence, nested_deviate(items)) < settings_.dependence_sigma) return;
       if (!halve(items)) return;
@@ -427,10 +436,11 @@ class Estimator {
     return out;
   }
 
-  // Windows of `map` with their knots, searched at a given gain. A window that does not fit is cut in two, down to
-  // the length of a window of `online`, so that a disturbance costs only its surroundings.
-  std::vector<Item> lay_out(const std::vector<double>& spacing, int intervals,
-                            const Posterior& posterior) const {
+  // Windows of `map` with their knots, searched at a given gain; those that fitted before are taken over. A window that
+  // does not fit is cut in two, down to the length of a window of `online`, so that a disturbance costs only its
+  // surroundings.
+  std::vector<Item> lay_out(const std::vector<double>& spacing, int intervals, const Posterior& posterior,
+                            std::vector<Item> before) const {
     std::vector<Item> items;
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const double target = std::max(settings_.window, intervals * spacing[l]);
@@ -445,8 +455,17 @@ class Estimator {
       }
     }
     std::vector<std::vector<Item>> parts(items.size());
-    parallel_for(items.size(), settings_.threads,
-                 [&](std::size_t i) { search(items[i], spacing[items[i].log], posterior, parts[i]); });
+    parallel_for(items.size(), settings_.threads, [&](std::size_t i) {
+      const auto same = std::find_if(before.begin(), before.end(), [&, &item = items[i]](const Item& b) {
+        return b.fit.status == WindowStatus::fitted && b.log == item.log &&
+               b.range.begin == item.range.begin && b.range.end == item.range.end;
+      });
+      if (same != before.end()) {
+        parts[i].push_back(std::move(*same));
+      } else {
+        search(items[i], spacing[items[i].log], posterior, parts[i]);
+      }
+    });
     std::vector<Item> out;
     for (auto& part : parts) std::move(part.begin(), part.end(), std::back_inserter(out));
     return out;
@@ -490,14 +509,15 @@ class Estimator {
   }
 
   // Gauss-Newton on the common parameters with the knots held.
-  bool iterate(std::vector<Item>& items, Estimate& out, std::vector<InformationSum>& sums, double tolerance) {
+  bool iterate(std::vector<Item>& items, Estimate& out, std::vector<InformationSum>& sums, double tolerance,
+               double freedom = 0.0) {
     double decrement = 0.0;
     for (int i = 0; i < settings_.max_iterations; ++i) {
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
         Item& item = items[k];
         if (item.fit.status != WindowStatus::fitted) return;
         WindowSolver<N> solver(models_[item.log], settings_.knots);
-        if (solver.relinearise(item.fit, item.range, out.posterior.mean[item.log]) != Status::ok) {
+        if (solver.relinearise(item.fit, item.range, out.posterior.mean[item.log], freedom) != Status::ok) {
           item.fit.status = WindowStatus::motion_undetermined;
         }
       });

@@ -58,12 +58,14 @@ class WindowSolver {
     }
   }
 
-  // One Gauss-Newton step of the motion at a given theta and the information there, on fixed knots.
-  Status relinearise(WindowFit& fit, const WindowRange& window, const Eigen::VectorXd& theta) {
+  // One Gauss-Newton step of the motion at a given theta and the information there, on fixed knots. `freedom`: of the
+  // sensor's noise (WindowNormal::assemble).
+  Status relinearise(WindowFit& fit, const WindowRange& window, const Eigen::VectorXd& theta,
+                     double freedom = 0.0) {
     fit.theta = theta;
     fit.assigned_at = assignment(fit, delay(theta));
     build(blocks_, window, fit.spline, theta, fit.assigned_at);
-    normal_.assemble(model_, blocks_, fit.spline, fit.x, theta, Terms::all, true);
+    normal_.assemble(model_, blocks_, fit.spline, fit.x, theta, Terms::all, true, freedom);
     if (const Status st = normal_.reduce(); st != Status::ok) return st;
     fit.information = {normal_.information(), normal_.score()};
     fit.x += normal_.motion_step({});
@@ -268,7 +270,7 @@ class WindowSolver {
         fit.x += dx;
         return WindowStatus::fitted;
       }
-      const bool last = decrement < settings_.tolerance;
+      bool last = decrement < settings_.tolerance;
       const double before = normal_.cost() + prior_cost(fit.theta, prior);
       double step = 1.0;
       for (;; step *= 0.5) {
@@ -281,10 +283,13 @@ class WindowSolver {
           blocks_.build_wrench(model_, window, fit.spline, settings_.blocks_per_interval, delay(theta),
                                assigned_at);
         }
-        if (last || cost(x, theta) + prior_cost(theta, prior) < before - 1e-4 * step * decrement) {
+        const double after = last ? before : cost(x, theta) + prior_cost(theta, prior);
+        if (last || after < before - 1e-4 * step * decrement) {
           fit.x = x;
           fit.theta = theta;
           fit.assigned_at = assigned_at;
+          // A cost that falls as a quadratic would is at its minimum.
+          last = last || (step == 1.0 && std::abs(before - decrement - after) < settings_.tolerance);
           break;
         }
       }

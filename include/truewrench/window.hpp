@@ -23,9 +23,11 @@ enum class Terms : std::uint8_t { motion, all };  // the motion measurements alo
 template <int N>
 class WindowNormal {
  public:
-  // Linearises at (x, theta). Without `common`, only the motion's part is formed (theta held).
+  // Linearises at (x, theta). Without `common`, only the motion's part is formed (theta held). `freedom`: of Student's
+  // t, as which the sensor's noise is taken; 0 for a normal one.
   void assemble(const WindowModel<N>& model, const Blocks<N>& blocks, const BSpline& spline,
-                const Coefficients& x, const Eigen::VectorXd& theta, Terms terms, bool common) {
+                const Coefficients& x, const Eigen::VectorXd& theta, Terms terms, bool common,
+                double freedom = 0.0) {
     const int p = common ? model.layout().size() : 0;
     hxx_.reset(spline.coefficients());
     rhs_.setZero(kCoordinates * spline.coefficients(), p + 1);
@@ -36,9 +38,9 @@ class WindowNormal {
     if (terms == Terms::motion) return;
     const WindowModelAt<N> at(model, theta);
     if (model.log().reference) {
-      add_wrench<3>(at, model.layout(), blocks.wrench, x, common);
+      add_wrench<3>(at, model.layout(), blocks.wrench, x, common, freedom);
     } else {
-      add_wrench<2>(at, model.layout(), blocks.wrench, x, common);
+      add_wrench<2>(at, model.layout(), blocks.wrench, x, common, freedom);
     }
   }
 
@@ -121,7 +123,8 @@ class WindowNormal {
   // T terms of the channels' derivatives: by twist and acceleration, and about a reference by the displacement.
   template <int T>
   void add_wrench(const WindowModelAt<N>& model, const ParameterLayout& layout,
-                  const std::vector<WrenchBlock<N>>& blocks, const Coefficients& x, bool common) {
+                  const std::vector<WrenchBlock<N>>& blocks, const Coefficients& x, bool common,
+                  double freedom) {
     const int n = layout.channels;
     const int p = static_cast<int>(rhs_.cols()) - 1;
     moment_.setZero(n * kRegressors, kRegressors);
@@ -135,13 +138,17 @@ class WindowNormal {
       const MotionState state = b.state(xi);
       const Vector6 w = model.wrench_of(state, b.spread);
       const ChannelVector<N> r = b.raw - model.raw_of(w, b.temperature);
-      const ChannelVector<N> wr = b.weight.cwiseProduct(r);
+      ChannelVector<N> weight = b.weight;
+      if (freedom > 0.0) {
+        weight.array() *= (freedom + 1.0) / (freedom + weight.array() * r.array().square());
+      }
+      const ChannelVector<N> wr = weight.cwiseProduct(r);
       cost_ += wr.dot(r);
 
       const ChannelMatrix<N> by_twist = model.raw_by_twist(state.nu);
       const WrenchTerms<N> terms(model, b, by_twist);
       for (std::size_t i = 0; i < T; ++i) {
-        weighted[i] = b.weight.asDiagonal() * terms.by[i];
+        weighted[i] = weight.asDiagonal() * terms.by[i];
         for (std::size_t j = 0; j <= i; ++j) {
           product[j][i] = terms.by[j].transpose() * weighted[i];
           if (j != i) product[i][j] = product[j][i].transpose();
@@ -151,24 +158,24 @@ class WindowNormal {
       if (common) {
         Regressor z;
         z << w, 1.0, b.temperature;
-        add_linear<T>(layout, b.weight, z, wr, weighted);
+        add_linear<T>(layout, weight, z, wr, weighted);
         if (extra_.cols() > 0) {
           if (layout.payload) extra_.template leftCols<kPayloadParameters>() = model.raw_by_payload(state);
           if (layout.time_offset) {
             extra_.col(extra_.cols() - 1) = model.raw_by_time(by_twist, state, b.jerk(xi));
           }
-          add_extra<T>(layout, b.weight, z, wr, weighted);
+          add_extra<T>(layout, weight, z, wr, weighted);
         }
       }
       for (int k = 0; k < kActive; ++k) {
+        std::array<Matrix6, T> of_k;
+        for (std::size_t j = 0; j < T; ++j) {
+          of_k[j] = (*terms.basis[0])[k] * product[0][j];
+          for (std::size_t i = 1; i < T; ++i) of_k[j] += (*terms.basis[i])[k] * product[i][j];
+        }
         for (int l = 0; l <= k; ++l) {
-          Matrix6 h = Matrix6::Zero();
-          for (std::size_t i = 0; i < T; ++i) {
-            for (std::size_t j = 0; j < T; ++j) {
-              h += ((*terms.basis[i])[k] * (*terms.basis[j])[l]) * product[i][j];
-            }
-          }
-          hxx_(b.interval + k, b.interval + l) += h;
+          Matrix6& h = hxx_(b.interval + k, b.interval + l);
+          for (std::size_t j = 0; j < T; ++j) h += (*terms.basis[j])[l] * of_k[j];
         }
         const int row = kCoordinates * (b.interval + k);
         for (int i = 0; i < T; ++i) {

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from typing import Any, Literal
 
@@ -21,7 +22,7 @@ from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.clock import clock_doubts, delay_excluded
 from truewrench.estimate.ekf import estimate_ekf
-from truewrench.estimate.fits import group_fits, mostly_unexplained
+from truewrench.estimate.fits import ENOUGH, fitted_share, group_fits, mostly_unexplained
 from truewrench.estimate.least_squares import least_squares
 from truewrench.estimate.moving_offset import jump_notes
 from truewrench.estimate.noise import (
@@ -142,12 +143,15 @@ def _from_windows(
     report("judging", None)
 
     delay = hidden_delay(rig, noise, logs)
+    if not mostly_unexplained(estimate.windows) and fitted_share(estimate.windows) < ENOUGH:
+        delay = 0.0  # the colour is that of what disturbs some windows
     if delay > 0.0 and delay_excluded(found.as_found, delay, attempts.quick):
         delay = 0.0
     verdict = judge_windows(rig, estimate, logs, noise, delay, found.moving)
     poor = noise.resized or found.moving is not None or mostly_unexplained(estimate.windows)
     if verdict.usable or poor:  # a delay spoils a good sensor's fit
-        doubts = clock_doubts(found.rig if noise.resized else found.as_found, logs, attempts.quick)
+        begun = partial(attempts.begun_at, estimate)
+        doubts = clock_doubts(found.rig if noise.resized else found.as_found, logs, begun)
         verdict = replace(verdict, usable=verdict.usable and not doubts, reasons=(*verdict.reasons, *doubts))
     calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())

@@ -211,7 +211,7 @@ double relative(const Eigen::MatrixXd& found, const Eigen::MatrixXd& expected) {
 }
 
 template <int N>
-void expect_dense_normal_equations(const Scene& scene, double rounding = 1.0) {
+void expect_dense_normal_equations(const Scene& scene, double rounding = 1.0, double freedom = 0.0) {
   const LogData data = scene.data();
   const SensorScale<N> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
   const WindowModel<N> model(data, sensor, scene.layout());
@@ -224,13 +224,19 @@ void expect_dense_normal_equations(const Scene& scene, double rounding = 1.0) {
   const Eigen::MatrixXd j = scene.jacobian();
   const Eigen::Index m = scene.x.size();
   const Eigen::Index p = scene.theta.size();
-  const Eigen::MatrixXd h = j.transpose() * j;
-  const Eigen::VectorXd g = -j.transpose() * r;
+  Eigen::VectorXd weight = Eigen::VectorXd::Ones(r.size());
+  if (freedom > 0.0) {
+    for (Eigen::Index k = scene.residuals(scene.x, scene.theta, false).size(); k < r.size(); ++k) {
+      weight[k] = (freedom + 1.0) / (freedom + r[k] * r[k]);
+    }
+  }
+  const Eigen::MatrixXd h = j.transpose() * weight.asDiagonal() * j;
+  const Eigen::VectorXd g = -j.transpose() * weight.asDiagonal() * r;
   const Eigen::MatrixXd hxx = h.topLeftCorner(m, m);
   const Eigen::LLT<Eigen::MatrixXd> factor(hxx);
 
-  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, true);
-  EXPECT_NEAR(normal.cost(), r.squaredNorm(), 1e-10 * r.squaredNorm());
+  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, true, freedom);
+  EXPECT_NEAR(normal.cost(), r.dot(weight.asDiagonal() * r), 1e-10 * r.squaredNorm());
   EXPECT_LT(relative(normal.information(), h.bottomRightCorner(p, p)), 1e-11 * rounding);
   EXPECT_LT(relative(normal.score(), g.tail(p)), 1e-11 * rounding);
 
@@ -266,13 +272,18 @@ void expect_dense_normal_equations(const Scene& scene, double rounding = 1.0) {
   }
 
   // Without the common parameters the motion's part is the same.
-  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, false);
+  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, false, freedom);
   ASSERT_EQ(normal.reduce(), Status::ok);
   EXPECT_LT(relative(flat(normal.motion_step({})), held), 1e-9 * rounding);
 }
 
 TEST(WindowNormal, SixChannelsAndOffsetGiveTheDenseNormalEquations) {
   expect_dense_normal_equations<6>(Scene(6, true));
+}
+
+TEST(WindowNormal, StudentsNoiseWeighsTheSensorAlone) {
+  expect_dense_normal_equations<6>(Scene(6, true), 1e2, 4.0);
+  expect_dense_normal_equations<Eigen::Dynamic>(Scene(8, true), 1e2, 1.0);
 }
 
 TEST(WindowNormal, WithoutOffsetTheGainsAlone) { expect_dense_normal_equations<6>(Scene(6, false)); }

@@ -10,7 +10,9 @@ from test_windows import FITTED, error, honest, nees, rig_of
 
 from truewrench import _core
 from truewrench.estimate.attempts import Attempts
+from truewrench.estimate.fits import fitted_share
 from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, default_trajectory, simulate
 
@@ -63,6 +65,30 @@ def test_a_contact_in_the_first_second_costs_only_its_samples() -> None:
     assert struck.left_out[0][20:70].mean() > 0.9
     assert struck.left_out[0].sum() < 70
     assert apart(rig, run, struck, clean) < 1.0
+
+
+def pushed(rig: Rig, run: SimulatedRun, seed: int) -> Log:
+    """The log with two pushes of 0.2 s by a wrench, 30 times the noise in the channel that feels it most."""
+    rng = np.random.default_rng(seed)
+    raw, noise = run.log.raw.copy(), rig.sensor.noise_array
+    for k in range(2):
+        start = (k + rng.uniform(0.1, 0.9)) * 0.5 * (run.log.time[-1] - 0.2)
+        push = run.truth.gain @ (rig.sensor.range_array * rng.standard_normal(6)) / noise
+        inside = (run.log.time >= start) & (run.log.time < start + 0.2)
+        raw[inside] += 30.0 * push / np.abs(push).max() * noise
+    return replace(run.log, raw=raw)
+
+
+def test_pushes_in_one_window_of_all_the_log_do_not_spoil_its_beginning() -> None:
+    # Of a slow motion all the log is one window: a push that spoils it leaves nothing.
+    rig = far_rig(0.1, 250.0)
+    scores = []
+    for seed in range(6):
+        run = simulated(rig, seed)
+        found = estimate_windows(rig, [pushed(rig, run, seed)])
+        assert fitted_share(found.windows) > 0.9
+        scores.append(nees(rig, found, [run]))
+    assert honest(scores, 42)
 
 
 def test_a_start_spares_the_way_to_the_same_gain() -> None:

@@ -15,6 +15,7 @@ from truewrench import _core
 from truewrench.bound import bound
 from truewrench.errors import InputError
 from truewrench.estimate.attempts import Attempts
+from truewrench.estimate.fits import mostly_unexplained
 from truewrench.estimate.windows import WindowEstimate, estimate_windows
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
@@ -278,7 +279,8 @@ def test_every_log_is_taken_with_its_own_payload() -> None:
         scores.append(nees(rig, estimate_windows(rig, [run.log for run in runs]), runs))
     assert honest(scores, 42)
     swapped = [replace(runs[0].log, payload="small"), replace(runs[1].log, payload="table_1")]
-    assert nees(rig, estimate_windows(rig, swapped), runs) > 100.0
+    wrong = estimate_windows(rig, swapped)
+    assert mostly_unexplained(wrong.windows) or nees(rig, wrong, runs) > 100.0
 
 
 def test_one_offset_for_all_logs_is_known_better_than_one_each() -> None:

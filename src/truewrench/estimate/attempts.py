@@ -76,6 +76,10 @@ class Attempts:
             self._last_quick = rig, estimate_windows(rig, self.logs, "online", self.settings)
         return self._last_quick[1]
 
+    def begun_at(self, start: WindowEstimate, rig: Rig) -> WindowEstimate:
+        """By `map`, begun at an estimate with another rig."""
+        return estimate_windows(rig, self.logs, "map", self.settings, start)
+
     def best(self, rig: Rig) -> WindowEstimate:
         """What explains most samples: as a whole, or begun by the windows in sequence."""
         return self._begun_in_sequence(rig, self.plain(rig))

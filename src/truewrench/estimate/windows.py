@@ -174,7 +174,7 @@ def estimate_windows(
         sensor.sign / span,
         asked,
         settings or _core.EstimatorSettings(),
-        _start(start, parts, asked.layout),
+        _start(start, parts, asked.layout, sensor.time_offset_prior),
     )
     units = np.append(to_gain.ravel(), scale)
     normalised = nominal
@@ -274,21 +274,30 @@ def _beginning(estimate: _core.Estimate) -> _core.Start:
 
 
 def _start(
-    found: WindowEstimate | None, parts: Sequence[Part], layout: _core.ParameterLayout
+    found: WindowEstimate | None, parts: Sequence[Part], layout: _core.ParameterLayout, clock_prior: float
 ) -> _core.Start | None:
-    """Where to begin with every part of a log, None without an estimate of the same parameters.
+    """Where to begin with every part of a log, None without an estimate of the same parameters but the clock.
 
     Logs that are now in other parts begin at the end of what they were.
     """
     beginning = None if found is None else found.beginning
-    if found is None or beginning is None or any(mean.size != layout.size for mean in beginning.mean):
+    if found is None or beginning is None:
         return None
     before = np.repeat(np.arange(len(found.offset_path)), [len(path.offset) for path in found.offset_path])
     now = np.array([part.log for part in parts])
     at = range(len(parts)) if np.array_equal(before, now) else np.searchsorted(before, now, side="right") - 1
+    means = [beginning.mean[k] for k in at]
+    covariances = [beginning.covariance[k] for k in at]
+    if layout.time_offset and means[0].size + 1 == layout.size:  # it was held before
+        clock = layout.time_offset_begin
+        means = [np.insert(mean, clock, 0.0) for mean in means]
+        covariances = [np.insert(np.insert(c, clock, 0.0, axis=0), clock, 0.0, axis=1) for c in covariances]
+        for covariance in covariances:
+            covariance[clock, clock] = clock_prior**2.0
+    if means[0].size != layout.size:
+        return None
     start = _core.Start()
-    start.mean = [beginning.mean[k] for k in at]
-    start.covariance = [beginning.covariance[k] for k in at]
+    start.mean, start.covariance = means, covariances
     start.spacing = [beginning.spacing[k] for k in at]
     return start
 
