@@ -69,13 +69,17 @@ class BlockBanded {
   // R <- L^-1 R, R of B * blocks rows.
   template <typename Derived>
   void solve_forward(Eigen::MatrixBase<Derived>& r) const {
-    for (int j = 0; j < n_; ++j) {
-      auto rj = r.template middleRows<B>(j * B);
-      for (int k = std::max(0, j - W); k < j; ++k) {
-        rj.noalias() -= (*this)(j, k).lazyProduct(r.template middleRows<B>(k * B));
-      }
-      (*this)(j, j).template triangularView<Eigen::Lower>().solveInPlace(rj);
+    for (int j = 0; j < n_; ++j) forward_row(r, j, 0);
+  }
+
+  // Row j of it, after those before. R begins with row `first`, above which it is zero.
+  template <typename Derived>
+  void forward_row(Eigen::MatrixBase<Derived>& r, int j, int first) const {
+    auto rj = r.template middleRows<B>((j - first) * B);
+    for (int k = std::max(first, j - W); k < j; ++k) {
+      rj.noalias() -= (*this)(j, k).lazyProduct(r.template middleRows<B>((k - first) * B));
     }
+    (*this)(j, j).template triangularView<Eigen::Lower>().solveInPlace(rj);
   }
 
   // R <- L^-T R.

@@ -48,6 +48,8 @@ struct ReferenceBlock {
 
 template <int N>
 struct WrenchBlock {
+  std::size_t first;  // samples of the log, up to
+  std::size_t last;   // but without the last one
   int interval;
   BasisRow basis;  // mean of what gives the twist from the coordinates: the active basis functions, or their
   BasisRow basis_rate;    // first derivatives about a reference; of what gives the acceleration,
@@ -170,6 +172,8 @@ struct Blocks {
         [&](int interval, std::size_t first, std::size_t last, std::uint32_t mask) {
           Powers u = Powers::Zero();
           WrenchBlock<N> b;
+          b.first = first;
+          b.last = last;
           b.interval = interval;
           b.temperature = 0.0;
           b.gravity.setZero();

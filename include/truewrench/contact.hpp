@@ -24,6 +24,29 @@ struct Disturbance {
   double deviate = 0.0;
 };
 
+// Both ends moved to where `deviate(first, last)` of a series of so many samples is largest.
+template <typename Deviate>
+Disturbance trimmed(Disturbance d, std::size_t samples, const Deviate& deviate) {
+  for (std::size_t step = std::max<std::size_t>(1, (d.last - d.first) / 2); step > 0; step /= 2) {
+    for (bool better = true; better;) {
+      better = false;
+      const auto attempt = [&](std::size_t first, std::size_t last) {
+        if (first >= last || last > samples) return;
+        const double z = deviate(first, last);
+        if (z <= d.deviate) return;
+        d = {first, last, z};
+        better = true;
+      };
+      const Disturbance from = d;
+      if (from.first >= step) attempt(from.first - step, from.last);
+      attempt(from.first + step, from.last);
+      attempt(from.first, from.last + step);
+      if (from.last >= step) attempt(from.first, from.last - step);
+    }
+  }
+  return d;
+}
+
 // Running sums over the residuals of one series: row k holds those of the samples before k.
 class DisturbanceScan {
  public:
@@ -120,31 +143,11 @@ class DisturbanceScan {
       const bool overlaps = std::any_of(kept.begin(), kept.end(), [&](const Disturbance& k) {
         return d.first < k.last + 1 && k.first < d.last + 1;
       });
-      if (!overlaps) kept.push_back(trimmed(d, of_means));
+      if (overlaps) continue;
+      kept.push_back(
+          trimmed(d, n, [&](std::size_t first, std::size_t last) { return deviate(first, last, of_means); }));
     }
     return kept;
-  }
-
-  // Both ends moved to where the deviate is largest.
-  Disturbance trimmed(Disturbance d, bool of_means) const {
-    for (std::size_t step = std::max<std::size_t>(1, (d.last - d.first) / 2); step > 0; step /= 2) {
-      for (bool better = true; better;) {
-        better = false;
-        const auto attempt = [&](std::size_t first, std::size_t last) {
-          if (first >= last || last > samples()) return;
-          const double z = deviate(first, last, of_means);
-          if (z <= d.deviate) return;
-          d = {first, last, z};
-          better = true;
-        };
-        const Disturbance from = d;
-        if (from.first >= step) attempt(from.first - step, from.last);
-        attempt(from.first + step, from.last);
-        attempt(from.first, from.last + step);
-        if (from.last >= step) attempt(from.first, from.last - step);
-      }
-    }
-    return d;
   }
 
   Eigen::Index components_;

@@ -22,6 +22,8 @@ struct EstimatorSettings {
   double believe = 10.0;    // by which the variance of a sensor that does not fit yet is lowered at a time
   double freedom = 4.0;     // of Student's t, as which its noise is taken until then, against contacts
   int max_rounds = 6;
+  int max_pushes = 20;  // times that pushes are left out which the gain had taken up,
+  double shadow = 0.7;  // all that are this share of the strongest: others may be what it does to the gain
   int max_iterations = 25;
   double tolerance = 1e-9;  // last Gauss-Newton decrement of the common parameters
   double settled = 2.5e-3;  // what may remain of it after the last iteration: a twentieth of a sigma, squared

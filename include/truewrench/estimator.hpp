@@ -42,6 +42,7 @@ class Estimator {
     // undoes, and together would claim to know the payload: all of them are taken to the final gain.
     if (out.status == Status::ok && (reconsider(items, out.posterior) || prior_.layout.payload)) {
       settle(out, items, coarse, fine);
+      leave_out_pushes(out, items, coarse, fine);
     }
     if (out.status == Status::ok) out.window_dependence = doubled(items, out.posterior);
     out.gates = gates_;
@@ -225,15 +226,38 @@ class Estimator {
     return std::any_of(changed.begin(), changed.end(), [](char c) { return c != 0; });
   }
 
+  // Leaves out the strongest pushes that the gain has taken up, and settles anew, until there are none.
+  void leave_out_pushes(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
+                        std::vector<InformationSum>& fine) {
+    for (int i = 0; i < settings_.max_pushes && out.status == Status::ok; ++i) {
+      std::vector<Disturbance> pushes(items.size());
+      parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
+        const Item& item = items[k];
+        if (item.fit.status != WindowStatus::fitted) return;
+        pushes[k] = WindowSolver<N>(models_[item.log], settings_.knots)
+                        .push(item.fit, item.range, out.posterior.covariance[item.log]);
+      });
+      double most = 0.0;
+      for (const Disturbance& p : pushes) most = std::max(most, p.deviate);
+      if (most == 0.0) return;
+      for (std::size_t k = 0; k < items.size(); ++k) {
+        if (pushes[k].deviate < settings_.shadow * most) continue;
+        WindowSolver<N>(models_[items[k].log], settings_.knots).leave_out(pushes[k]);
+      }
+      settle(out, items, coarse, fine);
+    }
+  }
+
   // `map` on windows of about so many knot intervals: knots at the gain of the pass before, then the gain on all of
   // them; once more where the gain has moved; and finer knots while the data ask for them.
   void share(Estimate& out, std::vector<Item>& items, const std::vector<double>& spacing, int intervals) {
     std::vector<InformationSum> coarse, fine;
-    bool search_again = true;
-    items.clear();
+    bool search_again = true, far = true;
     for (int round = 0; round < settings_.max_rounds; ++round) {
       const std::vector<Eigen::VectorXd> before = out.posterior.mean;
-      if (search_again) items = lay_out(spacing, intervals, out.posterior, std::move(items));
+      if (search_again) {  // windows that fit stay as they are, unless the gain is another
+        items = lay_out(spacing, intervals, out.posterior, far ? std::vector<Item>{} : std::move(items));
+      }
       settle(out, items, coarse, fine);
       if (out.status != Status::ok) return;
       // A window searched at a poor gain bends its knots to it, or is rejected.
@@ -241,12 +265,13 @@ class Estimator {
         return i.fit.status != WindowStatus::fitted && i.fit.status != WindowStatus::too_short;
       });
       const double by = moved(before, out.posterior);
-      search_again = (round == 0 || rejected) && by > 0.1;
-      if (by > prior_.layout.size()) items.clear();  // else windows that fit stay as they are
+      far = by > prior_.layout.size();
+      search_again = far || ((round == 0 || rejected) && by > 0.1);
       if (search_again) continue;
-      if (std::max(out.knot_dependence, nested_deviate(items)) < settings_.dependence_sigma) return;
-      if (!halve(items)) return;
+      if (std::max(out.knot_dependence, nested_deviate(items)) < settings_.dependence_sigma) break;
+      if (!halve(items)) break;
     }
+    leave_out_pushes(out, items, coarse, fine);
   }
 
   // A pass over all logs. The first window can take a contact for a gain, and then no other window fits: where few

@@ -60,6 +60,12 @@ class WindowGating {
     }
   }
 
+  // Samples of the sensor.
+  void leave_out(const Disturbance& d) const {
+    std::fill(gate_->wrench.begin() + static_cast<std::ptrdiff_t>(d.first),
+              gate_->wrench.begin() + static_cast<std::ptrdiff_t>(d.last), 1);
+  }
+
   // Stretches left out.
   int disturbances(const WindowRange& window) const {
     if (!possible()) return 0;

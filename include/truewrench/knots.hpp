@@ -8,6 +8,7 @@
 
 #include "truewrench/gating.hpp"
 #include "truewrench/leverage.hpp"
+#include "truewrench/push.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -104,6 +105,16 @@ class WindowSolver {
     add_leverage(fit);
     conclude(fit, window);
   }
+
+  // The strongest push that motion and common parameters, of this covariance, have taken up; none: of no samples.
+  Disturbance push(const WindowFit& fit, const WindowRange& window, const Eigen::MatrixXd& covariance) {
+    if (!gating_.possible()) return {};
+    build(blocks_, window, fit.spline, fit.theta, fit.assigned_at);
+    normal_.assemble(model_, blocks_, fit.spline, fit.x, fit.theta, Terms::all, true);
+    if (normal_.reduce() != Status::ok) return {};
+    return PushScan<N>(model_, fit, blocks_, normal_, covariance).strongest(settings_.false_disturbances);
+  }
+  void leave_out(const Disturbance& push) const { gating_.leave_out(push); }
 
  private:
   struct Refinement {

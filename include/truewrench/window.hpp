@@ -78,6 +78,9 @@ class WindowNormal {
     hxx_.solve_backward(r);
   }
 
+  const MotionNormal& factor() const { return hxx_; }  // L of Hxx, after reduce(),
+  const RowMatrix& reduced() const { return rhs_; }    // and L^-1 [Hxt, gx]
+
   MotionNormal covariance_band() const { return hxx_.inverse_band(); }
 
  private:

@@ -131,6 +131,22 @@ class WindowModelAt {
                                                                            shift_ * state.a, state.gravity));
   }
 
+  // By all common parameters. `jerk`: of the logged point.
+  Eigen::MatrixXd raw_by_parameters(const MotionState& state, const Vector6& w, double temperature,
+                                    const ChannelMatrix<N>& by_twist, const Vector6& jerk) const {
+    const ParameterLayout& layout = model_.layout();
+    const int n = layout.channels;
+    Eigen::MatrixXd out = Eigen::MatrixXd::Zero(n, layout.size());
+    for (int i = 0; i < n; ++i) {
+      out.row(i).segment<6>(6 * i) = w.transpose();
+      if (layout.offset) out(i, layout.offset_begin() + i) = 1.0;
+      if (layout.temperature) out(i, layout.temperature_begin() + i) = temperature;
+    }
+    if (layout.payload) out.middleCols(layout.payload_begin(), kPayloadParameters) = raw_by_payload(state);
+    if (layout.time_offset) out.col(layout.time_offset_begin()) = raw_by_time(by_twist, state, jerk);
+    return out;
+  }
+
   // Derivative with respect to time: the motion's, and gravity turning in sensor axes.
   ChannelVector<N> raw_by_time(const ChannelMatrix<N>& by_twist, const MotionState& state,
                                const Vector6& jerk) const {

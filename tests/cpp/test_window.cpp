@@ -1,4 +1,5 @@
 // The normal equations of a window against the dense Jacobian of residuals written out here.
+#include "truewrench/push.hpp"
 #include "truewrench/window.hpp"
 
 #include "truewrench/spatial.hpp"
@@ -284,6 +285,65 @@ TEST(WindowNormal, SixChannelsAndOffsetGiveTheDenseNormalEquations) {
 TEST(WindowNormal, StudentsNoiseWeighsTheSensorAlone) {
   expect_dense_normal_equations<6>(Scene(6, true), 1e2, 4.0);
   expect_dense_normal_equations<Eigen::Dynamic>(Scene(8, true), 1e2, 1.0);
+}
+
+// What a constant push of samples [first, last) lowers the dense cost by, with a unit prior on the common parameters whose
+// optimum they are; and the degrees of freedom of that.
+template <int N>
+void expect_dense_push(const Scene& scene, std::size_t first, std::size_t last, double rounding = 1.0) {
+  const LogData data = scene.data();
+  const SensorScale<N> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
+  const WindowModel<N> model(data, sensor, scene.layout());
+  WindowFit fit;
+  fit.spline = BSpline(scene.breakpoints);
+  fit.x = scene.x;
+  fit.theta = scene.theta;
+  Blocks<N> blocks;
+  blocks.build(model, scene.window(), fit.spline, one_sample_a_block, scene.delay(), scene.delay());
+  WindowNormal<N> normal;
+  normal.assemble(model, blocks, fit.spline, fit.x, fit.theta, Terms::all, true);
+  ASSERT_EQ(normal.reduce(), Status::ok);
+  const Eigen::Index m = scene.x.size(), p = scene.theta.size(), n = scene.channels;
+  const Eigen::MatrixXd prior = Eigen::MatrixXd::Identity(p, p);
+  const Eigen::MatrixXd covariance = (normal.information() + prior).inverse();
+
+  const Eigen::VectorXd r = scene.residuals(scene.x, scene.theta);
+  Eigen::MatrixXd j = Eigen::MatrixXd::Zero(r.size(), m + p + n);
+  j.leftCols(m + p) = scene.jacobian();
+  Eigen::Index row = scene.residuals(scene.x, scene.theta, false).size();
+  for (Eigen::Index k = 0; k < scene.raw.rows(); ++k) {
+    for (Eigen::Index i = 0; i < n; ++i) {
+      if (std::isnan(scene.raw(k, i))) continue;
+      const auto sample = static_cast<std::size_t>(k);
+      j(row++, m + p + i) = first <= sample && sample < last ? -1.0 : 0.0;
+    }
+  }
+  Eigen::MatrixXd h = j.transpose() * j;
+  h.block(m, m, p, p) += prior;
+  Eigen::VectorXd g = -j.transpose() * r;
+  g.segment(m, p) -= normal.score();  // what the prior pulls
+  const auto decrease = [&](Eigen::Index unknowns) {
+    const Eigen::VectorXd s = h.topLeftCorner(unknowns, unknowns).ldlt().solve(g.head(unknowns));
+    return g.head(unknowns).dot(s);
+  };
+  const double expected = decrease(m + p + n) - decrease(m + p);
+
+  const PushScan<N> scan(model, fit, blocks, normal, covariance);
+  const auto block = [&](std::size_t sample) {  // the first that does not lie before it
+    std::size_t b = 0;
+    while (b < blocks.wrench.size() && blocks.wrench[b].first < sample) ++b;
+    return b;
+  };
+  const double found = chi_square_at(scan.deviate(block(first), block(last)), static_cast<double>(n));
+  EXPECT_NEAR(found / expected, 1.0, 1e-8 * rounding);
+}
+
+TEST(PushScan, DeviateIsThatOfTheDenseScoreTest) {
+  expect_dense_push<6>(Scene(6, true), 5, 20);
+  expect_dense_push<6>(Scene(6, true), 20, 27);
+  expect_dense_push<6>(Scene(6, true, true), 5, 20, 1e3);
+  expect_dense_push<6>(Scene(6, true, false, true), 5, 20, 1e2);
+  expect_dense_push<Eigen::Dynamic>(Scene(8, true), 3, 15);
 }
 
 TEST(WindowNormal, WithoutOffsetTheGainsAlone) { expect_dense_normal_equations<6>(Scene(6, false)); }
