@@ -67,11 +67,8 @@ class PushScan {
     }
   }
 
-  // Blocks of samples, and how far the push that explains blocks [first, last) best is from none (standard normal
-  // deviate).
-  std::size_t blocks() const { return blocks_.size(); }
-  double deviate(std::size_t first, std::size_t last) const {
-    if (first >= last) return 0.0;
+  // Decrease of the cost by the push that explains blocks [first, last) of samples best.
+  GroupStatistics test(std::size_t first, std::size_t last) const {
     const Eigen::RowVectorXd sum =
         sums_.row(static_cast<Eigen::Index>(last)) - sums_.row(static_cast<Eigen::Index>(first));
     const ChannelVector<N> count = sum.head(channels_).transpose();
@@ -86,23 +83,28 @@ class PushScan {
     const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(left);
     const Eigen::VectorXd z =
         eigen.eigenvectors().transpose() * sum.segment(channels_, channels_).transpose().cwiseProduct(scale);
-    GroupStatistics test;
+    GroupStatistics out;
     for (int i = 0; i < channels_; ++i) {
       if (eigen.eigenvalues()[i] < least_left) continue;
-      test.sum_of_squares += z[i] * z[i] / eigen.eigenvalues()[i];
-      test.count += 1.0;
+      out.sum_of_squares += z[i] * z[i] / eigen.eigenvalues()[i];
+      out.count += 1.0;
     }
-    return test.count > 0.0 ? test.deviate() : 0.0;
+    return out;
   }
 
   // The strongest push beyond what chance gives, from half a knot interval to a third of the window, in samples of the
   // log; none: of no samples. Through the gain it throws shadows on all the log, which are not told from other pushes.
   Disturbance strongest(double false_alarms) const {
-    const std::size_t n = blocks();
+    const std::size_t n = blocks_.size();
+    const std::size_t longest = n / 3;
+    const double density = noise_density();
+    const auto deviate = [&](std::size_t first, std::size_t last) {
+      const GroupStatistics t = test(first, last);
+      return t.count > 0.0 ? chi_square_deviate(t.sum_of_squares / density, t.count) : 0.0;
+    };
     Disturbance most;
     std::size_t looks = 0;
     const auto shortest = std::max<std::size_t>(1, n / static_cast<std::size_t>(2 * intervals_));
-    const std::size_t longest = n / 3;
     for (std::size_t length = shortest; length <= longest; length *= 2) {
       for (std::size_t k = 0; k + length <= n; k += std::max<std::size_t>(1, length / 4)) {
         const double z = deviate(k, k + length);
@@ -112,7 +114,7 @@ class PushScan {
     }
     if (looks == 0 || most.deviate < normal_quantile(false_alarms / static_cast<double>(looks))) return {};
     most = trimmed(most, n, [&](std::size_t first, std::size_t last) {
-      return last - first > longest ? 0.0 : deviate(first, last);
+      return first >= last || last - first > longest ? 0.0 : deviate(first, last);
     });
     return {blocks_[most.first].first, blocks_[most.last - 1].last, most.deviate};
   }
@@ -120,8 +122,36 @@ class PushScan {
  private:
   using ByMotion = Eigen::Matrix<double, kActive * kCoordinates, N, Eigen::RowMajor>;
 
+  static constexpr double margin = 1.5;       // on what colour adds
   static constexpr double settled = 1e-5;     // of a stretch's information, what far coefficients may add
   static constexpr double least_left = 0.01;  // of it, below which a push is not told from the motion
+
+  // Spectral density of the residuals over that of white noise of the stated size, or 1: what is coloured looks like
+  // pushes everywhere. The median of squared sums over runs shorter than a knot interval, which pushes here and there
+  // do not raise; what the motion has absorbed of it is covered by a margin.
+  double noise_density() const {
+    const std::size_t n = blocks_.size();
+    double largest = 1.0;
+    for (std::size_t run = 1; run * static_cast<std::size_t>(intervals_) <= n; run *= 2) {
+      std::vector<double> ratios;
+      for (std::size_t k = 0; k + run <= n; k += run) {
+        const Eigen::RowVectorXd sum = sums_.row(static_cast<Eigen::Index>(k + run)).head(2 * channels_) -
+                                       sums_.row(static_cast<Eigen::Index>(k)).head(2 * channels_);
+        GroupStatistics t;
+        for (int i = 0; i < channels_; ++i) {
+          if (sum[i] <= 0.0) continue;
+          t.sum_of_squares += sum[channels_ + i] * sum[channels_ + i] / sum[i];
+          t.count += 1.0;
+        }
+        if (t.count > 0.0) ratios.push_back(t.sum_of_squares / chi_square_at(0.0, t.count));
+      }
+      if (ratios.empty()) continue;
+      const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
+      std::nth_element(ratios.begin(), middle, ratios.end());
+      largest = std::max(largest, *middle);
+    }
+    return 1.0 + margin * (largest - 1.0);
+  }
 
   // A Hxx^-1 A^T of the derivatives A of the samples' sum, what the motion takes of its variance.
   Eigen::MatrixXd by_motion(std::size_t first, std::size_t last, double negligible) const {
