@@ -52,6 +52,12 @@ def settings_of(rng: np.random.Generator) -> tuple[Settings, str]:
     return settings, str(rng.choice(["sinusoids", "fourier"]))
 
 
+def wrench_push(rig: Rig, rng: np.random.Generator, gain: Array) -> Array:
+    """(n,) channels of a random wrench over their noise, 1 in the one that feels it most."""
+    push = gain @ (rig.sensor.range_array * rng.standard_normal(6)) / rig.sensor.noise_array
+    return np.asarray(push / np.abs(push).max())
+
+
 def contacts(log: Log, rig: Rig, rng: np.random.Generator, gain: Array) -> tuple[Log, Settings]:
     """1 to 5 pulses of 3 to 30 x noise and 50 ms to 2 s, on one channel or as a wrench on all."""
     raw, noise = log.raw.copy(), rig.sensor.noise_array
@@ -68,8 +74,7 @@ def contacts(log: Log, rig: Rig, rng: np.random.Generator, gain: Array) -> tuple
             push = np.zeros(rig.sensor.n)
             push[rng.integers(rig.sensor.n)] = rng.choice([-1.0, 1.0])
         else:
-            push = gain @ (rig.sensor.range_array * rng.standard_normal(6)) / noise
-            push /= np.abs(push).max()
+            push = wrench_push(rig, rng, gain)
         raw[inside] += size * shape[:, None] * push * noise
     return replace(log, raw=raw), {"size": size, "length": length}
 

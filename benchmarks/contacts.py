@@ -31,9 +31,7 @@ def run(shape: str, campaign: int, size: float, length: float, index: int) -> ru
     n = rig.sensor.n
     push = rng.choice([-1.0, 1.0], n)
     if shape == "wrench":
-        push = simulated.truth.gain @ (rig.sensor.range_array * rng.standard_normal(6))
-        push /= rig.sensor.noise_array
-        push /= np.abs(push).max()
+        push = confident.wrench_push(rig, rng, simulated.truth.gain)
     if shape == "one channel":
         push *= np.arange(n) == rng.integers(n)
     begin = rng.uniform(log.time[0], log.time[-1] - length)

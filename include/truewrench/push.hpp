@@ -42,8 +42,8 @@ class PushScan {
       const MotionState state = b.state(xi);
       const Vector6 w = at.wrench_of(state, b.spread);
       const ChannelMatrix<N> by_twist = at.raw_by_twist(state.nu);
-      const ChannelVector<N> weight =
-          b.weight.cwiseProduct(sigma);  // of the block's mean, in a sum over samples
+      // Of the block's mean, in a sum over its samples.
+      const ChannelVector<N> weight = b.weight.cwiseProduct(sigma);
       const WrenchTerms<N> terms(at, b, by_twist);
       ByMotion by_motion = ByMotion::Zero(kActive * kCoordinates, channels_);
       for (std::size_t t = 0; t < static_cast<std::size_t>(terms.count); ++t) {
@@ -67,7 +67,7 @@ class PushScan {
     }
   }
 
-  // Decrease of the cost by the push that explains blocks [first, last) of samples best.
+  // Decrease of the cost by the push that explains blocks [first, last) of samples best, and its degrees of freedom.
   GroupStatistics test(std::size_t first, std::size_t last) const {
     const Eigen::RowVectorXd sum =
         sums_.row(static_cast<Eigen::Index>(last)) - sums_.row(static_cast<Eigen::Index>(first));
@@ -114,7 +114,7 @@ class PushScan {
     }
     if (looks == 0 || most.deviate < normal_quantile(false_alarms / static_cast<double>(looks))) return {};
     most = trimmed(most, n, [&](std::size_t first, std::size_t last) {
-      return first >= last || last - first > longest ? 0.0 : deviate(first, last);
+      return last - first > longest ? 0.0 : deviate(first, last);
     });
     return {blocks_[most.first].first, blocks_[most.last - 1].last, most.deviate};
   }
@@ -181,8 +181,8 @@ class PushScan {
   // Sums over the samples of the blocks before k, residuals and derivatives over their sigma: samples per channel; the
   // residuals and their derivatives by the common parameters, both with the motion following.
   RowMatrix sums_;
-  std::vector<ByMotion>
-      by_motion_;  // sums over a block's samples of the derivatives by its active coefficients
+  // Sums over a block's samples of the derivatives by its active coefficients.
+  std::vector<ByMotion> by_motion_;
 };
 
 }  // namespace truewrench
