@@ -192,6 +192,7 @@ void bind_estimator(nb::module_& m) {
       .def_rw("tolerance", &KnotSettings::tolerance)
       .def_rw("max_levels", &KnotSettings::max_levels)
       .def_rw("false_disturbances", &KnotSettings::false_disturbances)
+      .def_rw("false_pushes", &KnotSettings::false_pushes)
       .def_rw("disturbance_price", &KnotSettings::disturbance_price)
       .def_rw("hopeless_sigma", &KnotSettings::hopeless_sigma)
       .def_rw("hopeless_share", &KnotSettings::hopeless_share)

@@ -24,6 +24,25 @@ struct Disturbance {
   double deviate = 0.0;
 };
 
+// What a constant shift of a stretch's samples would explain: by all components together and by the one that shows it
+// most, in squares that are chi-square where there is none.
+struct ShiftTest {
+  int components = 0;
+  double sum_of_squares = 0.0;
+  double largest = 0.0;
+
+  void add(double square) {
+    ++components;
+    sum_of_squares += square;
+    largest = std::max(largest, square);
+  }
+  // `density`: what noise makes of every square.
+  double deviate(double density = 1.0) const {
+    if (components == 0) return 0.0;
+    return std::max(chi_square_deviate(sum_of_squares / density, components), std::sqrt(largest / density));
+  }
+};
+
 // Both ends moved to where `deviate(first, last)` of a series of so many samples is largest.
 template <typename Deviate>
 Disturbance trimmed(Disturbance d, std::size_t samples, const Deviate& deviate) {
@@ -74,9 +93,8 @@ class DisturbanceScan {
   // alone; or of the sum of squares.
   double deviate(std::size_t first, std::size_t last, bool of_means) const {
     const Sums s = sums(first, last);
-    if (s.components == 0) return 0.0;
-    if (!of_means) return chi_square_deviate(s.squares, s.count);
-    return std::max(chi_square_deviate(s.means, s.components), std::sqrt(s.largest));
+    if (of_means) return s.means.deviate();
+    return s.count > 0.0 ? chi_square_deviate(s.squares, s.count) : 0.0;
   }
 
   // Stretches beyond what chance gives, the strongest first. The motion bends towards a disturbance and throws the
@@ -89,9 +107,7 @@ class DisturbanceScan {
 
  private:
   struct Sums {
-    int components = 0;  // that have samples
-    double means = 0.0;  // squared means over their variance, summed
-    double largest = 0.0;
+    ShiftTest means;  // squared, over their variance
     double squares = 0.0;
     double count = 0.0;
   };
@@ -104,11 +120,8 @@ class DisturbanceScan {
     for (Eigen::Index c = 0; c < n; ++c) {
       const double k = b[n + c] - a[n + c];
       if (k < 0.5) continue;
-      const double shift = (b[c] - a[c]) * (b[c] - a[c]) / k;
-      ++s.components;
-      s.means += shift;
+      s.means.add((b[c] - a[c]) * (b[c] - a[c]) / k);
       s.count += k;
-      s.largest = std::max(s.largest, shift);
     }
     s.squares = b[2 * n] - a[2 * n];
     return s;
@@ -123,9 +136,10 @@ class DisturbanceScan {
     std::vector<double> limits{0.0};  // of the squared means of so many components
     for (int c = 1; c <= components_; ++c) limits.push_back(chi_square_at(limit, c));
     const auto beyond = [&](const Sums& s) {
-      if (s.components == 0) return false;
+      if (s.means.components == 0) return false;
       if (!of_means) return s.squares > chi_square_at(limit, s.count);
-      return s.means > limits[static_cast<std::size_t>(s.components)] || s.largest > limit * limit;
+      return s.means.sum_of_squares > limits[static_cast<std::size_t>(s.means.components)] ||
+             s.means.largest > limit * limit;
     };
     std::vector<Disturbance> found;
     for (std::size_t length = 1; length <= std::max<std::size_t>(longest, 1); length *= 2) {

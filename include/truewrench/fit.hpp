@@ -20,6 +20,7 @@ struct KnotSettings {
   double tolerance = 1e-3;  // remaining decrease of the cost (chi-square units) that counts as converged
   int max_levels = 30;
   double false_disturbances = 0.01;  // disturbances found by chance in a window without any
+  double false_pushes = 0.05;        // the same of those that motion and gain have taken up
   double disturbance_price = 40;     // decrease of the cost (chi-square units) that one must be worth
   double hopeless_sigma = 2;         // residuals of an interval that do not fit; where more intervals than
   double hopeless_share = 0.9;       // this share do not, disturbances are not looked for

@@ -112,7 +112,7 @@ class WindowSolver {
     build(blocks_, window, fit.spline, fit.theta, fit.assigned_at);
     normal_.assemble(model_, blocks_, fit.spline, fit.x, fit.theta, Terms::all, true);
     if (normal_.reduce() != Status::ok) return {};
-    return PushScan<N>(model_, fit, blocks_, normal_, covariance).strongest(settings_.false_disturbances);
+    return PushScan<N>(model_, fit, blocks_, normal_, covariance).strongest(settings_.false_pushes);
   }
   void leave_out(const Disturbance& push) const { gating_.leave_out(push); }
 

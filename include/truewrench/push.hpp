@@ -67,8 +67,8 @@ class PushScan {
     }
   }
 
-  // Decrease of the cost by the push that explains blocks [first, last) of samples best, and its degrees of freedom.
-  GroupStatistics test(std::size_t first, std::size_t last) const {
+  // Decrease of the cost by the push that explains blocks [first, last) of samples best, on all channels or on one.
+  ShiftTest test(std::size_t first, std::size_t last) const {
     const Eigen::RowVectorXd sum =
         sums_.row(static_cast<Eigen::Index>(last)) - sums_.row(static_cast<Eigen::Index>(first));
     const ChannelVector<N> count = sum.head(channels_).transpose();
@@ -81,35 +81,37 @@ class PushScan {
     const Eigen::MatrixXd left = Eigen::MatrixXd(count.cwiseProduct(scale.cwiseAbs2()).asDiagonal()) -
                                  scale.asDiagonal() * taken * scale.asDiagonal();
     const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(left);
-    const Eigen::VectorXd z =
-        eigen.eigenvectors().transpose() * sum.segment(channels_, channels_).transpose().cwiseProduct(scale);
-    GroupStatistics out;
+    const Eigen::VectorXd u = sum.segment(channels_, channels_).transpose().cwiseProduct(scale);
+    const Eigen::VectorXd z = eigen.eigenvectors().transpose() * u;
+    ShiftTest out;
     for (int i = 0; i < channels_; ++i) {
       if (eigen.eigenvalues()[i] < least_left) continue;
+      ++out.components;
       out.sum_of_squares += z[i] * z[i] / eigen.eigenvalues()[i];
-      out.count += 1.0;
+    }
+    for (int i = 0; i < channels_; ++i) {
+      if (left(i, i) >= least_left) out.largest = std::max(out.largest, u[i] * u[i] / left(i, i));
     }
     return out;
   }
 
-  // The strongest push beyond what chance gives, from half a knot interval to a third of the window, in samples of the
-  // log; none: of no samples. Through the gain it throws shadows on all the log, which are not told from other pushes.
+  // The strongest push beyond what chance gives, from a sixth of a knot interval to a third of the window, in samples of
+  // the log; none: of no samples. Through the gain it throws shadows on all the log, which are not told from other pushes.
   Disturbance strongest(double false_alarms) const {
     const std::size_t n = blocks_.size();
     const std::size_t longest = n / 3;
     const double density = noise_density();
     const auto deviate = [&](std::size_t first, std::size_t last) {
-      const GroupStatistics t = test(first, last);
-      return t.count > 0.0 ? chi_square_deviate(t.sum_of_squares / density, t.count) : 0.0;
+      return test(first, last).deviate(density);
     };
     Disturbance most;
     std::size_t looks = 0;
-    const auto shortest = std::max<std::size_t>(1, n / static_cast<std::size_t>(2 * intervals_));
+    const auto shortest = std::max<std::size_t>(1, n / static_cast<std::size_t>(6 * intervals_));
     for (std::size_t length = shortest; length <= longest; length *= 2) {
       for (std::size_t k = 0; k + length <= n; k += std::max<std::size_t>(1, length / 4)) {
         const double z = deviate(k, k + length);
         if (z > most.deviate) most = {k, k + length, z};
-        ++looks;
+        looks += 1 + 2 * static_cast<std::size_t>(channels_);  // one channel's push has a sign
       }
     }
     if (looks == 0 || most.deviate < normal_quantile(false_alarms / static_cast<double>(looks))) return {};
@@ -137,13 +139,11 @@ class PushScan {
       for (std::size_t k = 0; k + run <= n; k += run) {
         const Eigen::RowVectorXd sum = sums_.row(static_cast<Eigen::Index>(k + run)).head(2 * channels_) -
                                        sums_.row(static_cast<Eigen::Index>(k)).head(2 * channels_);
-        GroupStatistics t;
+        ShiftTest t;
         for (int i = 0; i < channels_; ++i) {
-          if (sum[i] <= 0.0) continue;
-          t.sum_of_squares += sum[channels_ + i] * sum[channels_ + i] / sum[i];
-          t.count += 1.0;
+          if (sum[i] > 0.0) t.add(sum[channels_ + i] * sum[channels_ + i] / sum[i]);
         }
-        if (t.count > 0.0) ratios.push_back(t.sum_of_squares / chi_square_at(0.0, t.count));
+        if (t.components > 0) ratios.push_back(t.sum_of_squares / chi_square_at(0.0, t.components));
       }
       if (ratios.empty()) continue;
       const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);

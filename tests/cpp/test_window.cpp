@@ -8,6 +8,8 @@
 
 #include <gtest/gtest.h>
 
+#include <numeric>
+
 namespace truewrench {
 namespace {
 
@@ -287,8 +289,8 @@ TEST(WindowNormal, StudentsNoiseWeighsTheSensorAlone) {
   expect_dense_normal_equations<Eigen::Dynamic>(Scene(8, true), 1e2, 1.0);
 }
 
-// What a constant push of samples [first, last) lowers the dense cost by, with a unit prior on the common parameters whose
-// optimum they are; and the degrees of freedom of that.
+// What a constant push of samples [first, last), on all channels or on one, lowers the dense cost by, with a unit prior on
+// the common parameters whose optimum they are.
 template <int N>
 void expect_dense_push(const Scene& scene, std::size_t first, std::size_t last, double rounding = 1.0) {
   const LogData data = scene.data();
@@ -322,11 +324,17 @@ void expect_dense_push(const Scene& scene, std::size_t first, std::size_t last, 
   h.block(m, m, p, p) += prior;
   Eigen::VectorXd g = -j.transpose() * r;
   g.segment(m, p) -= normal.score();  // what the prior pulls
-  const auto decrease = [&](Eigen::Index unknowns) {
-    const Eigen::VectorXd s = h.topLeftCorner(unknowns, unknowns).ldlt().solve(g.head(unknowns));
-    return g.head(unknowns).dot(s);
+  const auto decrease = [&](Eigen::Index at, Eigen::Index channels) {
+    std::vector<Eigen::Index> unknowns(static_cast<std::size_t>(m + p));
+    std::iota(unknowns.begin(), unknowns.end(), 0);
+    for (Eigen::Index c = 0; c < channels; ++c) unknowns.push_back(m + p + at + c);
+    const Eigen::VectorXd of = g(unknowns);
+    return of.dot(h(unknowns, unknowns).ldlt().solve(of));
   };
-  const double expected = decrease(m + p + n) - decrease(m + p);
+  const double without = decrease(0, 0);
+  const double expected = decrease(0, n) - without;
+  double largest = 0.0;
+  for (Eigen::Index c = 0; c < n; ++c) largest = std::max(largest, decrease(c, 1) - without);
 
   const PushScan<N> scan(model, fit, blocks, normal, covariance);
   const auto block = [&](std::size_t sample) {  // the first that does not lie before it
@@ -334,9 +342,10 @@ void expect_dense_push(const Scene& scene, std::size_t first, std::size_t last, 
     while (b < blocks.wrench.size() && blocks.wrench[b].first < sample) ++b;
     return b;
   };
-  const GroupStatistics found = scan.test(block(first), block(last));
-  EXPECT_EQ(found.count, static_cast<double>(n));
+  const ShiftTest found = scan.test(block(first), block(last));
+  EXPECT_EQ(found.components, n);
   EXPECT_NEAR(found.sum_of_squares / expected, 1.0, 1e-8 * rounding);
+  EXPECT_NEAR(found.largest / largest, 1.0, 1e-8 * rounding);
 }
 
 TEST(PushScan, DecreaseOfTheCostIsThatOfTheDenseProblem) {
