@@ -21,6 +21,8 @@ struct EstimatorSettings {
   double disregard = 1e12;  // times its variance, a sensor's noise that leaves the motion to the velocities
   double believe = 10.0;    // by which the variance of a sensor that does not fit yet is lowered at a time
   double freedom = 4.0;     // of Student's t, as which its noise is taken until then, against contacts
+  double few_rejected = 0.02;  // of the samples, in windows that are not worth another search
+  double longest_window = 8;   // times that of `map`, where the gain depends on its length
   int max_rounds = 6;
   int max_pushes = 20;  // times that pushes are left out which the gain had taken up,
   double shadow = 0.7;  // all that are this share of the strongest: others may be what it does to the gain

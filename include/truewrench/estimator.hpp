@@ -41,7 +41,7 @@ class Estimator {
     // Windows linearised at different gains disagree about which change of the gain a change of the payload
     // undoes, and together would claim to know the payload: all of them are taken to the final gain.
     if (out.status == Status::ok && (reconsider(items, out.posterior) || prior_.layout.payload)) {
-      settle(out, items, coarse, fine);
+      settle(out, items, coarse, fine, settings_.tolerance);
       leave_out_pushes(out, items, coarse, fine);
     }
     if (out.status == Status::ok) out.window_dependence = doubled(items, out.posterior);
@@ -157,9 +157,10 @@ class Estimator {
       share(out, items, spacing, intervals);
       if (out.status != Status::ok) break;
       out.window_dependence = doubled(items, out.posterior);
-      if (out.window_dependence < settings_.dependence_sigma ||
-          intervals >= 8 * settings_.map_window_intervals)
-        break;
+      // It falls about as the root of their length.
+      const double longer = settings_.longest_window * settings_.map_window_intervals / intervals;
+      const bool depends = out.window_dependence >= settings_.dependence_sigma;
+      if (!depends || out.window_dependence >= settings_.dependence_sigma * std::sqrt(longer)) break;
     }
     prepare_wrench(out);
     if (out.status == Status::ok) predict(items, out);
@@ -197,8 +198,8 @@ class Estimator {
 
   // The common parameters on all windows with their knots held, and the verdict on every window there.
   void settle(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
-              std::vector<InformationSum>& fine) {
-    out.converged = iterate(items, out, coarse, settings_.tolerance);
+              std::vector<InformationSum>& fine, double tolerance) {
+    out.converged = iterate(items, out, coarse, tolerance);
     if (out.status != Status::ok) return;
     review(items, out.posterior.mean);
     sum(items, coarse, fine);
@@ -226,26 +227,35 @@ class Estimator {
     return std::any_of(changed.begin(), changed.end(), [](char c) { return c != 0; });
   }
 
-  // Leaves out the strongest pushes that the gain has taken up, and settles anew, until there are none.
+  // Leaves out the strongest pushes that the gain has taken up, and settles anew, until there are none. Windows without
+  // any are asked again last.
   void leave_out_pushes(Estimate& out, std::vector<Item>& items, std::vector<InformationSum>& coarse,
                         std::vector<InformationSum>& fine) {
-    for (int i = 0; i < settings_.max_pushes && out.status == Status::ok; ++i) {
-      std::vector<Disturbance> pushes(items.size());
+    bool any = false, all = true;
+    std::vector<Disturbance> pushes(items.size());
+    for (int rounds = 0; rounds < settings_.max_pushes && out.status == Status::ok;) {
       parallel_for(items.size(), settings_.threads, [&](std::size_t k) {
         const Item& item = items[k];
+        if (!all && pushes[k].deviate == 0.0) return;
+        pushes[k] = {};
         if (item.fit.status != WindowStatus::fitted) return;
         pushes[k] = WindowSolver<N>(models_[item.log], settings_.knots)
                         .push(item.fit, item.range, out.posterior.covariance[item.log]);
       });
       double most = 0.0;
       for (const Disturbance& p : pushes) most = std::max(most, p.deviate);
-      if (most == 0.0) return;
+      if (most == 0.0 && all) break;
+      all = most == 0.0;
+      if (all) continue;
       for (std::size_t k = 0; k < items.size(); ++k) {
         if (pushes[k].deviate < settings_.shadow * most) continue;
         WindowSolver<N>(models_[items[k].log], settings_.knots).leave_out(pushes[k]);
       }
-      settle(out, items, coarse, fine);
+      settle(out, items, coarse, fine, settings_.settled);
+      any = true;
+      ++rounds;
     }
+    if (any && out.status == Status::ok) settle(out, items, coarse, fine, settings_.tolerance);
   }
 
   // `map` on windows of about so many knot intervals: knots at the gain of the pass before, then the gain on all of
@@ -258,12 +268,11 @@ class Estimator {
       if (search_again) {  // windows that fit stay as they are, unless the gain is another
         items = lay_out(spacing, intervals, out.posterior, far ? std::vector<Item>{} : std::move(items));
       }
-      settle(out, items, coarse, fine);
+      settle(out, items, coarse, fine, settings_.tolerance);
       if (out.status != Status::ok) return;
       // A window searched at a poor gain bends its knots to it, or is rejected.
-      const bool rejected = std::any_of(items.begin(), items.end(), [](const Item& i) {
-        return i.fit.status != WindowStatus::fitted && i.fit.status != WindowStatus::too_short;
-      });
+      const auto [fitted, all] = fitted_samples(out.windows);
+      const bool rejected = all - fitted > settings_.few_rejected * all;
       const double by = moved(before, out.posterior);
       far = by > prior_.layout.size();
       search_again = far || ((round == 0 || rejected) && by > 0.1);

@@ -9,6 +9,7 @@
 #include "truewrench/fit.hpp"
 #include "truewrench/window.hpp"
 
+#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
 #include <algorithm>
@@ -26,71 +27,79 @@ class PushScan {
   PushScan(const WindowModel<N>& model, const WindowFit& fit, const Blocks<N>& blocks,
            const WindowNormal<N>& normal, const Eigen::MatrixXd& covariance)
       : blocks_(blocks.wrench),
-        factor_(normal.factor()),
-        covariance_(covariance),
         channels_(model.layout().channels),
-        intervals_(fit.spline.intervals()) {
+        taken_(static_cast<std::size_t>(fit.spline.intervals())) {
     const auto p = covariance.rows();
+    const auto n = static_cast<Eigen::Index>(blocks_.size());
     RowMatrix solved = normal.reduced();  // Hxx^-1 [Hxt, gx]
-    factor_.solve_backward(solved);
+    normal.factor().solve_backward(solved);
     const WindowModelAt<N> at(model, fit.theta);
     const ChannelVector<N> sigma = model.precision().cwiseInverse();
-    sums_.setZero(static_cast<Eigen::Index>(blocks_.size()) + 1, channels_ * (2 + p));
-    for (std::size_t k = 0; k < blocks_.size(); ++k) {
-      const WrenchBlock<N>& b = blocks_[k];
+    counts_.setZero(n + 1, channels_);
+    residuals_.setZero(n + 1, channels_);
+    by_common_.setZero((n + 1) * channels_, p);
+    std::vector<ByMotion> by_motion;  // of the samples of one interval before the end of each of its blocks
+    for (Eigen::Index k = 0; k < n; ++k) {
+      const WrenchBlock<N>& b = blocks_[static_cast<std::size_t>(k)];
       const auto xi = fit.x.template middleRows<kActive>(b.interval);
       const MotionState state = b.state(xi);
       const Vector6 w = at.wrench_of(state, b.spread);
       const ChannelMatrix<N> by_twist = at.raw_by_twist(state.nu);
       // Of the block's mean, in a sum over its samples.
       const ChannelVector<N> weight = b.weight.cwiseProduct(sigma);
-      const WrenchTerms<N> terms(at, b, by_twist);
-      ByMotion by_motion = ByMotion::Zero(kActive * kCoordinates, channels_);
-      for (std::size_t t = 0; t < static_cast<std::size_t>(terms.count); ++t) {
-        const ChannelMatrix<N> weighted = weight.asDiagonal() * terms.by[t];
-        for (int a = 0; a < kActive; ++a) {
-          by_motion.template middleRows<kCoordinates>(kCoordinates * a) +=
-              (*terms.basis[t])[a] * weighted.transpose();
-        }
-      }
+      const ByMotion a = derivative(WrenchTerms<N>(at, b, by_twist), weight);
       const auto taken = solved.template middleRows<kActive * kCoordinates>(kCoordinates * b.interval);
-      auto sum = sums_.row(static_cast<Eigen::Index>(k) + 1);
-      sum = sums_.row(static_cast<Eigen::Index>(k));
-      sum.head(channels_) += b.weight.cwiseProduct(sigma.cwiseAbs2()).transpose();
-      sum.segment(channels_, channels_) +=
-          (weight.cwiseProduct(b.raw - at.raw_of(w, b.temperature)) - by_motion.transpose() * taken.col(p))
-              .transpose();
-      Eigen::Map<RowMatrix>(sum.data() + 2 * channels_, channels_, p) +=
-          weight.asDiagonal() * at.raw_by_parameters(state, w, b.temperature, by_twist, b.jerk(xi)) -
-          by_motion.transpose() * taken.leftCols(p);
-      by_motion_.push_back(by_motion);
+      counts_.row(k + 1) = counts_.row(k) + b.weight.cwiseProduct(sigma.cwiseAbs2()).transpose();
+      residuals_.row(k + 1) = residuals_.row(k) - taken.col(p).transpose() * a;
+      residuals_.row(k + 1) += weight.cwiseProduct(b.raw - at.raw_of(w, b.temperature)).transpose();
+      auto common = by_common_.middleRows((k + 1) * channels_, channels_);
+      common = by_common_.middleRows(k * channels_, channels_);
+      common.noalias() -= a.transpose() * taken.leftCols(p);
+      common += weight.asDiagonal() * at.raw_by_parameters(state, w, b.temperature, by_twist, b.jerk(xi));
+      by_motion.push_back(by_motion.empty() ? a : ByMotion(by_motion.back() + a));
+      if (k + 1 == n || blocks_[static_cast<std::size_t>(k) + 1].interval != b.interval) {
+        const auto first = static_cast<std::size_t>(k + 1) - by_motion.size();
+        const double count = (counts_.row(k + 1) - counts_.row(static_cast<Eigen::Index>(first))).sum();
+        taken_[static_cast<std::size_t>(b.interval)] = {
+            first, by_motion.size(), followed(normal.factor(), b.interval, by_motion, settled * count)};
+        by_motion.clear();
+      }
     }
+    by_covariance_.noalias() = by_common_ * covariance;
   }
 
   // Decrease of the cost by the push that explains blocks [first, last) of samples best, on all channels or on one.
   ShiftTest test(std::size_t first, std::size_t last) const {
-    const Eigen::RowVectorXd sum =
-        sums_.row(static_cast<Eigen::Index>(last)) - sums_.row(static_cast<Eigen::Index>(first));
-    const ChannelVector<N> count = sum.head(channels_).transpose();
-    const Eigen::Map<const RowMatrix> by_common(sum.data() + 2 * channels_, channels_, covariance_.rows());
-    const Eigen::MatrixXd taken =
-        by_motion(first, last, settled * count.sum()) + by_common * covariance_ * by_common.transpose();
+    const auto f = static_cast<Eigen::Index>(first), l = static_cast<Eigen::Index>(last);
+    const ChannelVector<N> count = (counts_.row(l) - counts_.row(f)).transpose();
+    const auto of = [&](const RowMatrix& sums) -> Common {
+      return sums.middleRows(l * channels_, channels_) - sums.middleRows(f * channels_, channels_);
+    };
+    Square left = of(by_covariance_) * of(by_common_).transpose();
+    add_by_motion(first, last, left);
     // V over the samples' own noise (M14b).
     const ChannelVector<N> scale =
         count.unaryExpr([](double c) { return c > 0.0 ? 1.0 / std::sqrt(c) : 0.0; });
-    const Eigen::MatrixXd left = Eigen::MatrixXd(count.cwiseProduct(scale.cwiseAbs2()).asDiagonal()) -
-                                 scale.asDiagonal() * taken * scale.asDiagonal();
-    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(left);
-    const Eigen::VectorXd u = sum.segment(channels_, channels_).transpose().cwiseProduct(scale);
-    const Eigen::VectorXd z = eigen.eigenvectors().transpose() * u;
+    left = -(scale.asDiagonal() * left * scale.asDiagonal()).eval();
+    left.diagonal() += count.cwiseProduct(scale.cwiseAbs2());
+    const ChannelVector<N> u = (residuals_.row(l) - residuals_.row(f)).transpose().cwiseProduct(scale);
     ShiftTest out;
+    for (int i = 0; i < channels_; ++i) {
+      if (left(i, i) >= least_left) out.largest = std::max(out.largest, u[i] * u[i] / left(i, i));
+    }
+    // No eigenvalue exceeds 1, so none is less than their product.
+    const Eigen::LLT<Square> llt(left);
+    if (llt.info() == Eigen::Success && llt.matrixLLT().diagonal().prod() > std::sqrt(least_left)) {
+      out.components = channels_;
+      out.sum_of_squares = llt.matrixL().solve(u).squaredNorm();
+      return out;
+    }
+    const Eigen::SelfAdjointEigenSolver<Square> eigen(left);
+    const ChannelVector<N> z = eigen.eigenvectors().transpose() * u;
     for (int i = 0; i < channels_; ++i) {
       if (eigen.eigenvalues()[i] < least_left) continue;
       ++out.components;
       out.sum_of_squares += z[i] * z[i] / eigen.eigenvalues()[i];
-    }
-    for (int i = 0; i < channels_; ++i) {
-      if (left(i, i) >= least_left) out.largest = std::max(out.largest, u[i] * u[i] / left(i, i));
     }
     return out;
   }
@@ -106,7 +115,7 @@ class PushScan {
     };
     Disturbance most;
     std::size_t looks = 0;
-    const auto shortest = std::max<std::size_t>(1, n / static_cast<std::size_t>(6 * intervals_));
+    const auto shortest = std::max<std::size_t>(1, n / (6 * taken_.size()));
     for (std::size_t length = shortest; length <= longest; length *= 2) {
       for (std::size_t k = 0; k + length <= n; k += std::max<std::size_t>(1, length / 4)) {
         const double z = deviate(k, k + length);
@@ -123,6 +132,17 @@ class PushScan {
 
  private:
   using ByMotion = Eigen::Matrix<double, kActive * kCoordinates, N, Eigen::RowMajor>;
+  using Common = Eigen::Matrix<double, N, Eigen::Dynamic, Eigen::RowMajor>;
+  using RowsOfChannels = Eigen::Matrix<double, Eigen::Dynamic, N, Eigen::RowMajor>;
+  using Square = Eigen::Matrix<double, N, N>;
+
+  // L^-1 A^T of an interval, A the derivatives by the motion summed over its samples before the end of each block: rows
+  // of the coefficients from its first active one to where they no longer matter, the blocks side by side.
+  struct Taken {
+    std::size_t first = 0;  // block
+    std::size_t blocks = 0;
+    RowMatrix by_motion;
+  };
 
   static constexpr double margin = 1.5;       // on what colour adds
   static constexpr double settled = 1e-5;     // of a stretch's information, what far coefficients may add
@@ -134,14 +154,15 @@ class PushScan {
   double noise_density() const {
     const std::size_t n = blocks_.size();
     double largest = 1.0;
-    for (std::size_t run = 1; run * static_cast<std::size_t>(intervals_) <= n; run *= 2) {
+    for (std::size_t run = 1; run * taken_.size() <= n; run *= 2) {
       std::vector<double> ratios;
       for (std::size_t k = 0; k + run <= n; k += run) {
-        const Eigen::RowVectorXd sum = sums_.row(static_cast<Eigen::Index>(k + run)).head(2 * channels_) -
-                                       sums_.row(static_cast<Eigen::Index>(k)).head(2 * channels_);
+        const auto f = static_cast<Eigen::Index>(k), l = static_cast<Eigen::Index>(k + run);
         ShiftTest t;
         for (int i = 0; i < channels_; ++i) {
-          if (sum[i] > 0.0) t.add(sum[channels_ + i] * sum[channels_ + i] / sum[i]);
+          const double sum = residuals_(l, i) - residuals_(f, i);
+          const double count = counts_(l, i) - counts_(f, i);
+          if (count > 0.0) t.add(sum * sum / count);
         }
         if (t.components > 0) ratios.push_back(t.sum_of_squares / chi_square_at(0.0, t.components));
       }
@@ -153,36 +174,75 @@ class PushScan {
     return 1.0 + margin * (largest - 1.0);
   }
 
-  // A Hxx^-1 A^T of the derivatives A of the samples' sum, what the motion takes of its variance.
-  Eigen::MatrixXd by_motion(std::size_t first, std::size_t last, double negligible) const {
-    const int from = blocks_[first].interval;
-    const int behind = blocks_[last - 1].interval + kActive;  // coefficients that do not act on the stretch
-    RowMatrix y = RowMatrix::Zero(kCoordinates * (factor_.blocks() - from), channels_);
-    for (std::size_t k = first; k < last; ++k) {
-      y.template middleRows<kActive * kCoordinates>(kCoordinates * (blocks_[k].interval - from)) +=
-          by_motion_[k];
+  // Derivative of a block's weighted sum by the coefficients that act on it.
+  ByMotion derivative(const WrenchTerms<N>& terms, const ChannelVector<N>& weight) const {
+    ByMotion out = ByMotion::Zero(kActive * kCoordinates, channels_);
+    for (std::size_t t = 0; t < static_cast<std::size_t>(terms.count); ++t) {
+      const ChannelMatrix<N> weighted = weight.asDiagonal() * terms.by[t];
+      for (int a = 0; a < kActive; ++a) {
+        out.template middleRows<kCoordinates>(kCoordinates * a) +=
+            (*terms.basis[t])[a] * weighted.transpose();
+      }
     }
-    Eigen::MatrixXd taken = Eigen::MatrixXd::Zero(channels_, channels_);
-    int quiet = 0;
-    for (int j = from; j < factor_.blocks() && quiet < kActive; ++j) {
-      factor_.forward_row(y, j, from);
-      const auto row = y.template middleRows<kCoordinates>(kCoordinates * (j - from));
-      taken.noalias() += row.transpose() * row;
-      if (j >= behind) quiet = row.squaredNorm() < negligible ? quiet + 1 : 0;
+    return out;
+  }
+
+  // See Taken. Far coefficients are left out once those of a whole degree together add less than `negligible`.
+  RowMatrix followed(const MotionNormal& factor, int interval, const std::vector<ByMotion>& by_motion,
+                     double negligible) const {
+    const auto columns = static_cast<Eigen::Index>(by_motion.size()) * channels_;
+    RowMatrix y(kActive * kCoordinates, columns);
+    for (std::size_t k = 0; k < by_motion.size(); ++k) {
+      y.middleCols(static_cast<Eigen::Index>(k) * channels_, channels_) = by_motion[k];
     }
-    return taken;
+    int row = 0;
+    for (int quiet = 0; interval + row < factor.blocks() && quiet < kActive; ++row) {
+      if (kCoordinates * row == y.rows()) {
+        y.conservativeResize(2 * y.rows(), Eigen::NoChange);
+        y.bottomRows(y.rows() / 2).setZero();
+      }
+      factor.forward_row(y, interval + row, interval);
+      const auto all = y.block(kCoordinates * row, columns - channels_, kCoordinates, channels_);
+      if (row >= kActive) quiet = all.squaredNorm() < negligible ? quiet + 1 : 0;
+    }
+    y.conservativeResize(kCoordinates * row, Eigen::NoChange);
+    return y;
+  }
+
+  // A Hxx^-1 A^T of blocks [first, last), what the motion takes of their variance.
+  void add_by_motion(std::size_t first, std::size_t last, Square& sum) const {
+    const int from = blocks_[first].interval, to = blocks_[last - 1].interval;
+    Eigen::Index rows = 0;
+    for (int i = from; i <= to; ++i) {
+      rows = std::max(rows, kCoordinates * (i - from) + taken_[static_cast<std::size_t>(i)].by_motion.rows());
+    }
+    RowsOfChannels y = RowsOfChannels::Zero(rows, channels_);
+    for (int i = from; i <= to; ++i) {
+      const Taken& t = taken_[static_cast<std::size_t>(i)];
+      if (t.blocks == 0) continue;
+      const auto before = [&](std::size_t block) {  // of a block of the interval or behind it
+        return t.by_motion.middleCols(
+            static_cast<Eigen::Index>(std::min(block - t.first, t.blocks) - 1) * channels_, channels_);
+      };
+      auto of = y.middleRows(kCoordinates * (i - from), t.by_motion.rows());
+      of += before(last);
+      if (first > t.first) of -= before(first);
+    }
+    for (Eigen::Index r = 0; r < rows; r += kCoordinates) {
+      const auto row = y.template middleRows<kCoordinates>(r);
+      sum.noalias() += row.transpose().lazyProduct(row);
+    }
   }
 
   const std::vector<WrenchBlock<N>>& blocks_;
-  const MotionNormal& factor_;
-  const Eigen::MatrixXd& covariance_;
   int channels_;
-  int intervals_;
-  // Sums over the samples of the blocks before k, residuals and derivatives over their sigma: samples per channel; the
-  // residuals and their derivatives by the common parameters, both with the motion following.
-  RowMatrix sums_;
-  // Sums over a block's samples of the derivatives by its active coefficients.
-  std::vector<ByMotion> by_motion_;
+  std::vector<Taken> taken_;  // per interval
+  // Sums over the samples of the blocks before k, over their sigma: samples per channel; the residuals and their
+  // derivatives by the common parameters, both with the motion following; the latter times the parameters' covariance.
+  RowMatrix counts_;
+  RowMatrix residuals_;
+  RowMatrix by_common_;
+  RowMatrix by_covariance_;
 };
 
 }  // namespace truewrench
