@@ -285,12 +285,13 @@ def main() -> None:
     parser = runs.arguments(__doc__, runs=1000)
     parser.add_argument("--samples", type=int, default=400_000, help="of the longest log")
     parser.add_argument("--full", action="store_true", help="no limit on samples")
+    parser.add_argument("--seconds", type=float, default=0.0, help="limit of a run; a longer one is a fault")
     parser.add_argument("--estimator", default="map")
     options = parser.parse_args()
     samples = 10**9 if options.full else options.samples
     work = partial(run, options.seed, samples, options.estimator)
     settings = ["grid", options.seed, samples, options.estimator]
-    report(runs.gather(work, range(options.runs), options.out, options.workers, settings))
+    report(runs.gather(work, range(options.runs), options.out, options.workers, settings, options.seconds))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import signal
 import time
 import traceback
 from collections import Counter
@@ -53,7 +54,12 @@ def arguments(description: str | None, *, runs: int) -> argparse.ArgumentParser:
 
 
 def gather(
-    function: Callable[[int], Row], indices: Sequence[int], out: Path | None, workers: int, settings: Any
+    function: Callable[[int], Row],
+    indices: Sequence[int],
+    out: Path | None,
+    workers: int,
+    settings: Any,
+    seconds: float = 0.0,
 ) -> list[Row]:
     """Rows of `function(index)` in the order of the indices; on disk as they come, and from there if present.
 
@@ -64,6 +70,7 @@ def gather(
         workers: processes.
         settings: what the rows depend on beside index and code. Rows of other settings, or of another build
             of the package, stay in the folder and are not used.
+        seconds: of processor time that a run may take, else it is a fault; 0: no limit.
     """
     rows: dict[int, Row] = {}
     key = hashlib.sha256(json.dumps([settings, build()], sort_keys=True, default=str).encode()).hexdigest()[
@@ -74,7 +81,9 @@ def gather(
         rows = {row["index"]: json.loads(row["row"]) for row in pq.read_table(path).to_pylist()}
     saved = time.monotonic()
     missing = [i for i in indices if i not in rows]
-    for done, (index, row) in enumerate(in_processes(partial(_guarded, function), missing, workers), 1):
+    work = partial(_guarded, function, seconds)
+    results = in_processes(work, missing, workers, attempts=1 if seconds else 2)
+    for done, (index, row) in enumerate(results, 1):
         rows[index] = {"outcome": "fault", "reasons": [row.reason]} if isinstance(row, Lost) else row
         if path is not None and (done == len(missing) or time.monotonic() - saved > SAVE_EVERY):
             _save(path, rows)
@@ -91,13 +100,16 @@ def _save(path: Path, rows: Mapping[int, Row]) -> None:
     partial_file.replace(path)
 
 
-def _guarded(function: Callable[[int], Row], index: int) -> Row:
+def _guarded(function: Callable[[int], Row], seconds: float, index: int) -> Row:
+    signal.setitimer(signal.ITIMER_PROF, seconds)  # ends the process: the core does not listen meanwhile
     try:
         return function(index)
     except Exception as error:  # any: a fault is a finding of the campaign, with its place
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(place.filename).name}:{place.lineno}"
         return {"outcome": "fault", "reasons": [f"{type(error).__name__}: {error} ({where})"]}
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 def build() -> str:

@@ -4,6 +4,7 @@
 #include "truewrench/knots.hpp"
 
 #include <cstddef>
+#include <utility>
 #include <vector>
 
 namespace truewrench {
@@ -52,6 +53,16 @@ struct WindowReport {
   double nested = 0.0;
   double nested_expected = 0.0;
 };
+
+// Samples in windows that fit, and in all.
+inline std::pair<double, double> fitted_samples(const std::vector<WindowReport>& windows) {
+  double fitted = 0.0, all = 0.0;
+  for (const WindowReport& w : windows) {
+    all += static_cast<double>(w.samples);
+    if (w.status == WindowStatus::fitted) fitted += static_cast<double>(w.samples);
+  }
+  return {fitted, all};
+}
 
 struct HistoryEntry {
   int log = 0;

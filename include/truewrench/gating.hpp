@@ -23,13 +23,11 @@ class WindowGating {
 
   // Takes all samples of a window again: of the motion, of the sensor, or of both.
   void open(const WindowRange& window, Terms terms) const {
-    const auto clear = [](std::vector<char>& g, const Samples& r) {
-      std::fill(g.begin() + static_cast<std::ptrdiff_t>(r.first),
-                g.begin() + static_cast<std::ptrdiff_t>(r.second), 0);
-    };
     if (!possible()) return;
-    if (terms == Terms::all) return clear(gate_->wrench, window.wrench);
-    for (std::size_t m = 0; m < window.motion.size(); ++m) clear(gate_->motion[m], window.motion[m]);
+    if (terms == Terms::all) return Gate::take(gate_->wrench, window.wrench.first, window.wrench.second);
+    for (std::size_t m = 0; m < window.motion.size(); ++m) {
+      Gate::take(gate_->motion[m], window.motion[m].first, window.motion[m].second);
+    }
   }
   void open(const WindowRange& window) const {
     open(window, Terms::motion);
@@ -55,15 +53,8 @@ class WindowGating {
       std::vector<char>& g = series < 0 ? gate_->wrench : gate_->motion[static_cast<std::size_t>(series)];
       const std::size_t first =
           series < 0 ? window.wrench.first : window.motion[static_cast<std::size_t>(series)].first;
-      std::fill(g.begin() + static_cast<std::ptrdiff_t>(first + d.first),
-                g.begin() + static_cast<std::ptrdiff_t>(first + d.last), 1);
+      Gate::leave_out(g, first + d.first, first + d.last);
     }
-  }
-
-  // Samples of the sensor.
-  void leave_out(const Disturbance& d) const {
-    std::fill(gate_->wrench.begin() + static_cast<std::ptrdiff_t>(d.first),
-              gate_->wrench.begin() + static_cast<std::ptrdiff_t>(d.last), 1);
   }
 
   // Stretches left out.

@@ -106,7 +106,8 @@ class WindowSolver {
     conclude(fit, window);
   }
 
-  // The strongest push that motion and common parameters, of this covariance, have taken up; none: of no samples.
+  // The samples of the strongest push that motion and common parameters, of this covariance, have taken up; none: of no
+  // samples.
   Disturbance push(const WindowFit& fit, const WindowRange& window, const Eigen::MatrixXd& covariance) {
     if (!gating_.possible()) return {};
     build(blocks_, window, fit.spline, fit.theta, fit.assigned_at);
@@ -114,7 +115,6 @@ class WindowSolver {
     if (normal_.reduce() != Status::ok) return {};
     return PushScan<N>(model_, fit, blocks_, normal_, covariance).strongest(settings_.false_pushes);
   }
-  void leave_out(const Disturbance& push) const { gating_.leave_out(push); }
 
  private:
   struct Refinement {

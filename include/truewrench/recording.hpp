@@ -94,6 +94,14 @@ struct Gate {
   explicit Gate(const LogData& log) : wrench(log.wrench.time.size(), 0) {
     for (const MotionSeries& s : log.motion) motion.emplace_back(s.time.size(), 0);
   }
+
+  // Samples [first, last) of one of the series.
+  static void leave_out(std::vector<char>& series, std::size_t first, std::size_t last) {
+    std::fill(series.data() + first, series.data() + last, 1);
+  }
+  static void take(std::vector<char>& series, std::size_t first, std::size_t last) {
+    std::fill(series.data() + first, series.data() + last, 0);
+  }
 };
 
 // A stretch of one log: sample ranges [first, last) per series.

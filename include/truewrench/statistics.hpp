@@ -100,6 +100,17 @@ inline Group wrench_group(int channel, int channels) {
 }
 inline Group motion_group(int coordinate) { return coordinate < 3 ? kLinear : kAngular; }
 
+// Squared distance of two estimates of the common parameters of every log in units of the later one's covariance, of the
+// log where it is largest.
+inline double squared_distance(const std::vector<Eigen::VectorXd>& from, const Posterior& to) {
+  double most = 0.0;
+  for (std::size_t l = 0; l < from.size(); ++l) {
+    const Eigen::VectorXd d = to.mean[l] - from[l];
+    most = std::max(most, d.dot(to.covariance[l].llt().solve(d)));
+  }
+  return most;
+}
+
 // Two estimates of the same gain, `coarse` the efficient one and `fine` with fewer assumptions on the motion: the
 // standard normal deviate of d^T (P_fine - P_coarse)^+ d over the directions in which the finer one gives up more
 // than 1% of the variance (Hausman's test, docs/method.md).

@@ -190,12 +190,12 @@ def test_no_trial_is_lost_to_refusals_faults_or_dying_processes(
     assert (refused["outcome"], refused["reasons"]) == ("refused", ["no motion in it"])
     assert fault["outcome"] == "fault"
     assert "ZeroDivisionError: by nought (test_campaign.py:" in fault["reasons"][0]
-    results = {0: refused, 1: fault, 2: Lost("its process was killed by signal 9, 2 times")}
+    results = {0: refused, 1: fault, 2: Lost("its process was killed by SIGKILL, 2 times")}
     monkeypatch.setattr(truewrench.campaign, "in_processes", lambda *_: iter(results.items()))
     summary = campaign(rig, 3, tmp_path).summary
     assert summary["outcomes"] == {"usable": 0, "not_usable": 0, "refused": 1, "faults": 2}
     assert not summary["verdict"]["usable"]
-    assert summary["reasons"]["its process was killed by signal #, # times"] == 1
+    assert summary["reasons"]["its process was killed by SIGKILL, # times"] == 1
     assert pq.read_table(tmp_path / "trials")["outcome"].to_pylist() == ["refused", "fault", "fault"]
 
 

@@ -19,8 +19,11 @@ def test_death_of_a_process_costs_only_the_item_it_held() -> None:
     items = ["1 + 1", killed, "2 + 2", "undefined", "3 + 3"]
     found = dict(in_processes(eval, items, 2))
     assert {item: found[item] for item in items[::2]} == {"1 + 1": 2, "2 + 2": 4, "3 + 3": 6}
-    assert found[killed] == Lost("its process was killed by signal 9, 2 times")
+    assert found[killed] == Lost("its process was killed by SIGKILL, 2 times")
     assert found["undefined"] == Lost("its process ended with status 1, 2 times")
+    assert dict(in_processes(eval, [killed], 1, attempts=1)) == {
+        killed: Lost("its process was killed by SIGKILL")
+    }
 
 
 def test_linear_algebra_has_one_thread_in_a_process_and_our_environment_stays() -> None:

@@ -18,7 +18,6 @@ __all__ = ["Lost", "available_cores", "in_processes"]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_ATTEMPTS = 2  # at an item before it is given up: another program may have caused the first death
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -44,7 +43,7 @@ def available_cores() -> int:
 
 
 def in_processes(
-    function: Callable[[Item], Result], items: Sequence[Item], processes: int
+    function: Callable[[Item], Result], items: Sequence[Item], processes: int, *, attempts: int = 2
 ) -> Iterator[tuple[Item, Result | Lost]]:
     """Yield every item with its result, in the order in which they are done.
 
@@ -56,6 +55,7 @@ def in_processes(
         function: importable by its name (or a `functools.partial` of such a function).
         items: can be pickled, as the results.
         processes: at most; no more than there are items.
+        attempts: at an item before it is given up: another program may have caused the first death.
 
     Raises:
         RuntimeError: processes die before they can take any work.
@@ -74,7 +74,7 @@ def in_processes(
                     workers.remove(worker)
                     reason = _death(worker)
                     deaths[index] += 1
-                    given_up = deaths[index] >= _ATTEMPTS
+                    given_up = deaths[index] >= attempts
                     if index is None and given_up:
                         raise RuntimeError(f"a process {reason} before it could take any work") from None
                     if index is not None and not given_up:
@@ -83,7 +83,7 @@ def in_processes(
                         workers.append(_start(function))
                     if not given_up:
                         continue
-                    result = Lost(f"its process {reason}, {_ATTEMPTS} times")
+                    result = Lost(f"its process {reason}" + f", {attempts} times" * (attempts > 1))
                 else:
                     if waiting:
                         worker.index = waiting.popleft()
@@ -112,7 +112,8 @@ def _start(function: Callable[[Item], Result]) -> _Worker:
 def _death(worker: _Worker) -> str:
     worker.process.join()
     code = worker.process.exitcode or 0
-    return f"was killed by signal {-code}" if code < 0 else f"ended with status {code}"
+    names = {known.value: known.name for known in signal.Signals}  # but not those of every real-time signal
+    return f"was killed by {names.get(-code, -code)}" if code < 0 else f"ended with status {code}"
 
 
 def _serve(function: Callable[[Item], Result], connection: Connection) -> None:
