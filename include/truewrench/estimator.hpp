@@ -29,6 +29,8 @@ class Estimator {
     if (out.status == Status::ok && (set.reconsider(out.posterior) || problem_.prior.layout.payload)) {
       set.settle(out, problem_.settings.tolerance);
       set.leave_out_pushes(out);
+      problem_.prepare_wrench(out);
+      if (out.status == Status::ok) set.predict(out);
     }
     if (out.status == Status::ok) out.window_dependence = set.doubled(out.posterior);
     out.gates = problem_.gates;

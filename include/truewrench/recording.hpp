@@ -86,6 +86,23 @@ struct LogData {
   std::optional<ReferenceMotion> reference;
 };
 
+// A stretch of one log: sample ranges [first, last) per series.
+struct WindowRange {
+  double begin = 0.0;
+  double end = 0.0;
+  std::vector<std::pair<std::size_t, std::size_t>> motion;
+  std::pair<std::size_t, std::size_t> wrench{0, 0};
+
+  // This window and the one that follows it.
+  WindowRange joined(const WindowRange& next) const {
+    WindowRange both = *this;
+    both.end = next.end;
+    both.wrench.second = next.wrench.second;
+    for (std::size_t m = 0; m < motion.size(); ++m) both.motion[m].second = next.motion[m].second;
+    return both;
+  }
+};
+
 // Samples of one log that are left out: a contact, a spike. Windows that share no sample may write at once.
 struct Gate {
   std::vector<char> wrench;
@@ -102,22 +119,24 @@ struct Gate {
   static void take(std::vector<char>& series, std::size_t first, std::size_t last) {
     std::fill(series.data() + first, series.data() + last, 0);
   }
-};
 
-// A stretch of one log: sample ranges [first, last) per series.
-struct WindowRange {
-  double begin = 0.0;
-  double end = 0.0;
-  std::vector<std::pair<std::size_t, std::size_t>> motion;
-  std::pair<std::size_t, std::size_t> wrench{0, 0};
+  // What is left out of a window, to be put back by `restore`.
+  std::vector<std::vector<char>> of(const WindowRange& window) const {
+    std::vector<std::vector<char>> out{part(wrench, window.wrench)};
+    for (std::size_t m = 0; m < motion.size(); ++m) out.push_back(part(motion[m], window.motion[m]));
+    return out;
+  }
+  void restore(const WindowRange& window, const std::vector<std::vector<char>>& saved) {
+    std::copy(saved[0].begin(), saved[0].end(), wrench.data() + window.wrench.first);
+    for (std::size_t m = 0; m < motion.size(); ++m) {
+      std::copy(saved[m + 1].begin(), saved[m + 1].end(), motion[m].data() + window.motion[m].first);
+    }
+  }
 
-  // This window and the one that follows it.
-  WindowRange joined(const WindowRange& next) const {
-    WindowRange both = *this;
-    both.end = next.end;
-    both.wrench.second = next.wrench.second;
-    for (std::size_t m = 0; m < motion.size(); ++m) both.motion[m].second = next.motion[m].second;
-    return both;
+ private:
+  static std::vector<char> part(const std::vector<char>& series,
+                                const std::pair<std::size_t, std::size_t>& samples) {
+    return {series.data() + samples.first, series.data() + samples.second};
   }
 };
 

@@ -35,6 +35,7 @@ class WindowSequence {
       }
       if (used >= problem_.settings.enough_fitted * all) break;
     }
+    problem_.gates = out.gates;  // every pass writes its own
     std::sort(out.windows.begin(), out.windows.end(), [](const WindowReport& a, const WindowReport& b) {
       return std::tie(a.log, a.begin) < std::tie(b.log, b.begin);
     });
@@ -148,6 +149,7 @@ class WindowSequence {
         }
       }
     }
+    out.gates = problem_.gates;
     return set;
   }
 

@@ -73,12 +73,18 @@ class WindowSet {
       WindowSolver<N> solver = problem_->solver(w.log);
       w.fit.theta = posterior.mean[w.log];
       if (!solver.suspect(w.fit, w.range)) return;
+      Gate& gate = problem_->gates[w.log];
+      const auto left_out = gate.of(w.range);
       WindowFit fit = solver.search(w.range, problem_->knots_to_begin_with(w.log, w.range, 1),
                                     posterior.mean[w.log], nullptr, problem_->finest[w.log]);
       changed[k] = fit.status == WindowStatus::fitted &&
                    (w.fit.status != WindowStatus::fitted ||
                     fit.spline.breakpoints() != w.fit.spline.breakpoints() || fit.disturbances > 0);
-      if (changed[k]) w.fit = std::move(fit);
+      if (changed[k]) {
+        w.fit = std::move(fit);
+      } else {
+        gate.restore(w.range, left_out);
+      }
     });
     return std::any_of(changed.begin(), changed.end(), [](char c) { return c != 0; });
   }

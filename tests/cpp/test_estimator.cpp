@@ -162,6 +162,35 @@ TEST_P(Methods, NoWindowSpansAGap) {
   }
 }
 
+TEST_P(Methods, WrenchIsToldWhereAWindowFitsAndNoSampleIsLeftOut) {
+  const Simulation s = with_gain();
+  for (unsigned seed = 0; seed < 4; ++seed) {
+    Recording r = s.record(seed);
+    // Contacts; the first takes the first window of `online`, which then begins elsewhere.
+    for (const auto& [begin, end] :
+         {std::pair(0.0, 0.5), std::pair(2.1, 2.2 + 0.1 * seed), std::pair(4.0, 4.2)}) {
+      for (std::size_t k = 0; k < r.sensor_time.size(); ++k) {
+        const double phase = (r.sensor_time[k] - begin) / (end - begin);
+        if (phase < 0.0 || phase > 1.0) continue;
+        r.raw.row(static_cast<Eigen::Index>(k)).array() += 0.03 * std::sin(3.0 * phase);
+      }
+    }
+    const Estimate e = estimate<6>(GetParam(), s, {r});
+    ASSERT_EQ(e.status, Status::ok);
+    int told = 0;
+    for (std::size_t k = 0; k < r.sensor_time.size(); ++k) {
+      const double t = r.sensor_time[k];
+      const bool fitted = std::any_of(e.windows.begin(), e.windows.end(), [&](const WindowReport& w) {
+        return w.status == WindowStatus::fitted && w.begin <= t && (t < w.end || &w == &e.windows.back());
+      });
+      const bool known = !e.wrench[0].row(static_cast<Eigen::Index>(k)).hasNaN();
+      EXPECT_EQ(known, fitted && e.gates[0].wrench[k] == 0) << "seed " << seed << " at " << t << " s";
+      told += known;
+    }
+    EXPECT_GT(told, 100);
+  }
+}
+
 TEST_P(Methods, StreamsOfDifferentRatesNeedNoCommonStamps) {
   Simulation s = with_gain();
   s.motion_rate = 90.0;
