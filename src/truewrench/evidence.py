@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from truewrench.estimate.ekf import EkfEstimate
 from truewrench.estimate.least_squares import LeastSquaresEstimate
 from truewrench.estimate.reference import ReferenceEstimate
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.log import Log
 
 __all__ = ["Evidence"]

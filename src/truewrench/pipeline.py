@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from functools import partial
-from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
@@ -16,22 +13,19 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.arm.track import tracked
+from truewrench.assembly import assemble, assemble_windows, window_figures
 from truewrench.bound import oracle_rms
-from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
+from truewrench.calibration import Bound, Calibration, LogReport, Verdict
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.clock import clock_doubts, delay_excluded
 from truewrench.estimate.ekf import estimate_ekf
-from truewrench.estimate.fits import ENOUGH, fitted_share, group_fits, mostly_unexplained
+from truewrench.estimate.fits import ENOUGH, fitted_share, mostly_unexplained
 from truewrench.estimate.least_squares import least_squares
 from truewrench.estimate.moving_offset import jump_notes
-from truewrench.estimate.noise import (
-    hidden_delay,
-    noise_figures,
-    noise_notes,
-)
+from truewrench.estimate.noise import hidden_delay, noise_figures, noise_notes
 from truewrench.estimate.reference import estimate_from_reference
-from truewrench.estimate.windows import PayloadDeparture, WindowEstimate
+from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.evidence import Evidence
 from truewrench.known_wrench import (
     compare_known_wrench,
@@ -41,7 +35,7 @@ from truewrench.known_wrench import (
     wrench_is_known,
 )
 from truewrench.log import Log
-from truewrench.rig import PayloadSpec, Rig
+from truewrench.rig import Rig
 from truewrench.validation.comparison import Comparison, compare_held_out, compare_in_sample
 from truewrench.verdict import judge_reference, judge_windows
 from truewrench.verdict.silence import still_bases, still_twists
@@ -153,12 +147,12 @@ def _from_windows(
         begun = partial(attempts.begun_at, estimate)
         doubts = clock_doubts(found.rig if noise.resized else found.as_found, logs, begun)
         verdict = replace(verdict, usable=verdict.usable and not doubts, reasons=(*verdict.reasons, *doubts))
-    calibration = _of_estimate(rig, logs, estimator, estimate, verdict)
+    calibration = assemble_windows(rig, logs, estimator, estimate, verdict)
     clock.append(time.perf_counter())
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
         again = attempts.without(kept, found.as_found, estimate)
-        return _of_estimate(rig, kept, estimator, again, Verdict(True)) if again.solved else None
+        return assemble_windows(rig, kept, estimator, again, Verdict(True)) if again.solved else None
 
     compared: Comparison | str = "not asked for"
     if not estimate.solved or np.isnan(np.concatenate(estimate.wrench)).all():
@@ -177,7 +171,7 @@ def _from_windows(
         verdict=replace(verdict, usable=not reasons, reasons=reasons),
         improvement=compared.improvement,
         figures={
-            **_figures(rig, estimate),
+            **window_figures(rig, estimate),
             "noise": noise_figures(rig, noise),
             "held_out": compared.figures,
             "notes": [
@@ -190,28 +184,6 @@ def _from_windows(
             ],
         },
         timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
-    )
-
-
-def _of_estimate(
-    rig: Rig, logs: Sequence[Log], estimator: str, estimate: WindowEstimate, verdict: Verdict
-) -> Calibration:
-    stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
-    return _calibration(
-        rig,
-        estimator,
-        estimate.gain,
-        estimate.covariance,
-        verdict,
-        [_log_report(log, k, estimate) for k, log in enumerate(logs)],
-        inverse=_inverse(rig, estimate.gain),
-        offset_temperature=estimate.offset_temperature,
-        time_offset=float(estimate.time_offsets[-1]),
-        time_offset_std=float(estimate.time_offsets_std[-1]),
-        payload_posterior={
-            name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
-        },
-        bound=Bound(oracle_rms(rig, estimate.wrench), float(np.sqrt(stated.mean()))),
     )
 
 
@@ -234,14 +206,13 @@ def _from_known_wrench(
         np.zeros((0, 6)) if log.reference is None else log.reference[rows]
         for log, rows in zip(logs, estimate.rows, strict=True)
     ]
-    return _calibration(
+    return assemble(
         rig,
         "reference",
         estimate.gain,
         estimate.covariance,
         replace(verdict, usable=not reasons, reasons=reasons),
         known_wrench_reports(rig, logs, estimate),
-        inverse=_inverse(rig, estimate.gain),
         offset_temperature=estimate.offset_temperature,
         time_offset_std=rig.sensor.time_offset_prior,  # rows are synchronous: nothing was learnt of it
         improvement=compared.improvement,
@@ -287,43 +258,15 @@ def _from_reference(
         )
         for log, offset, used in zip(logs, offsets, samples, strict=True)
     ]
-    return _calibration(
+    return assemble(
         rig,
         estimator,
         gain,
         covariance,
         judge_reference(rig, gain),
         reports,
-        inverse=_inverse(rig, gain),
         figures=figures,
         timings={"estimate": time.perf_counter() - started},
-    )
-
-
-def _calibration(
-    rig: Rig,
-    estimator: str,
-    gain: Array,
-    covariance: Array,
-    verdict: Verdict,
-    logs: Sequence[LogReport],
-    **rest: Any,
-) -> Calibration:
-    n = rig.sensor.n
-    std = np.sqrt(np.diag(covariance))
-    return Calibration(
-        gain=gain,
-        gain_std=std[: 6 * n].reshape(n, 6),
-        offset=logs[-1].offset,
-        offset_std=std[6 * n :],
-        covariance=covariance,
-        verdict=verdict,
-        logs=tuple(logs),
-        rig=rig,
-        estimator=estimator,
-        version=version("truewrench"),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        **rest,
     )
 
 
@@ -371,93 +314,3 @@ def _check_options(estimator: EstimatorName, **options: Any) -> None:
                 f"with estimator `{estimator}`",
                 f"this option with `{'` or `'.join(belongs[name])}` only",
             )
-
-
-def _inverse(rig: Rig, gain: Array) -> Array:
-    """Noise-weighted generalised inverse (6, n); NaN when the gain has none."""
-    try:
-        return _core.generalised_inverse(np.ascontiguousarray(gain), rig.sensor.noise_array)
-    except ValueError:
-        return np.full((6, rig.sensor.n), np.nan)
-
-
-def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
-    samples = Counter[str]()
-    for w in estimate.windows:
-        if w.log == k:
-            samples[w.status.name.replace("_", " ")] += w.samples
-    rows, left_out = estimate.wrench_rows[k], estimate.left_out[k]
-    gated = Counter(
-        {
-            "disturbance of the sensor": int(left_out.sum()),
-            "disturbance of the motion": estimate.motion_left_out[k],
-        }
-    )
-    used = max(0, samples.pop("fitted", 0) - gated["disturbance of the sensor"])
-    sensed = int(np.isfinite(log.raw).any(axis=1).sum())
-    samples["outside every window"] = max(0, sensed - used - int(left_out.sum()) - samples.total())
-    return LogReport(
-        log.path,
-        log.sha256,
-        log.payload,
-        estimate.offsets[k],
-        estimate.offsets_std[k],
-        time_offset=float(estimate.time_offsets[k]),
-        used=used,
-        gated=dict(+gated),
-        rejected=dict(+samples),
-        disturbances=_intervals(log.time[rows], left_out),
-        dropped_rows=log.dropped_rows,
-        nan_counts=log.nan_counts,
-    )
-
-
-def _intervals(time: Array, marked: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
-    """Begin and end of every run of marked rows."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]])))
-    return tuple((float(time[a]), float(time[b - 1])) for a, b in edges.reshape(-1, 2))
-
-
-def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, Any]:
-    """What the data say of a payload, in the terms of the rig."""
-    inertia = stated.inertia_matrix
-    root = np.sqrt(np.diag(inertia))
-    places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-    unit = {name: float(root[i] * root[j]) for name, (i, j) in places.items()}
-    mean, std = departure.mean.tolist(), departure.std.tolist()
-    return {
-        "mass": stated.mass * (1.0 + mean[0]),
-        "mass_std": stated.mass * std[0],
-        "center_of_mass": (stated.center_of_mass_array + departure.mean[1:4]).tolist(),
-        "center_of_mass_std": std[1:4],
-        "inertia": {
-            name: float(inertia[at]) + mean[4 + k] * unit[name] for k, (name, at) in enumerate(places.items())
-        },
-        "inertia_std": {name: std[4 + k] * unit[name] for k, name in enumerate(places)},
-    }
-
-
-def _figures(rig: Rig, estimate: WindowEstimate) -> dict[str, Any]:
-    fitted = [w for w in estimate.windows if w.status == _core.WindowStatus.fitted]
-    sensor = rig.sensor
-    posed = _core.conditioning(
-        estimate.gain, sensor.noise_array, sensor.nominal_gain_array, sensor.range_array
-    )
-    return {
-        "windows": len(estimate.windows),
-        "windows_fitted": len(fitted),
-        "knot_spacing": float(np.median([(w.end - w.begin) / w.intervals for w in fitted]))
-        if fitted
-        else None,
-        "samples_per_coefficient": min((w.samples_per_coefficient for w in fitted), default=None),
-        "chi_square": {name: fit.chi_square for name, fit in group_fits(estimate.windows).items()},
-        "knot_dependence_sigma": estimate.knot_dependence,
-        "window_dependence_sigma": estimate.window_dependence,
-        "condition_number": posed.condition_number,
-        "departure_norm": posed.departure_norm,
-        "iterations": estimate.iterations,
-        "limited_by": {
-            source: dict(zip(AXES, np.sqrt(np.mean(sigma**2, axis=0)).tolist(), strict=True))
-            for source, sigma in estimate.contributions.items()
-        },
-    }

@@ -13,7 +13,8 @@ from scipy.signal import lfilter
 
 import truewrench as tw
 from truewrench.estimate.noise import measured_noise
-from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, simulate

@@ -25,7 +25,8 @@ from truewrench.bound import bound
 from truewrench.calibration import Calibration
 from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig

@@ -11,7 +11,8 @@ from test_windows import FITTED, error, honest, nees, rig_of
 from truewrench import _core
 from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.fits import fitted_share
-from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, default_trajectory, simulate

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from truewrench.calibration import Undetermined
 from truewrench.estimate.fits import group_fits
-from truewrench.estimate.windows import PayloadDeparture, WindowEstimate, estimate_windows
+from truewrench.estimate.window_estimate import PayloadDeparture, WindowEstimate
+from truewrench.estimate.windows import estimate_windows
 from truewrench.io.tables import read_log
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist

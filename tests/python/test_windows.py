@@ -16,7 +16,8 @@ from truewrench.bound import bound
 from truewrench.errors import InputError
 from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.fits import mostly_unexplained
-from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig

@@ -18,7 +18,8 @@ from truewrench.estimate.moving_offset import (
     with_free_offsets,
 )
 from truewrench.estimate.noise import Noise, estimate_with_noise, with_noise, with_noise_of_walk
-from truewrench.estimate.windows import WindowEstimate, estimate_windows
+from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimate.clock_information import ClockInformation
-from truewrench.estimate.windows import WindowEstimate, with_clock
+from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimate.windows import with_clock
 from truewrench.log import Log
 from truewrench.rig import Rig
 

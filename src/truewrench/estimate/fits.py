@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from truewrench import _core
-from truewrench.estimate.windows import GROUPS
+from truewrench.estimate.window_estimate import GROUPS
 
 __all__ = ["ENOUGH", "GroupFit", "chi_square_deviate", "fitted_share", "group_fits", "mostly_unexplained"]
 

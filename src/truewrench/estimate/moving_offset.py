@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from truewrench.estimate.fits import ENOUGH, fitted_share
 from truewrench.estimate.noise import with_noise_of_walk
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.estimate.fits import ENOUGH, fitted_share, group_fits, mostly_unexplained
 from truewrench.estimate.streams import parts_of
-from truewrench.estimate.windows import GROUPS, WindowEstimate
+from truewrench.estimate.window_estimate import GROUPS, WindowEstimate
 from truewrench.io.table import TWIST
 from truewrench.log import Log
 from truewrench.motion_noise import joint_noise

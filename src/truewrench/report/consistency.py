@@ -13,7 +13,7 @@ from truewrench import _core
 from truewrench.calibration import Calibration
 from truewrench.estimate.ekf import EkfEstimate
 from truewrench.estimate.reference import ReferenceEstimate
-from truewrench.estimate.windows import GROUPS, WindowEstimate
+from truewrench.estimate.window_estimate import GROUPS, WindowEstimate
 from truewrench.evidence import Evidence
 from truewrench.report.series import Record
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from truewrench.calibration import Calibration
 from truewrench.estimate.ekf import EkfEstimate
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.evidence import Evidence
 from truewrench.report.series import Record
 

@@ -13,7 +13,7 @@ from truewrench.calibration import Calibration
 from truewrench.errors import InputError
 from truewrench.estimate.reference import ReferenceEstimate
 from truewrench.estimate.streams import noise_behind_filter, unfiltered
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.evidence import Evidence
 from truewrench.log import Log
 from truewrench.split import held_out

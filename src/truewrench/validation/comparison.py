@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.calibration import AXES, AxisImprovement, Calibration
 from truewrench.errors import InputError
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.split import between_jumps, held_out

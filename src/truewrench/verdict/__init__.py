@@ -17,7 +17,7 @@ from truewrench.estimate.clock import clock_overclaimed
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.moving_offset import Wandering
 from truewrench.estimate.noise import Noise, with_noise
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.verdict.advice import advice

@@ -9,7 +9,7 @@ import numpy as np
 
 from truewrench.calibration import UNDETERMINED
 from truewrench.estimate.sources import NOISE
-from truewrench.estimate.windows import WindowEstimate
+from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.rig import Rig
 
 __all__ = ["advice"]
