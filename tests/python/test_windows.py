@@ -1,78 +1,22 @@
-"""Claims about `map` and `online` on simulated logs, whose wrench is not the core's."""
+"""Gain, offsets and sigma of `map` and `online` on simulated logs, whose wrench is not the core's."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import chi2
+from window_cases import FITTED, GRAVITY, METHODS, Method, error, honest, nees, rig_of, uncertain_rig
 
 from truewrench import _core
 from truewrench.bound import bound
 from truewrench.errors import InputError
-from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.fits import mostly_unexplained
-from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimate.windows import estimate_windows
-from truewrench.log import Log
-from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, default_trajectory, simulate
-
-Array = NDArray[np.float64]
-Method = Literal["map", "online"]
-
-EXACT = {"mass": 0, "center_of_mass": 0, "inertia": 0}
-FITTED = _core.WindowStatus.fitted
-GRAVITY = [0, 0, -9.81]
-METHODS = pytest.mark.parametrize("method", ["map", "online"])
-
-
-def rig_of(**changes: Any) -> Rig:
-    inertia = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
-    settings: dict[str, Any] = {
-        "sensor": {
-            "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
-            "feels": "payload_on_sensor",
-            "noise": [0.5, 0.5, 0.5, 0.05, 0.05, 0.05],
-            "range": [500, 500, 500, 50, 50, 50],
-            "gain_prior": 0.2,
-            "time_offset_prior": 0,
-        },
-        "payloads": {
-            "table_1": {"mass": 50, "center_of_mass": [0.2, 0, 0], "inertia": inertia, "uncertainty": EXACT},
-            "small": {"mass": 20, "center_of_mass": [0, 0.1, 0.1], "inertia": inertia, "uncertainty": EXACT},
-        },
-        "motion": {"of": "com", "noise": [1e-3] * 6},
-        "plan": {"duration": 6},
-    }
-    for section, values in changes.items():
-        settings[section] = {**settings.get(section, {}), **values} if isinstance(values, dict) else values
-    return Rig.from_mapping(settings)
-
-
-def error(rig: Rig, estimate: WindowEstimate, runs: Sequence[SimulatedRun]) -> Array:
-    """Error of [gain, offset of the last log] (7n,), normalised."""
-    sensor, truth = rig.sensor, runs[-1].truth
-    gain = (estimate.gain - truth.gain) * sensor.range_array / sensor.channel_scale[:, None]
-    return np.append(gain.ravel(), (estimate.offsets[-1] - truth.offset) / sensor.channel_scale)
-
-
-def nees(rig: Rig, estimate: WindowEstimate, runs: Sequence[SimulatedRun]) -> float:
-    """Squared error in units of the claimed covariance, per parameter."""
-    d = error(rig, estimate, runs)
-    return float(d @ np.linalg.solve(estimate.normalised_covariance, d) / d.size)
-
-
-def honest(scores: Sequence[float], size: int) -> bool:
-    """Whether the mean lies in the 99.8% interval of chi-square, widened by 0.05."""
-    freedom = len(scores) * size
-    low, high = chi2.ppf([0.001, 0.999], freedom) / freedom
-    return bool(low - 0.05 < np.mean(scores) < high + 0.05)
+from truewrench.simulate import SimulatedRun, simulate
 
 
 @METHODS
@@ -95,21 +39,6 @@ def test_sigma_is_honest_and_near_the_bound(method: Method, gravity: list[float]
     assert np.sqrt(np.mean(squares)) > 0.85 * limit.rms
     stated = np.sqrt(np.mean(np.diag(estimate.normalised_covariance)[:36]))
     assert stated == pytest.approx(limit.rms, rel=0.15)
-
-
-UNCERTAIN = {"mass": 1e-3, "center_of_mass": 5e-4, "inertia": 1e-2}
-
-
-def uncertain_rig(uncertainty: dict[str, float] = UNCERTAIN, **changes: Any) -> Rig:
-    """Payload and clock drawn from exactly what the rig states of them."""
-    payloads = {"table_1": {**rig_of().to_mapping()["payloads"]["table_1"], "uncertainty": uncertainty}}
-    return rig_of(
-        payloads=payloads,
-        sensor={"time_offset_prior": 5e-3},
-        simulate={"payload": "random", "time_offset": "random"},
-        plan={"duration": 10},
-        **changes,
-    )
 
 
 @METHODS
@@ -315,64 +244,6 @@ def test_a_channel_with_an_exact_offset_keeps_it() -> None:
 
 
 @METHODS
-@pytest.mark.parametrize(("rate", "sensor_rate"), [(100, 400), (400, 100), (125, 90)])
-def test_streams_of_different_rates_share_a_table(method: Method, rate: float, sensor_rate: float) -> None:
-    rig = rig_of(simulate={"rate": rate, "sensor_rate": sensor_rate}, gravity=GRAVITY)
-    scores = []
-    for seed in range(4):
-        run = simulate(rig, seed=seed)
-        assert np.isnan(run.log.raw).any() or np.isnan(np.asarray(run.log.twist)).any()
-        scores.append(nees(rig, estimate_windows(rig, [run.log], method), [run]))
-    assert honest(scores, 42)
-
-
-@METHODS
-def test_missing_cells_leave_out_their_own_residuals(method: Method) -> None:
-    rig = rig_of()
-    draw = np.random.default_rng(7)
-    scores = []
-    for seed in range(4):
-        run = simulate(rig, seed=seed)
-        raw, twist = run.log.raw.copy(), np.array(run.log.twist)
-        raw[draw.random(raw.shape) < 0.05] = np.nan
-        twist[draw.random(twist.shape) < 0.05] = np.nan
-        raw[200:203] = np.nan
-        twist[300:303] = np.nan
-        log = replace(run.log, raw=raw, twist=twist)
-        estimate = estimate_windows(rig, [log], method)
-        assert np.isfinite(estimate.gain).all()
-        scores.append(nees(rig, estimate, [run]))
-    assert honest(scores, 42)
-
-
-def without_rows(log: Log, first: int, last: int) -> Log:
-    keep = np.ones(len(log.time_ns), dtype=bool)
-    keep[first:last] = False
-    return replace(log, time_ns=log.time_ns[keep], raw=log.raw[keep], twist=np.asarray(log.twist)[keep])
-
-
-@METHODS
-@pytest.mark.parametrize(("lost", "spanned"), [(3, True), (6, False), (150, False)])
-def test_no_window_spans_a_gap_of_more_than_five_periods(method: Method, lost: int, spanned: bool) -> None:
-    rig = rig_of()
-    run = simulate(rig, seed=8)
-    estimate = estimate_windows(rig, [without_rows(run.log, 250, 250 + lost)], method)
-    middle = 2.5 + 0.005 * lost
-    assert any(w.begin < middle < w.end for w in estimate.windows) == spanned
-    assert nees(rig, estimate, [run]) < 2.0
-
-
-def test_a_gap_in_one_stream_alone_breaks_the_windows_too() -> None:
-    rig = rig_of()
-    run = simulate(rig, seed=8)
-    raw = run.log.raw.copy()
-    raw[300:350] = np.nan
-    estimate = estimate_windows(rig, [replace(run.log, raw=raw)])
-    assert not any(w.begin < 3.2 < w.end for w in estimate.windows)
-    assert nees(rig, estimate, [run]) < 2.0
-
-
-@METHODS
 def test_threads_do_not_change_a_bit(method: Method) -> None:
     rig = rig_of(gravity=GRAVITY)
     logs = [run.log for run in pooled_runs(rig, ["table_1", "small"])]
@@ -407,148 +278,3 @@ def test_wrench_of_the_fit_is_that_of_the_motion() -> None:
     noise = np.sqrt(np.diag(np.linalg.inv(run.truth.gain) @ np.diag(rig.sensor.noise_array**2)
                             @ np.linalg.inv(run.truth.gain).T))  # fmt: skip
     np.testing.assert_array_less(rms, 1.2 * noise)
-
-
-@dataclass(frozen=True)
-class RandomWalk:
-    """A twist whose jerk is white noise, known at 100 Hz only."""
-
-    values: Array
-    slopes: Array
-    duration: float
-
-    @classmethod
-    def draw(cls, seed: int, density: float = 3.0, dt: float = 0.01, count: int = 400) -> RandomWalk:
-        rng = np.random.default_rng(seed)
-        q = density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-        steps = rng.standard_normal((count, 6, 2)) @ np.linalg.cholesky(q).T
-        slopes = 0.5 * rng.standard_normal(6) + np.cumsum(steps[:, :, 1], axis=0)
-        values = np.cumsum(dt * slopes + steps[:, :, 0], axis=0)
-        return cls(values, slopes, count * dt)
-
-    def twist(self, time: Array) -> Array:
-        return self.values[np.rint(time * 100).astype(int)]
-
-    def acceleration(self, time: Array) -> Array:
-        return self.slopes[np.rint(time * 100).astype(int)]
-
-
-def with_ripple(rig: Rig, frequency: float, amplitude: float, seed: int) -> HarmonicTwist:
-    base = default_trajectory(rig)
-    one = np.ones((1, 6))
-    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, (1, 6))
-    return HarmonicTwist(
-        np.concatenate([base.amplitude, amplitude * one]),
-        np.concatenate([base.frequency, frequency * one]),
-        np.concatenate([base.phase, phase]),
-        base.duration,
-    )
-
-
-@METHODS
-def test_ripple_that_the_samples_resolve_is_absorbed(method: Method) -> None:
-    rig = rig_of()
-    scores = []
-    for seed in range(6):
-        run = simulate(rig, with_ripple(rig, 8.0, 0.005, seed), seed=seed)
-        estimate = Attempts([run.log], method, _core.EstimatorSettings()).best(rig)
-        assert all(w.status == FITTED for w in estimate.windows)
-        scores.append(nees(rig, estimate, [run]))
-    assert honest(scores, 42)
-
-
-@METHODS
-def test_ripple_too_fast_for_the_samples_is_rejected(method: Method) -> None:
-    rig = rig_of()
-    run = simulate(rig, with_ripple(rig, 20.0, 0.002, 0), seed=0)
-    estimate = estimate_windows(rig, [run.log], method)
-    assert all(w.status == _core.WindowStatus.misfit for w in estimate.windows)
-    # Nothing was learned from it: the prior stands.
-    np.testing.assert_allclose(np.sqrt(np.diag(estimate.normalised_covariance)[:36]), 0.2)
-
-
-@METHODS
-def test_random_walk_of_the_acceleration_is_rejected(method: Method) -> None:
-    rig = rig_of()
-    run = simulate(rig, RandomWalk.draw(1), seed=1)
-    estimate = estimate_windows(rig, [run.log], method)
-    assert not any(w.status == FITTED for w in estimate.windows)
-
-
-def test_a_disturbance_costs_only_its_samples() -> None:
-    rig = rig_of(plan={"duration": 10})
-    run = simulate(rig, seed=11)
-    raw = run.log.raw.copy()
-    raw[500:520, 2] += 60.0  # a contact
-    estimate = estimate_windows(rig, [replace(run.log, raw=raw)])
-    assert all(w.status == FITTED for w in estimate.windows)
-    left_out = estimate.left_out[0]
-    assert left_out[500:520].all()
-    assert left_out.sum() <= 22  # its ends are found to a sample
-    assert estimate.motion_left_out[0] == 0
-    # where nothing was left out, the wrench is known
-    np.testing.assert_array_equal(np.isnan(estimate.wrench[0]).any(axis=1), left_out)
-    assert nees(rig, estimate, [run]) < 2.0
-
-
-def test_slow_motion_gets_long_windows() -> None:
-    """Twist of 0.03 to 0.09 Hz at 20 Hz: windows of a second would be wrong and sure of it."""
-    rig = rig_of(simulate={"rate": 20, "sensor_rate": 20}, sensor={"offset_prior": 0})
-    base = default_trajectory(rig)
-    slow = HarmonicTwist(0.2 * base.amplitude, 0.1 * base.frequency, base.phase, 120.0)
-    quiet = rig.to_mapping()
-    quiet["simulate"]["offset"] = "none"
-    scores = []
-    for seed in range(6):
-        run = simulate(Rig.from_mapping(quiet), slow, seed=seed)
-        estimate = estimate_windows(rig, [run.log], "online")
-        assert np.median([w.end - w.begin for w in estimate.windows]) >= 4.0
-        d = error(rig, estimate, [run])[:36]
-        scores.append(float(d @ np.linalg.solve(estimate.normalised_covariance[:36, :36], d) / 36))
-    assert honest(scores, 36)
-
-
-def test_logged_accelerations_are_fused_where_their_noise_is_stated() -> None:
-    noise = {"acceleration_noise": [1e-2] * 6}
-    rig = rig_of()
-    run = simulate(rig, seed=12)
-    draw = np.random.default_rng(0)
-    acceleration = run.trajectory.acceleration(run.log.time) + 1e-2 * draw.normal(size=(600, 6))
-    log = replace(run.log, acceleration=acceleration)
-    without, fused = estimate_windows(rig, [log]), estimate_windows(rig_of(motion=noise), [log])
-    plain = estimate_windows(rig, [run.log])
-    np.testing.assert_array_equal(without.gain, plain.gain)
-    assert np.trace(fused.normalised_covariance[:36, :36]) < 0.95 * np.trace(
-        plain.normalised_covariance[:36, :36]
-    )
-    assert nees(rig, fused, [run]) < 2.0
-
-
-def test_a_log_of_a_few_samples_leaves_the_prior() -> None:
-    rig = rig_of()
-    log = simulate(rig, seed=13).log
-    few = without_rows(log, 5, len(log.time_ns))
-    for method in ("map", "online"):
-        estimate = estimate_windows(rig, [few], method)
-        assert not any(w.status == FITTED for w in estimate.windows)
-        np.testing.assert_allclose(estimate.gain, np.eye(6), atol=1e-9)
-
-
-def test_a_log_in_gravity_needs_its_direction() -> None:
-    rig = rig_of(gravity=GRAVITY)
-    log = simulate(rig, seed=14).log
-    with pytest.raises(InputError, match="gx gy gz"):
-        estimate_windows(rig, [replace(log, gravity=None)])
-    with pytest.raises(InputError, match="vx vy vz"):
-        estimate_windows(rig, [replace(log, twist=None)])
-
-
-def test_gravity_logged_at_a_lower_rate_is_interpolated() -> None:
-    rig = rig_of(gravity=GRAVITY)
-    run = simulate(rig, seed=15)
-    gravity = np.array(run.log.gravity)
-    gravity[np.arange(len(gravity)) % 5 != 0] = np.nan
-    estimate = estimate_windows(rig, [replace(run.log, gravity=gravity)])
-    full = estimate_windows(rig, [run.log])
-    std = np.sqrt(np.diag(full.covariance)[:36]).reshape(6, 6)
-    assert np.abs((estimate.gain - full.gain) / std).max() < 1.0
