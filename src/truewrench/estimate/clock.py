@@ -70,19 +70,11 @@ def delay_excluded(rig: Rig, delay: float, estimate: Callable[[Rig], WindowEstim
         delay: that the colour of the noise suggests [s].
         estimate: on the logs, for a rig.
     """
-    found = _with_free_clock(rig, max(WIDE, 2.0 * delay), estimate)
-    if found is None or found.clock_untold:
+    found = estimate(with_clock(rig, max(WIDE, 2.0 * delay)))
+    if not found.solved or found.knot_dependence > DEPENDENCE or found.clock_untold:
         return False
     sigma = np.hypot(found.time_offsets_std, rig.sensor.time_offset_prior)
     return bool((np.abs(found.time_offsets) + DOUBT * sigma < 0.5 * delay).all())
-
-
-def _with_free_clock(
-    rig: Rig, prior: float, estimate: Callable[[Rig], WindowEstimate]
-) -> WindowEstimate | None:
-    """An estimate with 1 sigma [s] of the clock, None where it does not tell the clock."""
-    found = estimate(with_clock(rig, prior))
-    return found if found.solved and not found.knot_dependence > DEPENDENCE else None
 
 
 def clock_overclaimed(rig: Rig, logs: Sequence[Log], estimate: WindowEstimate) -> list[str]:
