@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rigs import changed, two_payloads
 
 from truewrench.errors import UnsupportedError
 from truewrench.estimate.least_squares import least_squares
@@ -15,30 +16,13 @@ from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.rig import Rig
 from truewrench.simulate import simulate
 
-EXACT = {"mass": 0, "center_of_mass": 0, "inertia": 0}
-
 
 def rig_of(**changes: Any) -> Rig:
-    inertia = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
-    settings: dict[str, Any] = {
-        "sensor": {
-            "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
-            "feels": "payload_on_sensor",
-            "noise": [0.1, 0.1, 0.1, 0.01, 0.01, 0.01],
-            "range": [500, 500, 500, 50, 50, 50],
-            "gain_prior": 0.2,
-            "time_offset_prior": 0,
-        },
-        "payloads": {
-            "table_1": {"mass": 50, "center_of_mass": [0.2, 0, 0], "inertia": inertia, "uncertainty": EXACT},
-            "small": {"mass": 20, "center_of_mass": [0, 0.1, 0.1], "inertia": inertia, "uncertainty": EXACT},
-        },
-        "motion": {"noise": [1e-4] * 6},
-        "plan": {"duration": 10},
-    }
-    for section, values in changes.items():
-        settings[section] = {**settings.get(section, {}), **values} if isinstance(values, dict) else values
-    return Rig.from_mapping(settings)
+    quieter = {"noise": [0.1, 0.1, 0.1, 0.01, 0.01, 0.01]}
+    rig = changed(
+        two_payloads("table_1"), sensor=quieter, motion={"noise": [1e-4] * 6}, plan={"duration": 10}
+    )
+    return Rig.from_mapping(changed(rig, **changes))
 
 
 def normalised_error(rig: Rig, gain: np.ndarray, truth: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import yaml
+from rigs import changed, two_payloads
 
 import truewrench as tw
 from truewrench.calibration import AXES, Calibration, load_calibration
@@ -22,30 +23,10 @@ from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, simulate
 
-EXACT = {"mass": 0, "center_of_mass": 0, "inertia": 0}
-
 
 def settings_of(**changes: Any) -> dict[str, Any]:
-    inertia = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
-    settings: dict[str, Any] = {
-        "sensor": {
-            "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
-            "feels": "payload_on_sensor",
-            "noise": [0.5, 0.5, 0.5, 0.05, 0.05, 0.05],
-            "range": [500, 500, 500, 50, 50, 50],
-            "gain_prior": 0.1,
-            "time_offset_prior": 0,
-        },
-        "payloads": {
-            "default": {"mass": 50, "center_of_mass": [0.2, 0, 0], "inertia": inertia, "uncertainty": EXACT},
-            "small": {"mass": 20, "center_of_mass": [0, 0.1, 0.1], "inertia": inertia, "uncertainty": EXACT},
-        },
-        "motion": {"of": "com", "noise": [1e-3] * 6},
-        "plan": {"duration": 12},
-    }
-    for section, values in changes.items():
-        settings[section] = {**settings.get(section, {}), **values} if isinstance(values, dict) else values
-    return settings
+    rig = changed(two_payloads("default"), sensor={"gain_prior": 0.1}, plan={"duration": 12})
+    return changed(rig, **changes)
 
 
 def rig_of(**changes: Any) -> Rig:

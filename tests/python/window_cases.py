@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rigs import changed, two_payloads
 from scipy.stats import chi2
 
 from truewrench import _core
@@ -18,33 +19,13 @@ from truewrench.simulate import SimulatedRun
 Array = NDArray[np.float64]
 Method = Literal["map", "online"]
 
-EXACT = {"mass": 0, "center_of_mass": 0, "inertia": 0}
 FITTED = _core.WindowStatus.fitted
 GRAVITY = [0, 0, -9.81]
 METHODS = pytest.mark.parametrize("method", ["map", "online"])
 
 
 def rig_of(**changes: Any) -> Rig:
-    inertia = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
-    settings: dict[str, Any] = {
-        "sensor": {
-            "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
-            "feels": "payload_on_sensor",
-            "noise": [0.5, 0.5, 0.5, 0.05, 0.05, 0.05],
-            "range": [500, 500, 500, 50, 50, 50],
-            "gain_prior": 0.2,
-            "time_offset_prior": 0,
-        },
-        "payloads": {
-            "table_1": {"mass": 50, "center_of_mass": [0.2, 0, 0], "inertia": inertia, "uncertainty": EXACT},
-            "small": {"mass": 20, "center_of_mass": [0, 0.1, 0.1], "inertia": inertia, "uncertainty": EXACT},
-        },
-        "motion": {"of": "com", "noise": [1e-3] * 6},
-        "plan": {"duration": 6},
-    }
-    for section, values in changes.items():
-        settings[section] = {**settings.get(section, {}), **values} if isinstance(values, dict) else values
-    return Rig.from_mapping(settings)
+    return Rig.from_mapping(changed(two_payloads("table_1"), **changes))
 
 
 def error(rig: Rig, estimate: WindowEstimate, runs: Sequence[SimulatedRun]) -> Array:
