@@ -185,9 +185,18 @@ class Calibration:
         )
         return determined
 
-    def wrench(self, raw: npt.ArrayLike) -> FloatArray:
-        """The true wrench, (N, 6) [N, N m], of raw samples (N, n); NaN where a channel has none."""
-        wrench: FloatArray = (np.asarray(raw, dtype=np.float64) - self.offset) @ self.inverse.T
+    def wrench(self, raw: npt.ArrayLike, temperature: npt.ArrayLike | None = None) -> FloatArray:
+        """The true wrench, (N, 6) [N, N m], of raw samples (N, n); NaN where a channel has none.
+
+        Args:
+            raw: samples.
+            temperature: (N,) [degC], which the offset follows; None: that of the reference.
+        """
+        offset = self.offset
+        if temperature is not None and self.offset_temperature is not None:
+            above = np.asarray(temperature, dtype=np.float64) - self.rig.temperature.reference
+            offset = offset + above[..., None] * self.offset_temperature
+        wrench: FloatArray = (np.asarray(raw, dtype=np.float64) - offset) @ self.inverse.T
         return wrench
 
     def write_yaml(self, path: str | Path) -> None:

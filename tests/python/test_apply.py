@@ -47,6 +47,28 @@ def drawn_std(calibration: Calibration, wrench: Array, draws: int = 20_000) -> A
     return deviation
 
 
+def test_offset_follows_the_latest_temperature_whatever_the_blocks(
+    cells: Cells, csv_of: CsvOf, tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slope = np.array([0.3, -0.2, 0.1, 0.02, 0.01, -0.03])
+    warm = replace(calibration, offset_temperature=slope)
+    reference = calibration.rig.temperature.reference
+    readings = ["", "", "22.5", "", "", "nan", "31", "", "30.25", ""]
+    held = np.array([np.nan, np.nan, 22.5, 22.5, 22.5, 22.5, 31, 31, 30.25, 30.25])
+    raw = raw_of(cells) - calibration.offset - np.outer(held - reference, slope)
+    expected = np.linalg.solve(calibration.gain, raw.T).T
+    log = csv_of({**cells, "temperature": readings}, "warm.csv")
+    np.testing.assert_allclose(warm.wrench(raw_of(cells), held), expected, rtol=1e-9, atol=1e-12)
+    for block in (1 << 20, 300):  # one, and several
+        monkeypatch.setattr(csv_table, "_BLOCK", block)
+        done = apply(warm, log, tmp_path / "out.csv")
+        assert (done.rows, done.corrected, done.notes) == (10, 8, ())
+        np.testing.assert_allclose(new_columns(tmp_path / "out.csv")[:, :6], expected, rtol=1e-9, atol=1e-12)
+    (note,) = apply(warm, csv_of(cells), tmp_path / "out.csv").notes
+    assert note == f"no `temperature`, which the offset follows: it is taken for that of {reference:g} degC"
+    assert apply(calibration, log, tmp_path / "out.csv").corrected == 10  # nothing follows it
+
+
 def test_wrench_and_its_scatter_are_those_of_the_sensor_model(
     cells: Cells, csv_of: CsvOf, tmp_path: Path, calibration: Calibration
 ) -> None:

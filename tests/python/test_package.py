@@ -17,12 +17,12 @@ PACKAGE = ROOT / "src" / "truewrench"
 # the data types and what they stand on. "estimate" and "io" stand for the modules inside them.
 FLOORS = [
     {"errors", "log", "motion", "figures", "_cpu"},
-    {"_core", "files", "robots", "split"},
+    {"_core", "files", "robots", "split", "temperature"},
     {"rig"},
     {"arm", "calibration", "motion_noise", "payload"},
     {"bound", "exports", "inertial", "io"},
     {"apply", "estimate", "inspection", "truth"},
-    {"evidence", "simulate", "validation", "verdict"},
+    {"assembly", "evidence", "simulate", "validation", "verdict"},
     {"arm_simulation", "known_wrench", "planning", "summary"},
     {"pipeline", "report"},
     {"campaign", "stream"},

@@ -72,6 +72,25 @@ def log_of(rig: Rig, gain: np.ndarray, seed: int = 0, **simulate_: Any) -> Log:
     return simulate(changed, payload=payload, seed=seed).log
 
 
+def test_an_offset_that_follows_temperature_is_no_fault_of_the_gain() -> None:
+    rig = rig_of(temperature={"reference": 20, "prior": 1e-3})
+    gain = gain_of(np.random.default_rng(3))
+    log = log_of(rig, gain)
+    slope = np.array([0.2, -0.1, 0.3, 0.02, 0.01, -0.02])
+    temperature = 20.0 + 8.0 * log.time / log.time[-1]
+    temperature[1::3] = np.nan  # read less often than the sensor
+    drift = np.outer(20.0 + 8.0 * log.time / log.time[-1] - 20.0, slope)
+    warm = replace(log, raw=log.raw + drift, temperature=temperature)
+    as_if_cold, known, unknown = (
+        validate(calibrated(rig, gain, offset_temperature=follows), rig, record)
+        for follows, record in ((None, log), (slope, warm), (None, warm))
+    )
+    assert known.verdict.usable
+    for name, axis in known.axes.items():
+        assert axis.nis == pytest.approx(as_if_cold.axes[name].nis, rel=1e-9)
+    assert not unknown.verdict.usable
+
+
 def within_claim(rng: np.random.Generator, gain: np.ndarray) -> np.ndarray:
     return gain + CLAIMED * rng.standard_normal((6, 6)) * SPAN[:, None] / SPAN
 

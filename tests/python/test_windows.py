@@ -93,6 +93,8 @@ def test_offset_that_follows_temperature_is_told_apart() -> None:
     assert nees(rig, estimate, [run]) < 2.0
     with pytest.raises(InputError, match="temperature"):
         estimate_windows(rig, [warm, run.log])
+    with pytest.raises(InputError, match="a column without a reading"):
+        estimate_windows(rig, [replace(warm, temperature=np.full(len(temperature), np.nan))])
 
 
 def test_covariance_in_si_is_the_normalised_one_in_other_units() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 
-__all__ = ["Applied", "Run", "apply", "corrector"]
+__all__ = ["Applied", "Run", "apply", "corrector", "without_temperature"]
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
@@ -47,7 +47,8 @@ def apply(
 
     The wrench acts at the sensor origin, along the sensor axes, in the sign of the rig's `sensor.feels`. All
     columns of the log are kept as they are, from CSV to CSV to the letter; rows in which a raw channel has no
-    sample get empty cells.
+    sample get empty cells. An offset that follows temperature is that of the latest reading in the column
+    `temperature`; before the first one no wrench is told, and without the column it is that of the reference.
 
     Args:
         calibration: gives the rig's channels, gain, offset and uncertainty.
@@ -99,16 +100,21 @@ class Run:
         self._corrector = corrector(calibration, source)
         self._raw = raw_columns(self.table, calibration.n)
         self._time = TimeReader(self.table)
+        self._warmth = _Warmth(calibration, self.table.names)
         self._progress = progress
 
     @property
     def applied(self) -> Applied:
         """What has been done so far."""
-        return Applied(self._rows, self._corrected, self.table.notes)
+        return Applied(self._rows, self._corrected, (*self.table.notes, *self._warmth.notes))
+
+    @property
+    def _read(self) -> list[str]:
+        return [self._time.name, *self._raw, *self._warmth.columns]
 
     def samples(self) -> Iterator[tuple[npt.NDArray[np.int64], FloatArray, FloatArray]]:
         """Stamps (N,), raw (N, n), wrenches and their sigma (N, 12), where all channels have a sample."""
-        for chunk in self.table.chunks([self._time.name, *self._raw]):
+        for chunk in self.table.chunks(self._read):
             time, raw, new = self._correct(chunk)
             complete = ~np.isnan(new[:, 0])
             yield time[complete], raw[complete], new[complete]
@@ -117,7 +123,7 @@ class Run:
     def lines(self, table: CsvTable) -> Iterator[bytes]:
         """The log's own lines, the new cells at their ends."""
         yield table.header + b"," + ",".join(NEW_COLUMNS).encode() + table.newline
-        for chunk in table.chunks([self._time.name, *self._raw]):
+        for chunk in table.chunks(self._read):
             cells = _as_csv(self._correct(chunk)[2])
             yield b"".join(
                 line + b"," + new + table.newline for line, new in zip(chunk.lines, cells, strict=True)
@@ -137,8 +143,9 @@ class Run:
         time = self._time.read(chunk)
         raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
         new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
-        complete = ~np.isnan(raw).any(axis=1)
-        new[complete] = np.hstack(self._corrector.correct(raw[complete]))
+        at_reference = raw - self._warmth.offset(chunk)
+        complete = ~np.isnan(at_reference).any(axis=1)
+        new[complete] = np.hstack(self._corrector.correct(at_reference[complete]))
         self._rows += chunk.rows
         self._corrected += int(complete.sum())
         if self._progress is not None:
@@ -148,6 +155,36 @@ class Run:
     def _check_rows(self) -> None:
         if self._rows == 0:
             raise InputError.at(self.table.path, "", "no row", "at least one row below the header")
+
+
+class _Warmth:
+    """What of the offset follows the temperature, over consecutive chunks of a log."""
+
+    def __init__(self, calibration: Calibration, names: Sequence[str]) -> None:
+        slope = calibration.offset_temperature
+        self._slope = np.zeros(calibration.n) if slope is None else slope
+        self._reference = calibration.rig.temperature.reference
+        self._latest = np.nan
+        self.columns = ("temperature",) if self._slope.any() and "temperature" in names else ()
+        self.notes = () if self.columns else without_temperature(calibration)
+
+    def offset(self, chunk: Chunk) -> FloatArray:
+        """(rows, n), NaN before the first reading; or (1, 1) where nothing follows."""
+        if not self.columns:
+            return np.zeros((1, 1))
+        readings = np.append(self._latest, numbers(chunk.column("temperature"))[0])
+        latest = np.maximum.accumulate(np.where(np.isnan(readings), 0, np.arange(readings.size)))
+        held = readings[latest]
+        self._latest = float(held[-1])
+        return np.outer(held[1:] - self._reference, self._slope)
+
+
+def without_temperature(calibration: Calibration) -> tuple[str, ...]:
+    """What is worth saying where samples are corrected of which no temperature is known."""
+    if calibration.offset_temperature is None or not calibration.offset_temperature.any():
+        return ()
+    reference = f"{calibration.rig.temperature.reference:g} degC"
+    return (f"no `temperature`, which the offset follows: it is taken for that of {reference}",)
 
 
 def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:

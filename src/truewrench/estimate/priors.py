@@ -62,9 +62,9 @@ def common_prior(rig: Rig, logs: Sequence[Log], parts: Sequence[Part], nominal: 
 
 
 def _check_temperature(rig: Rig, logs: Sequence[Log]) -> None:
-    measured = [log for log in logs if log.temperature is not None]
+    if not rig.temperature.prior > 0.0 or all(log.temperature is None for log in logs):
+        return
     for log in logs:
-        if rig.temperature.prior > 0.0 and measured and log.temperature is None:
-            raise InputError.at(
-                log.path, "temperature", "no such column", "one in every log, as in the others"
-            )
+        if log.temperature is None or not np.isfinite(log.temperature).any():
+            found = "no such column" if log.temperature is None else "a column without a reading"
+            raise InputError.at(log.path, "temperature", found, "one in every log, as in the others")

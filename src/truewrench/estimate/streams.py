@@ -18,6 +18,7 @@ from truewrench.motion_noise import twist_noise
 from truewrench.payload import core_payload
 from truewrench.rig import Rig
 from truewrench.split import rows_of
+from truewrench.temperature import temperature_at
 
 __all__ = ["Part", "links", "noise_behind_filter", "parts_of", "recorded", "unfiltered"]
 
@@ -144,8 +145,11 @@ def recorded(rig: Rig, part: Part) -> tuple[_core.RecordedLog, NDArray[np.int64]
         rows = rows[(time[rows] >= first) & (time[rows] <= last)]
     elif rig.in_gravity:
         raise InputError.at(log.path, "", "no gravity columns", "gx gy gz, which a twist in gravity needs")
+    warm = temperature_at(log, log.time_ns[rows]) if rig.temperature.prior > 0.0 else None
     streams.set_wrench(
-        time[rows] - delay, np.ascontiguousarray(raw[rows]), _temperature(rig, part, log, time[rows])
+        time[rows] - delay,
+        np.ascontiguousarray(raw[rows]),
+        None if warm is None else warm - rig.temperature.reference,
     )
     return streams, rows
 
@@ -226,13 +230,3 @@ def _add_specific_force(streams: _core.RecordedLog, rig: Rig, log: Log, time: Ar
     combination[:3, 3:] = [[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]]
     sigma = np.append(np.sqrt(noise**2.0 + 2.0 * of_twist), np.ones(3))
     streams.add_motion(1, time[known], value, sigma, combination)
-
-
-def _temperature(rig: Rig, part: Part, log: Log, at: Array) -> Array | None:
-    """Departure from the reference temperature at the sensor's times [K]."""
-    if log.temperature is None or rig.temperature.prior == 0.0:
-        return None
-    known = np.isfinite(log.temperature)
-    time = (log.time_ns - part.origin_ns) * 1e-9
-    values = np.interp(at, time[known], log.temperature[known])
-    return np.ascontiguousarray(values - rig.temperature.reference)

@@ -17,6 +17,7 @@ from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.evidence import Evidence
 from truewrench.log import Log
 from truewrench.split import held_out
+from truewrench.temperature import offset_by_temperature
 from truewrench.validation.residuals import residuals
 
 __all__ = ["Record", "Series", "record_of"]
@@ -203,12 +204,8 @@ def _of_motion(calibration: Calibration, log: Log, begin: float) -> Series:
 
 
 def _at_reference_temperature(calibration: Calibration, log: Log, raw: Array) -> Array:
-    slope = calibration.offset_temperature
-    if slope is None or log.temperature is None:
-        return raw
-    departure = log.temperature - calibration.rig.temperature.reference
-    known = np.isfinite(departure)
-    return raw - np.interp(log.time, log.time[known], departure[known])[:, None] * slope
+    reference = calibration.rig.temperature.reference
+    return raw - offset_by_temperature(calibration.offset_temperature, reference, log)
 
 
 def _leverage(estimate: WindowEstimate, n: int) -> Array:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truewrench.apply import corrector
+from truewrench.apply import corrector, without_temperature
 from truewrench.calibration import AXES, Calibration
 from truewrench.errors import InputError
 from truewrench.stream.json_rows import LineError, Row, motion_of, read_row
@@ -77,6 +77,8 @@ def correct_lines(
         InputError: the gain of the calibration cannot be inverted.
     """
     correct = corrector(calibration, INPUT).correct
+    for note in without_temperature(calibration):
+        complain(note)
     n = calibration.n
     sample = np.empty((1, n))
     lines, last = Lines(output, complain), -math.inf

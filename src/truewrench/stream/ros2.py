@@ -14,7 +14,7 @@ import numpy as np
 from cyclonedds.util import duration
 
 from truewrench import _core
-from truewrench.apply import corrector
+from truewrench.apply import corrector, without_temperature
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS
@@ -142,6 +142,8 @@ def correct_topic(
         InputError: no topic is found, or the gain cannot be inverted.
     """
     correct = corrector(calibration, "ROS 2")  # before a topic is waited for
+    for note in without_temperature(calibration):
+        complain(note)
     sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
     node = Node()
     name = _sensor_topic(node, sensor, topics, stop)
@@ -253,6 +255,9 @@ def calibrate_topics(
                     complain(f"{topic}: {error}")
         found = session.poll()
         if found is not None and found.calibration is not None and found.usable:
+            if correct is None:
+                for note in without_temperature(found.calibration):
+                    complain(note)
             correct = corrector(found.calibration, "ROS 2")
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress

@@ -15,6 +15,7 @@ from truewrench.inertial import InertialChunk, InertialMotion
 from truewrench.log import Log
 from truewrench.payload import payload_wrench
 from truewrench.rig import PayloadSpec, Rig
+from truewrench.temperature import offset_by_temperature
 
 __all__ = ["LONGEST_LAG", "Residuals", "joined_columns", "residuals", "tared"]
 
@@ -63,8 +64,9 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     sensor = rig.sensor
     inverse = np.nan_to_num(calibration.inverse)
     nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
-    raw, wrench, payload = log.raw[known.rows], known.wrench, known.payload
-    old, new = raw @ nominal_inverse.T - wrench, raw @ inverse.T - wrench
+    wrench, payload = known.wrench, known.payload
+    old = log.raw[known.rows] @ nominal_inverse.T - wrench
+    new = _at_reference_temperature(calibration, log)[known.rows] @ inverse.T - wrench
     n, P, size = sensor.n, calibration.covariance, 6 * sensor.n
     if tared(rig):
         old, new = old - old.mean(axis=0), new - new.mean(axis=0)
@@ -95,6 +97,11 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     )
 
 
+def _at_reference_temperature(calibration: Calibration, log: Log) -> Array:
+    reference = calibration.rig.temperature.reference
+    return np.asarray(log.raw - offset_by_temperature(calibration.offset_temperature, reference, log))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Known:
     """The payload's wrench at M rows of a log, by something else than the sensor."""
@@ -115,7 +122,8 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     chunks = _compared(motion, log, tau)
     if sensor.time_offset_prior > 0.0:
         inverse = np.nan_to_num(calibration.inverse)
-        tau += _time_offset(chunks, log, inverse, sensor.noise_array, sensor.time_offset_prior)
+        raw = _at_reference_temperature(calibration, log)
+        tau += _time_offset(chunks, raw, inverse, sensor.noise_array, sensor.time_offset_prior)
         chunks = _compared(motion, log, tau)
     rows, wrench, variance, twist, acceleration, gravity = (
         np.concatenate([getattr(chunk, name) for chunk in chunks])
@@ -176,14 +184,14 @@ def _compared(motion: InertialMotion, log: Log, time_offset: float) -> list[Iner
 
 
 def _time_offset(
-    chunks: Sequence[InertialChunk], log: Log, inverse: Array, noise: Array, prior: float
+    chunks: Sequence[InertialChunk], raw: Array, inverse: Array, noise: Array, prior: float
 ) -> float:
     """Change of the time offset that the residuals ask for, to first order, under its prior."""
     rows, wrench, rate, variance = (
         np.concatenate([getattr(chunk, name) for chunk in chunks])
         for name in ("rows", "wrench", "rate", "variance")
     )
-    residual = log.raw[rows] @ inverse.T - wrench
+    residual = raw[rows] @ inverse.T - wrench
     residual, rate = residual - residual.mean(axis=0), rate - rate.mean(axis=0)
     weight = 1.0 / (variance + inverse**2 @ noise**2)
     return float(np.sum(weight * rate * residual) / (np.sum(weight * rate**2) + prior**-2.0))
