@@ -12,7 +12,7 @@ from test_disturbed_logs import NOISE, gain_error, pushed, rig_of
 
 import truewrench as tw
 from truewrench.calibration import Calibration
-from truewrench.estimate.moving_offset import with_free_offsets
+from truewrench.estimate.moving_offset import rather_jumps, with_free_offsets
 from truewrench.estimate.windows import estimate_windows
 from truewrench.evidence import Evidence
 from truewrench.log import Log
@@ -57,6 +57,35 @@ def test_a_jump_of_the_offset_is_found_named_and_paid_for(estimator: Any, size: 
         end = run.truth.offset + step * NOISE
         assert (np.abs(found.offset - end) < 4.0 * found.offset_std).all()
     assert 0.6 < np.mean(scores) < 1.45
+
+
+@pytest.mark.parametrize("estimator", ["map", "online"])
+def test_a_jump_too_small_to_spoil_the_fit_is_found_too(estimator: Any) -> None:
+    rig, scores = rig_of(RATE), []
+    for seed in range(3):
+        run = simulate(rig, seed=seed)
+        found = tw.calibrate(rig, jumped(run.log, 0.45, [0, 0, 0, 0.6, 0, 0]), estimator, held_out=False)
+        assert "mx by" in notes_of(found)[0]
+        scores.append(nees(rig, found, run))
+    assert np.mean(scores) < 1.45
+
+
+def test_a_jump_and_a_contact_are_told_apart_by_what_explains_more() -> None:
+    run = simulate(rig_of(RATE), seed=5)
+    log, rows = run.log, np.arange(len(run.log.raw))
+    wrench = np.random.default_rng(1).normal(size=(len(rows), 6))  # of any motion
+    raw = wrench @ run.truth.gain.T + NOISE * np.random.default_rng(2).normal(size=log.raw.shape)
+    late, stretch = rows > 0.55 * len(rows), (rows > 0.6 * len(rows)) & (rows < 0.68 * len(rows))
+    none = np.zeros(len(rows), dtype=bool)
+    for moved, left_out, jumps in (
+        (0.5 * late, stretch, True),  # a part of what jumped was taken for a contact
+        (0.5 * late, none, True),
+        (4.0 * stretch, stretch, False),
+        (0.0 * late, none, False),
+        (0.0 * late, stretch, False),
+    ):
+        shown = replace(log, raw=raw + moved[:, None] * np.array([0, 0, 0, 1, 0, 0]) * NOISE)
+        assert rather_jumps(shown, rows, wrench, left_out, NOISE) == jumps
 
 
 @pytest.mark.parametrize("shape", ["line", "walk"])

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from truewrench import _core
 from truewrench.estimate.fits import ENOUGH, fitted_share
 from truewrench.estimate.moving_offset import (
@@ -13,6 +15,7 @@ from truewrench.estimate.moving_offset import (
     Wandering,
     jump_in,
     log_cut_at,
+    rather_jumps,
     still_moves,
     wandering,
     with_free_offsets,
@@ -28,6 +31,8 @@ __all__ = ["LEFT_OUT", "Attempts", "Explanation"]
 NEARLY_ALL = 0.95  # share of the samples that contacts or jumps must explain to be believed
 LEFT_OUT = 0.2
 """Share of the samples left out as contacts that is accepted: beyond it a push may be an offset."""
+GLARING = 1e-12  # contacts by chance in a window, where only those that nobody doubts are left out,
+TINY = 1e-300  # and none that motion and gain take up
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,10 +123,31 @@ class Attempts:
         """What explains most samples, with offsets that jump where logs fit so."""
         found = self.plain(rig)
         if _explained(found, ENOUGH):
-            return found
+            return self._rather_cut(rig, found) or found
         self._free = with_free_offsets(rig, self._as_a_whole)
         cut = None if self._free is None else self._cut_at_jumps(rig, self._free)
         return self._begun_in_sequence(rig, found) if cut is None else cut
+
+    def _rather_cut(self, rig: Rig, found: WindowEstimate) -> WindowEstimate | None:
+        """The logs cut at jumps that gain or contacts have taken up; None where there are none."""
+        if rig.sensor.pool_offsets or not rig.sensor.offset_prior_array.any():
+            return None
+        shown: WindowEstimate | None = found
+        contacts = any(rows.any() for rows in found.left_out)
+        if self.method == "online" or contacts:
+            settings = _core.EstimatorSettings()
+            settings.window, settings.threads = self.settings.window, self.settings.threads
+            settings.knots = _glaring_contacts_alone()
+            shown = estimate_windows(rig, self.logs, "map", settings, found)
+            if not contacts and fitted_share(shown.windows) < ENOUGH:  # one gain for all does not fit
+                shown = with_free_offsets(rig, self._as_a_whole)
+        if shown is None or not shown.solved:
+            return None
+        left_out = found.left_out if contacts else [np.zeros(len(w), dtype=bool) for w in shown.wrench]
+        of_logs = zip(self.logs, shown.wrench_rows, shown.wrench, left_out, strict=True)
+        if not any(rather_jumps(*log, rig.sensor.noise_array) for log in of_logs):
+            return None
+        return self._cut_at_jumps(rig, shown)
 
     def _as_a_whole(self, rig: Rig) -> WindowEstimate:
         """By `map`, whose wrenches are those of one gain: residuals of `online` show how it was found."""
@@ -157,6 +183,12 @@ class Attempts:
         again = self.plain(rig, quick)
         better = again.solved and fitted_share(again.windows) >= fitted_share(found.windows)
         return again if better else found
+
+
+def _glaring_contacts_alone() -> _core.KnotSettings:
+    knots = _core.KnotSettings()
+    knots.false_disturbances, knots.false_pushes = GLARING, TINY
+    return knots
 
 
 def _explained(estimate: WindowEstimate, share: float) -> bool:

@@ -21,6 +21,7 @@ __all__ = [
     "jump_in",
     "jump_notes",
     "log_cut_at",
+    "rather_jumps",
     "still_moves",
     "wandering",
     "with_free_offsets",
@@ -111,6 +112,27 @@ def jump_in(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> J
     return Jump(float(time[first - 1]), float(time[last]), change)
 
 
+def rather_jumps(
+    log: Log, rows: NDArray[np.int64], wrench: Array, left_out: NDArray[np.bool_], noise: Array
+) -> bool:
+    """Whether a jump of the offset explains a log better than the contacts that were found in it.
+
+    Args:
+        log: the whole of it.
+        rows: (M,) of the log that the wrench belongs to.
+        wrench: (M, 6) where these contacts were not left out [N, N m]; NaN where it is not known.
+        left_out: (M,) whether a sample was left out as a contact.
+        noise: (n,) 1 sigma of a sample.
+    """
+    time, y, regressors = _regression(log, rows, wrench, noise)
+    if len(time) < 4 * PIECE:
+        return False
+    _, kept, of_kept = _regression(log, rows, np.where(left_out[:, None], np.nan, wrench), noise)
+    by_contacts = _misfit(y, regressors) - _misfit(kept, of_kept) - float(y.size - kept.size)
+    by_jump = _explained_by_a_step(y, regressors).max()
+    return bool(by_jump > max(by_contacts, chi2.isf(SIGNIFICANT, y.shape[1])))
+
+
 def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> bool:
     """Whether a log that was cut where its offset jumps shows another step, as one that drifts would.
 
@@ -184,6 +206,12 @@ def _regression(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) 
     known &= long[piece]  # pieces of the doubtful time of a jump have wrenches as uncertain as their motion
     constants = piece[known, None] == np.flatnonzero(long)
     return log.time[rows][known], log.raw[rows][known] / noise, np.column_stack([wrench[known], constants])
+
+
+def _misfit(y: Array, regressors: Array) -> float:
+    """Sum of the squares (N, n) that the regressors (N, p) leave."""
+    basis = np.linalg.qr(regressors)[0]
+    return float(np.sum((y - basis @ (basis.T @ y)) ** 2))
 
 
 def _explained_by_a_step(y: Array, regressors: Array) -> Array:
