@@ -120,6 +120,21 @@ def test_contacts_and_clean_logs_have_offsets_that_stay() -> None:
     assert found.logs[0].disturbances
 
 
+def test_an_offset_that_follows_temperature_or_walks_as_stated_does_not_jump() -> None:
+    settings = rig_of(RATE).to_mapping()
+    warm = Rig.from_mapping(settings | {"temperature": {"reference": 20, "prior": 1e-3}})
+    run = simulate(warm, seed=2)
+    temperature = 20.0 + 3.0 * (run.log.time > 0.5 * run.log.time[-1])
+    raw = run.log.raw + np.outer(temperature - 20.0, NOISE)
+    found = tw.calibrate(warm, replace(run.log, raw=raw, temperature=temperature), held_out=False)
+    assert found.verdict.usable, found.verdict.reasons
+    assert not notes_of(found)
+    walking = rig_of(RATE, offset_walk=NOISE.tolist())
+    found = tw.calibrate(walking, jumped(run.log, 0.5, [1, 0, 0, 0, 0, 0]), held_out=False)
+    assert found.verdict.usable, found.verdict.reasons
+    assert not notes_of(found)
+
+
 def test_the_report_shows_no_step_where_a_jump_was_found() -> None:
     rig, shown = rig_of(RATE), list[Evidence]()
     log = jumped(simulate(rig, seed=4).log, 0.5, [20, 0, 0, 0, 0, 0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,6 +25,7 @@ from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.temperature import offset_by_temperature
 
 __all__ = ["LEFT_OUT", "Attempts", "Explanation"]
 
@@ -129,8 +130,14 @@ class Attempts:
         return self._begun_in_sequence(rig, found) if cut is None else cut
 
     def _rather_cut(self, rig: Rig, found: WindowEstimate) -> WindowEstimate | None:
-        """The logs cut at jumps that gain or contacts have taken up; None where there are none."""
-        if rig.sensor.pool_offsets or not rig.sensor.offset_prior_array.any():
+        """The logs cut at jumps that gain or contacts have taken up; None where there are none.
+
+        None also where a step alone would not tell: the offset may walk, or lags behind a filter.
+        """
+        sensor = rig.sensor
+        if sensor.pool_offsets or not sensor.offset_prior_array.any():
+            return None
+        if sensor.offset_walk_array.any() or sensor.lowpass_hz is not None:
             return None
         shown: WindowEstimate | None = found
         contacts = any(rows.any() for rows in found.left_out)
@@ -144,8 +151,9 @@ class Attempts:
         if shown is None or not shown.solved:
             return None
         left_out = found.left_out if contacts else [np.zeros(len(w), dtype=bool) for w in shown.wrench]
-        of_logs = zip(self.logs, shown.wrench_rows, shown.wrench, left_out, strict=True)
-        if not any(rather_jumps(*log, rig.sensor.noise_array) for log in of_logs):
+        logs = _at_reference_temperature(rig, self.logs, shown)
+        of_logs = zip(logs, shown.wrench_rows, shown.wrench, left_out, strict=True)
+        if not any(rather_jumps(*log, sensor.noise_array) for log in of_logs):
             return None
         return self._cut_at_jumps(rig, shown)
 
@@ -158,7 +166,9 @@ class Attempts:
         noise, whole = rig.sensor.noise_array, self.logs
         jumps = [
             jump_in(log, rows, wrench, noise)
-            for log, rows, wrench in zip(whole, shown.wrench_rows, shown.wrench, strict=True)
+            for log, rows, wrench in zip(
+                _at_reference_temperature(rig, whole, shown), shown.wrench_rows, shown.wrench, strict=True
+            )
         ]
         if not any(jumps):
             return None
@@ -166,7 +176,9 @@ class Attempts:
         cut = self._as_a_whole(rig)
         moving = any(
             still_moves(log, rows, wrench, noise)
-            for log, rows, wrench in zip(self.logs, cut.wrench_rows, cut.wrench, strict=True)
+            for log, rows, wrench in zip(
+                _at_reference_temperature(rig, self.logs, cut), cut.wrench_rows, cut.wrench, strict=True
+            )
         )
         if cut.solved and _explained(cut, NEARLY_ALL) and not moving:
             self.jumps, self._last_quick = jumps, None
@@ -183,6 +195,12 @@ class Attempts:
         again = self.plain(rig, quick)
         better = again.solved and fitted_share(again.windows) >= fitted_share(found.windows)
         return again if better else found
+
+
+def _at_reference_temperature(rig: Rig, logs: Sequence[Log], found: WindowEstimate) -> list[Log]:
+    """The logs without what an estimate says of their offsets' way with temperature."""
+    slope, reference = found.offset_temperature, rig.temperature.reference
+    return [replace(log, raw=log.raw - offset_by_temperature(slope, reference, log)) for log in logs]
 
 
 def _glaring_contacts_alone() -> _core.KnotSettings:
