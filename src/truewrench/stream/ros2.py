@@ -255,9 +255,6 @@ def calibrate_topics(
                     complain(f"{topic}: {error}")
         found = session.poll()
         if found is not None and found.calibration is not None and found.usable:
-            if correct is None:
-                for note in without_temperature(found.calibration):
-                    complain(note)
             correct = corrector(found.calibration, "ROS 2")
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress
