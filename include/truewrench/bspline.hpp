@@ -88,7 +88,8 @@ class BSpline {
     return pieces_[static_cast<std::size_t>(i)] * p;
   }
 
-  // The same spline on other breakpoints, of which this one's are a subset: rows of `x` are coefficients.
+  // The same spline on other breakpoints, of which this one's are a subset, or else one close to it: rows of `x` are
+  // coefficients.
   // A coefficient is the polar form of a polynomial piece inside its support, taken at its five inner knots.
   template <int D>
   Eigen::Matrix<double, Eigen::Dynamic, D, Eigen::RowMajor> refined(
@@ -116,19 +117,42 @@ class BSpline {
     return y;
   }
 
-  // Breakpoints with every marked interval halved.
-  std::vector<double> halved(std::span<const char> marked) const {
+  // Breakpoints with every marked interval halved. Where halves would be shorter than `finest`, marked intervals and
+  // their neighbours, as short, are dealt out anew, a third more of them if that allows it.
+  std::vector<double> halved(std::span<const char> marked, double finest = 0.0) const {
+    const auto is_marked = [&](int i) {
+      return i >= 0 && i < intervals() && marked[static_cast<std::size_t>(i)];
+    };
+    const auto is_dealt = [&](int i) {
+      return 0.5 * width(i) < finest && (is_marked(i - 1) || is_marked(i) || is_marked(i + 1));
+    };
     std::vector<double> t;
     t.reserve(2 * breakpoints_.size());
-    for (int i = 0; i < intervals(); ++i) {
-      t.push_back(at(i));
-      if (marked[static_cast<std::size_t>(i)]) t.push_back(0.5 * (at(i) + at(i + 1)));
+    for (int i = 0; i < intervals();) {
+      int next = i + 1;
+      if (is_dealt(i)) {
+        while (next < intervals() && is_dealt(next)) ++next;
+        const int before = next - i;
+        const int count = std::min(static_cast<int>((at(next) - at(i)) / finest), (4 * before + 2) / 3);
+        if (count >= kWorthwhile * before) {
+          const std::vector<double> dealt = uniform(at(i), at(next), count);
+          t.insert(t.end(), dealt.begin(), dealt.end() - 1);
+        } else {
+          t.insert(t.end(), breakpoints_.begin() + i, breakpoints_.begin() + next);
+        }
+      } else {
+        t.push_back(at(i));
+        if (is_marked(i)) t.push_back(0.5 * (at(i) + at(next)));
+      }
+      i = next;
     }
     t.push_back(end());
     return t;
   }
 
  private:
+  static constexpr double kWorthwhile = 1.1;  // so many times as many intervals, or they stay as they are
+
   // Row r: the polynomial of active basis function r in powers of u.
   using Piece = Eigen::Matrix<double, kActive, kActive>;
 

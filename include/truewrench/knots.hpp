@@ -3,7 +3,8 @@
 //
 // Coarse to fine. At every spacing two questions are asked of each interval: are the residuals of every stream
 // as large as their noise says, and would halving the interval lower the cost by more than chance (the score
-// test of the nested, finer spline: one linearisation, no second fit)? An interval that fails is halved.
+// test of the nested, finer spline: one linearisation, no second fit)? An interval that fails is halved, or dealt
+// out anew with its neighbours where its halves would be too short.
 #pragma once
 
 #include "truewrench/gating.hpp"
@@ -195,12 +196,11 @@ class WindowSolver {
         }
       }
       Refinement r = test(fit, window, terms, prior, false);
-      const std::vector<char> marked = mark(fit.spline, r, finest);
-      if (std::none_of(marked.begin(), marked.end(), [](char m) { return m; })) {
+      BSpline finer(fit.spline.halved(mark(fit.spline, r), finest));
+      if (finer.intervals() == fit.spline.intervals()) {
         accepted_ = std::move(r);
         return true;
       }
-      BSpline finer(fit.spline.halved(marked));
       fit.x = fit.spline.refined<kCoordinates>(fit.x, finer);
       fit.spline = std::move(finer);
     }
@@ -383,7 +383,8 @@ class WindowSolver {
     return out;
   }
 
-  std::vector<char> mark(const BSpline& spline, const Refinement& r, double finest) const {
+  // The intervals that fail a test.
+  std::vector<char> mark(const BSpline& spline, const Refinement& r) const {
     std::vector<char> marked(r.gain.size(), 0);
     const double local_limit = kCoordinates + settings_.interval_sigma * std::sqrt(2.0 * kCoordinates);
     const bool pooled =
@@ -397,7 +398,7 @@ class WindowSolver {
         g.leverage = total > 0.0 ? lost * g.count / total : 0.0;
         bad = bad || g.deviate() > settings_.residual_sigma;
       }
-      marked[i] = bad && 0.5 * spline.width(static_cast<int>(i)) >= finest;
+      marked[i] = bad;
     }
     return marked;
   }

@@ -166,12 +166,9 @@ class WindowSet {
     bool any = false;
     for (LogWindow& w : windows) {
       if (w.fit.status != WindowStatus::fitted) continue;
-      std::vector<char> marked(static_cast<std::size_t>(w.fit.spline.intervals()), 0);
-      for (std::size_t i = 0; i < marked.size(); ++i) {
-        marked[i] = 0.5 * w.fit.spline.width(static_cast<int>(i)) >= problem_->finest[w.log];
-        any = any || marked[i];
-      }
-      BSpline finer(w.fit.spline.halved(marked));
+      const std::vector<char> all(static_cast<std::size_t>(w.fit.spline.intervals()), 1);
+      BSpline finer(w.fit.spline.halved(all, problem_->finest[w.log]));
+      any = any || finer.intervals() > w.fit.spline.intervals();
       w.fit.x = w.fit.spline.template refined<kCoordinates>(w.fit.x, finer);
       w.fit.spline = std::move(finer);
     }

@@ -152,6 +152,21 @@ TEST(BSpline, HalvingMarksPutsOneBreakpointInTheMiddleOfEachMarkedInterval) {
   EXPECT_EQ(spline.halved(std::vector<char>{1, 0, 1}), (std::vector<double>{0.0, 0.5, 1.0, 3.0, 3.5, 4.0}));
 }
 
+TEST(BSpline, MarkedNeighboursTooShortToBeHalvedAreDealtOutAnew) {
+  const BSpline even(BSpline::uniform(0.0, 4.0, 4));
+  const std::vector<char> all(4, 1), first{1, 1, 0, 0}, none(4, 0);
+  EXPECT_EQ(even.halved(all, 0.5), even.halved(all));
+  EXPECT_EQ(even.halved(all, 0.7), BSpline::uniform(0.0, 4.0, 5));
+  EXPECT_EQ(even.halved(all, 0.95), even.breakpoints());
+  EXPECT_EQ(even.halved(none, 0.7), even.breakpoints());
+  EXPECT_EQ(even.halved(first, 0.7), (std::vector<double>{0.0, 0.75, 1.5, 2.25, 3.0, 4.0}));
+  EXPECT_EQ(even.halved(first, 0.8), even.breakpoints());
+  const BSpline uneven(std::vector<double>{0.0, 1.0, 2.0, 4.0});
+  EXPECT_EQ(uneven.halved(std::vector<char>{0, 0, 1}, 0.8), (std::vector<double>{0.0, 1.0, 2.0, 3.0, 4.0}));
+  EXPECT_EQ(uneven.halved(std::vector<char>{0, 1, 1}, 0.6),
+            (std::vector<double>{0.0, 2.0 / 3.0, 4.0 / 3.0, 2.0, 3.0, 4.0}));
+}
+
 TEST(BSpline, UniformBreakpointsMeetBothEndsExactly) {
   const std::vector<double> t = BSpline::uniform(0.1, 0.7, 7);
   ASSERT_EQ(t.size(), 8U);

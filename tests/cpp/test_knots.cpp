@@ -241,6 +241,17 @@ TEST(Knots, HeldMotionIsStationary) {
   EXPECT_LT((fit.x - before).norm(), 1e-7 * before.norm());
 }
 
+TEST(Knots, MotionThatTheSamplesResolveIsFittedAlthoughHalvedKnotsWouldBeTooClose) {
+  const double finest = 0.02;
+  for (const double scale : {8.0, 9.0, 10.0, 11.0}) {
+    Held window(at_frequency(scale, 2.3), 3);
+    const WindowFit fit = window.search(finest);
+    EXPECT_EQ(fit.status, WindowStatus::fitted) << scale;
+    EXPECT_LT(fit.nested - fit.nested_expected, 3.0 * std::sqrt(2.0 * fit.nested_expected)) << scale;
+    for (int i = 0; i < fit.spline.intervals(); ++i) EXPECT_GE(fit.spline.width(i), finest);
+  }
+}
+
 TEST(Knots, VibrationThatTheSamplesDoNotResolveIsRejected) {
   Simulation s = at_frequency(1.0, 3.0);
   const Simulation smooth = s;
