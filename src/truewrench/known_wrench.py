@@ -16,7 +16,7 @@ from truewrench.estimate.fits import chi_square_deviate
 from truewrench.estimate.reference import ReferenceEstimate, estimate_from_reference
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.temperature import offset_by_temperature
+from truewrench.temperature import at_reference_temperature
 from truewrench.validation import CHANGE
 from truewrench.validation.comparison import Comparison
 from truewrench.verdict import CHI_SQUARE, CHI_SQUARE_LOW, DEVIATE, gain_reasons
@@ -218,9 +218,8 @@ def _errors(
     before = log.raw @ nominal.T - log.reference
     if sensor.offset_prior_array.any():
         before = before - before[fitted.rows[k]].mean(axis=0)
-    warm = offset_by_temperature(fitted.offset_temperature, rig.temperature.reference, log)
-    raw = log.raw[out] - fitted.offsets[k] - warm[out]
-    return before[out], raw @ inverse.T - log.reference[out]
+    raw = at_reference_temperature(fitted.offset_temperature, rig, log).raw[out]
+    return before[out], (raw - fitted.offsets[k]) @ inverse.T - log.reference[out]
 
 
 def _by_axis(

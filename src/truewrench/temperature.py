@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.log import Log
+from truewrench.rig import Rig
 
-__all__ = ["offset_by_temperature", "temperature_at"]
+__all__ = ["at_reference_temperature", "temperature_at"]
 
 Array = NDArray[np.float64]
 
@@ -24,13 +27,15 @@ def temperature_at(log: Log, time_ns: NDArray[np.int64]) -> Array | None:
     return np.asarray(np.interp(at, time, log.temperature[known]))
 
 
-def offset_by_temperature(slope: Array | None, reference: float, log: Log) -> Array:
-    """What the channels of a log read more than at the reference temperature, (N, n) raw units.
+def at_reference_temperature(slope: Array | None, rig: Rig, log: Log) -> Log:
+    """The log with channels that read what they would at the rig's reference temperature.
 
     Args:
         slope: (n,) of the offset per K, as a calibration holds it; None: nothing follows.
-        reference: temperature [degC].
-        log: whose rows are asked for; without a temperature nothing is known to follow.
+        rig: whose temperature the offset is given at.
+        log: without a temperature nothing is known to follow.
     """
     at = None if slope is None else temperature_at(log, log.time_ns)
-    return np.zeros_like(log.raw) if slope is None or at is None else np.outer(at - reference, slope)
+    if slope is None or at is None:
+        return log
+    return replace(log, raw=log.raw - np.outer(at - rig.temperature.reference, slope))

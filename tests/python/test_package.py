@@ -17,9 +17,9 @@ PACKAGE = ROOT / "src" / "truewrench"
 # the data types and what they stand on. "estimate" and "io" stand for the modules inside them.
 FLOORS = [
     {"errors", "log", "motion", "figures", "_cpu"},
-    {"_core", "files", "robots", "split", "temperature"},
+    {"_core", "files", "robots", "split"},
     {"rig"},
-    {"arm", "calibration", "motion_noise", "payload"},
+    {"arm", "calibration", "motion_noise", "payload", "temperature"},
     {"bound", "exports", "inertial", "io"},
     {"apply", "estimate", "inspection", "truth"},
     {"assembly", "evidence", "simulate", "validation", "verdict"},

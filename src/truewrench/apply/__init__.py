@@ -143,9 +143,9 @@ class Run:
         time = self._time.read(chunk)
         raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
         new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
-        at_reference = raw - self._warmth.offset(chunk)
-        complete = ~np.isnan(at_reference).any(axis=1)
-        new[complete] = np.hstack(self._corrector.correct(at_reference[complete]))
+        compensated = self._warmth.without(chunk, raw)
+        complete = ~np.isnan(compensated).any(axis=1)
+        new[complete] = np.hstack(self._corrector.correct(compensated[complete]))
         self._rows += chunk.rows
         self._corrected += int(complete.sum())
         if self._progress is not None:
@@ -168,15 +168,15 @@ class _Warmth:
         self.columns = ("temperature",) if self._slope.any() and "temperature" in names else ()
         self.notes = () if self.columns else without_temperature(calibration)
 
-    def offset(self, chunk: Chunk) -> FloatArray:
-        """(rows, n), NaN before the first reading; or (1, 1) where nothing follows."""
+    def without(self, chunk: Chunk, raw: FloatArray) -> FloatArray:
+        """The channels (rows, n) of a chunk at the reference temperature; NaN before the first reading."""
         if not self.columns:
-            return np.zeros((1, 1))
+            return raw
         readings = np.append(self._latest, numbers(chunk.column("temperature"))[0])
         latest = np.maximum.accumulate(np.where(np.isnan(readings), 0, np.arange(readings.size)))
         held = readings[latest]
         self._latest = float(held[-1])
-        return np.outer(held[1:] - self._reference, self._slope)
+        return raw - np.outer(held[1:] - self._reference, self._slope)
 
 
 def without_temperature(calibration: Calibration) -> tuple[str, ...]:

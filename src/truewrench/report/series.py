@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.evidence import Evidence
 from truewrench.log import Log
 from truewrench.split import held_out
-from truewrench.temperature import offset_by_temperature
+from truewrench.temperature import at_reference_temperature
 from truewrench.validation.residuals import residuals
 
 __all__ = ["Record", "Series", "record_of"]
@@ -121,10 +121,10 @@ def _begins(logs: Sequence[Log]) -> list[tuple[Log, float]]:
 def _of_windows(calibration: Calibration, log: Log, k: int, estimate: WindowEstimate, begin: float) -> Series:
     rig, inverse = calibration.rig, calibration.inverse
     rows, wrench = estimate.wrench_rows[k], estimate.wrench[k]
-    raw = log.raw
+    felt = log
     if rig.sensor.lowpass_hz is not None:
-        raw = unfiltered(raw, log.time, rig.sensor.lowpass_hz)[0]
-    raw = _at_reference_temperature(calibration, log, raw)[rows]
+        felt = replace(log, raw=unfiltered(log.raw, log.time, rig.sensor.lowpass_hz)[0])
+    raw = at_reference_temperature(calibration.offset_temperature, rig, felt).raw[rows]
     noise = noise_behind_filter(rig, [log]) * rig.sensor.noise_array
     noise = noise * np.sqrt(1.0 - _leverage(estimate, rig.sensor.n))  # the motion follows some of it
     return Series(
@@ -151,7 +151,7 @@ def _of_reference(
     wrench = np.full_like(log.reference, np.nan)
     rows = estimate.rows[k]
     wrench[rows] = log.reference[rows]
-    raw = _at_reference_temperature(calibration, log, log.raw)
+    raw = at_reference_temperature(calibration.offset_temperature, rig, log).raw
     used = sum(rows.size for rows in estimate.rows)
     left = float(np.mean(estimate.freedom)) / max(
         1, used
@@ -190,22 +190,17 @@ def _of_motion(calibration: Calibration, log: Log, begin: float) -> Series:
         """With a NaN between stretches, so that nothing is drawn across them."""
         return np.insert(values, breaks, np.nan, axis=0)
 
-    raw = _at_reference_temperature(calibration, shown, shown.raw)[found.rows]
+    compensated = at_reference_temperature(calibration.offset_temperature, calibration.rig, shown)
     return Series(
         time=broken(shown.time[found.rows]) + first,
         wrench=broken(found.wrench),
-        raw=broken(raw),
+        raw=broken(compensated.raw[found.rows]),
         residual=broken(found.new),
         sigma=broken(np.sqrt(found.noise)),
         lagged=found.lagged,
         begin=begin,
         duration=float(log.time[-1]),
     )
-
-
-def _at_reference_temperature(calibration: Calibration, log: Log, raw: Array) -> Array:
-    reference = calibration.rig.temperature.reference
-    return raw - offset_by_temperature(calibration.offset_temperature, reference, log)
 
 
 def _leverage(estimate: WindowEstimate, n: int) -> Array:

@@ -21,7 +21,7 @@ from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.split import between_jumps, held_out
-from truewrench.temperature import offset_by_temperature
+from truewrench.temperature import at_reference_temperature
 from truewrench.validation import CHANGE, LOSS, validate, worse
 
 __all__ = ["Comparison", "compare_held_out", "compare_in_sample"]
@@ -105,9 +105,8 @@ def compare_in_sample(
         if rig.sensor.offset_prior_array.any():
             nominal -= nominal.mean(axis=0)
         old.append(nominal)
-        warm = offset_by_temperature(estimate.offset_temperature, rig.temperature.reference, log)
-        offset = path.at(log.time[rows][known]) + warm[rows][known]
-        new.append((raw - offset) @ inverse.T - wrench[known])
+        compensated = at_reference_temperature(estimate.offset_temperature, rig, log).raw[rows][known]
+        new.append((compensated - path.at(log.time[rows][known])) @ inverse.T - wrench[known])
     if not old or not np.isfinite(inverse).all():
         return Comparison({}, (), figures)
     before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))

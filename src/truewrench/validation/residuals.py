@@ -15,7 +15,7 @@ from truewrench.inertial import InertialChunk, InertialMotion
 from truewrench.log import Log
 from truewrench.payload import payload_wrench
 from truewrench.rig import PayloadSpec, Rig
-from truewrench.temperature import offset_by_temperature
+from truewrench.temperature import at_reference_temperature
 
 __all__ = ["LONGEST_LAG", "Residuals", "joined_columns", "residuals", "tared"]
 
@@ -58,15 +58,15 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     Raises:
         InputError: for a log without enough rows.
     """
-    known = (
-        _by_motion(calibration, rig, log) if log.reference is None else _by_reference(calibration, rig, log)
-    )
+    compensated = at_reference_temperature(calibration.offset_temperature, calibration.rig, log)
+    by_another = _by_motion if log.reference is None else _by_reference
+    known = by_another(calibration, rig, compensated)
     sensor = rig.sensor
     inverse = np.nan_to_num(calibration.inverse)
     nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
     wrench, payload = known.wrench, known.payload
     old = log.raw[known.rows] @ nominal_inverse.T - wrench
-    new = _at_reference_temperature(calibration, log)[known.rows] @ inverse.T - wrench
+    new = compensated.raw[known.rows] @ inverse.T - wrench
     n, P, size = sensor.n, calibration.covariance, 6 * sensor.n
     if tared(rig):
         old, new = old - old.mean(axis=0), new - new.mean(axis=0)
@@ -97,11 +97,6 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     )
 
 
-def _at_reference_temperature(calibration: Calibration, log: Log) -> Array:
-    reference = calibration.rig.temperature.reference
-    return np.asarray(log.raw - offset_by_temperature(calibration.offset_temperature, reference, log))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Known:
     """The payload's wrench at M rows of a log, by something else than the sensor."""
@@ -122,8 +117,7 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     chunks = _compared(motion, log, tau)
     if sensor.time_offset_prior > 0.0:
         inverse = np.nan_to_num(calibration.inverse)
-        raw = _at_reference_temperature(calibration, log)
-        tau += _time_offset(chunks, raw, inverse, sensor.noise_array, sensor.time_offset_prior)
+        tau += _time_offset(chunks, log.raw, inverse, sensor.noise_array, sensor.time_offset_prior)
         chunks = _compared(motion, log, tau)
     rows, wrench, variance, twist, acceleration, gravity = (
         np.concatenate([getattr(chunk, name) for chunk in chunks])
