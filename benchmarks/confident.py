@@ -80,10 +80,10 @@ def contacts(log: Log, rig: Rig, rng: np.random.Generator, gain: Array) -> tuple
 
 
 def offset_step(log: Log, rig: Rig, rng: np.random.Generator, gain: Array) -> tuple[Log, Settings]:
-    """The offset of one channel or of all jumps in mid-record, by 0.3 to 100 x noise."""
+    """The offset of one channel or of all jumps, at 5 to 95% of the record, by 0.3 to 100 x noise."""
     raw, size = log.raw.copy(), _logarithmic(rng, 0.3, 100.0)
     push = _one_or_all(rng, rig.sensor.n)
-    at = rng.uniform(0.25, 0.75)
+    at = rng.uniform(0.05, 0.95)
     raw[log.time > at * log.time[-1]] += size * push * rig.sensor.noise_array
     return replace(log, raw=raw), {"size": size, "at": at}
 

@@ -22,7 +22,7 @@ from truewrench.estimate.clock import clock_doubts, delay_excluded
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.fits import ENOUGH, fitted_share, mostly_unexplained
 from truewrench.estimate.least_squares import least_squares
-from truewrench.estimate.moving_offset import jump_notes
+from truewrench.estimate.moving_offset import end_notes, jump_notes
 from truewrench.estimate.noise import hidden_delay, noise_figures, noise_notes
 from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.window_estimate import WindowEstimate
@@ -181,6 +181,7 @@ def _from_windows(
                 *noise_notes(rig, noise),
                 *_clock_notes(estimate),
                 *jump_notes(rig, attempts.jumps),
+                *end_notes(logs, estimate),
             ],
         },
         timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),

@@ -12,7 +12,7 @@ from test_disturbed_logs import NOISE, gain_error, pushed, rig_of
 
 import truewrench as tw
 from truewrench.calibration import Calibration
-from truewrench.estimate.moving_offset import rather_jumps, with_free_offsets
+from truewrench.estimate.moving_offset import jump_in, with_free_offsets
 from truewrench.estimate.windows import estimate_windows
 from truewrench.evidence import Evidence
 from truewrench.log import Log
@@ -59,6 +59,41 @@ def test_a_jump_of_the_offset_is_found_named_and_paid_for(estimator: Any, size: 
     assert 0.6 < np.mean(scores) < 1.45
 
 
+@pytest.mark.parametrize(
+    ("estimator", "size"), [("map", 1.5), ("map", 5.0), ("online", 5.0), ("online", 80.0)]
+)
+def test_a_jump_near_the_end_is_no_contact_that_lasts(estimator: Any, size: float) -> None:
+    rig, scores = rig_of(RATE), []
+    step = size * np.array([1, 0, 0, -0.5, 0, 0])
+    for seed, at in enumerate((0.82, 0.9, 0.95)):
+        run = simulate(rig, seed=seed)
+        found = tw.calibrate(rig, jumped(run.log, at, step), estimator, held_out=False)
+        (note,) = notes_of(found)
+        assert "whatever the sensor bears" in note
+        end = run.truth.offset + step * NOISE
+        assert (np.abs(found.offset - end) < 4.0 * found.offset_std).all()
+        scores.append(nees(rig, found, run))
+    assert 0.6 < np.mean(scores) < 1.45
+
+
+def test_a_contact_that_lasts_to_the_end_leaves_the_offset_as_it_was_and_is_told() -> None:
+    rig, scores = rig_of(RATE), []
+    for seed in range(3):
+        run = simulate(rig, seed=seed)
+        log = run.log
+        push = (3.0 + np.sin(20.0 * log.time)) * (log.time > 0.9 * log.time[-1])
+        log = replace(log, raw=log.raw + 30.0 * np.outer(push, NOISE))
+        found = tw.calibrate(rig, log, held_out=False)
+        assert found.verdict.usable, found.verdict.reasons
+        assert not notes_of(found)
+        (note,) = [note for note in found.figures["notes"] if "hardly anything is known" in note]
+        since = float(re.findall(r"log 1 from (\S+) s on", note)[0])
+        assert since == pytest.approx(0.9 * log.time[-1], abs=0.5)
+        assert (np.abs(found.offset - run.truth.offset) < 4.0 * found.offset_std).all()
+        scores.append(nees(rig, found, run))
+    assert 0.6 < np.mean(scores) < 1.45
+
+
 @pytest.mark.parametrize("estimator", ["map", "online"])
 def test_a_jump_too_small_to_spoil_the_fit_is_found_too(estimator: Any) -> None:
     rig, scores = rig_of(RATE), []
@@ -85,7 +120,36 @@ def test_a_jump_and_a_contact_are_told_apart_by_what_explains_more() -> None:
         (0.0 * late, stretch, False),
     ):
         shown = replace(log, raw=raw + moved[:, None] * np.array([0, 0, 0, 1, 0, 0]) * NOISE)
-        assert rather_jumps(shown, rows, wrench, left_out, NOISE) == jumps
+        assert (jump_in(shown, rows, wrench, NOISE, left_out) is not None) == jumps
+
+
+def test_offsets_that_are_free_to_follow_the_motion_show_no_jump_by_chance() -> None:
+    run = simulate(rig_of(RATE), seed=5)
+    rows, rng = np.arange(len(run.log.raw)), np.random.default_rng(3)
+    part = rows * 24 // len(rows)
+    size = 4.0 / np.sqrt(len(rows) / 24)  # of a part's mean, four times that of the sensor's noise
+    for at in (0.3, 0.6):
+        wrench = rng.normal(size=(len(rows), 6))
+        slow = size * rng.normal(size=(24, 6))[part] + rng.normal(size=run.log.raw.shape)
+        raw = wrench @ run.truth.gain.T + NOISE * slow
+        assert jump_in(replace(run.log, raw=raw), rows, wrench, NOISE) is None
+        log = jumped(replace(run.log, raw=raw), at, [0, 3, 0, 0, 0, 0])
+        for left_out in (None, part % 5 == 0):  # and contacts are no better for taking it out
+            found = jump_in(log, rows, wrench, NOISE, left_out)
+            assert found is not None
+            assert found.begin <= at * run.log.time[-1] <= found.end
+
+
+def test_what_a_slow_motion_takes_of_a_jump_does_not_hide_when_it_was() -> None:
+    run, rng = simulate(rig_of(RATE), seed=5), np.random.default_rng(4)
+    rows, log = np.arange(len(run.log.raw)), run.log
+    cycles = log.time[:, None] / log.time[-1] * np.arange(0.5, 3.5, 0.5)
+    wrench = np.sin(2.0 * np.pi * (cycles + rng.uniform(size=6)))
+    for at in (0.2, 0.35, 0.5, 0.65, 0.8):
+        raw = wrench @ run.truth.gain.T + NOISE * rng.normal(size=log.raw.shape)
+        found = jump_in(jumped(replace(log, raw=raw), at, [0, 4, 0, 0, 0, 0]), rows, wrench, NOISE)
+        assert found is not None
+        assert found.begin <= at * log.time[-1] <= found.end < found.begin + 0.1
 
 
 @pytest.mark.parametrize("shape", ["line", "walk"])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimate.fits import ENOUGH, fitted_share
@@ -15,8 +16,10 @@ from truewrench.estimate.moving_offset import (
     Wandering,
     jump_in,
     log_cut_at,
-    rather_jumps,
+    offsets_may_move,
+    open_end,
     still_moves,
+    untold,
     wandering,
     with_free_offsets,
 )
@@ -25,7 +28,7 @@ from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.temperature import offset_by_temperature
+from truewrench.temperature import at_reference_temperature
 
 __all__ = ["LEFT_OUT", "Attempts", "Explanation"]
 
@@ -100,10 +103,11 @@ class Attempts:
         """
         rig = with_noise_of_walk(stated, self.logs)
         first = self._with_jumps(rig)
-        estimate, noise = estimate_with_noise(stated, rig, first, self._estimated, rescale)
+        unexplained = self._free is None  # by free offsets, with the noise as stated
+        estimate, noise = estimate_with_noise(stated, rig, first, self._estimated, rescale, unexplained)
         moving = None
-        poor = noise.resized or fitted_share(estimate.windows) < ENOUGH
-        if poor and self._free is not None and fitted_share(first.windows) < ENOUGH:
+        fitted = max(fitted_share(first.windows), fitted_share(estimate.windows))
+        if self._free is not None and fitted < ENOUGH:
             moving = wandering(rig, self.logs, self._free, self.plain)
         if moving is not None:
             rig = moving.rig
@@ -135,13 +139,13 @@ class Attempts:
         None also where a step alone would not tell: the offset may walk, or lags behind a filter.
         """
         sensor = rig.sensor
-        if sensor.pool_offsets or not sensor.offset_prior_array.any():
+        if not offsets_may_move(rig) or sensor.offset_walk_array.any() or sensor.lowpass_hz is not None:
             return None
-        if sensor.offset_walk_array.any() or sensor.lowpass_hz is not None:
-            return None
-        shown: WindowEstimate | None = found
+        shown: WindowEstimate | None = found  # with a wrench also where there are contacts
         contacts = any(rows.any() for rows in found.left_out)
-        if self.method == "online" or contacts:
+        if any(open_end(wrench) > 0 for wrench in found.wrench):
+            shown = with_free_offsets(rig, self._as_a_whole)
+        elif self.method == "online" or contacts:
             settings = _core.EstimatorSettings()
             settings.window, settings.threads = self.settings.window, self.settings.threads
             settings.knots = _glaring_contacts_alone()
@@ -150,37 +154,35 @@ class Attempts:
                 shown = with_free_offsets(rig, self._as_a_whole)
         if shown is None or not shown.solved:
             return None
-        left_out = found.left_out if contacts else [np.zeros(len(w), dtype=bool) for w in shown.wrench]
-        logs = _at_reference_temperature(rig, self.logs, shown)
-        of_logs = zip(logs, shown.wrench_rows, shown.wrench, left_out, strict=True)
-        if not any(rather_jumps(*log, sensor.noise_array) for log in of_logs):
-            return None
-        return self._cut_at_jumps(rig, shown)
+        return self._cut_at_jumps(rig, shown, found)
 
     def _as_a_whole(self, rig: Rig) -> WindowEstimate:
         """By `map`, whose wrenches are those of one gain: residuals of `online` show how it was found."""
         return estimate_windows(rig, self.logs, "map", self.settings)
 
-    def _cut_at_jumps(self, rig: Rig, shown: WindowEstimate) -> WindowEstimate | None:
-        """The logs cut where an estimate shows that their offsets jump; None where that is not all."""
+    def _cut_at_jumps(
+        self, rig: Rig, shown: WindowEstimate, uncut: WindowEstimate | None = None
+    ) -> WindowEstimate | None:
+        """The logs cut where their offsets jump; None where that is not all.
+
+        Args:
+            rig: with an offset for each log.
+            shown: whose wrenches show it.
+            uncut: with contacts in place of jumps. Those to a log's end are no better, if a cut explains it.
+        """
         noise, whole = rig.sensor.noise_array, self.logs
-        jumps = [
-            jump_in(log, rows, wrench, noise)
-            for log, rows, wrench in zip(
-                _at_reference_temperature(rig, whole, shown), shown.wrench_rows, shown.wrench, strict=True
-            )
-        ]
+        to_end = [uncut is not None and open_end(wrench) > 0 for wrench in (uncut or shown).wrench]
+        jumps = []
+        for k, of_log in enumerate(_wrenches_of(whole, rig, shown)):
+            contacts = None if uncut is None or to_end[k] else untold(uncut.wrench[k])
+            jumps.append(jump_in(*of_log, noise, contacts))
         if not any(jumps):
             return None
         self.logs = [log_cut_at(log, jump) for log, jump in zip(whole, jumps, strict=True)]
         cut = self._as_a_whole(rig)
-        moving = any(
-            still_moves(log, rows, wrench, noise)
-            for log, rows, wrench in zip(
-                _at_reference_temperature(rig, self.logs, cut), cut.wrench_rows, cut.wrench, strict=True
-            )
-        )
-        if cut.solved and _explained(cut, NEARLY_ALL) and not moving:
+        moving = any(still_moves(*of_log, noise) for of_log in _wrenches_of(self.logs, rig, cut))
+        open_still = any(jump and to_end[k] and open_end(cut.wrench[k]) > 0 for k, jump in enumerate(jumps))
+        if cut.solved and _explained(cut, NEARLY_ALL) and not moving and not open_still:
             self.jumps, self._last_quick = jumps, None
             return cut if self.method == "map" else self.plain(rig)
         self.logs = whole
@@ -197,10 +199,12 @@ class Attempts:
         return again if better else found
 
 
-def _at_reference_temperature(rig: Rig, logs: Sequence[Log], found: WindowEstimate) -> list[Log]:
-    """The logs without what an estimate says of their offsets' way with temperature."""
-    slope, reference = found.offset_temperature, rig.temperature.reference
-    return [replace(log, raw=log.raw - offset_by_temperature(slope, reference, log)) for log in logs]
+def _wrenches_of(
+    logs: Sequence[Log], rig: Rig, found: WindowEstimate
+) -> Iterator[tuple[Log, NDArray[np.int64], NDArray[np.float64]]]:
+    """Per log: itself at the reference temperature, rows and the wrench there."""
+    for log, rows, wrench in zip(logs, found.wrench_rows, found.wrench, strict=True):
+        yield at_reference_temperature(found.offset_temperature, rig, log), rows, wrench
 
 
 def _glaring_contacts_alone() -> _core.KnotSettings:

@@ -18,25 +18,34 @@ from truewrench.rig import Rig
 __all__ = [
     "Jump",
     "Wandering",
+    "end_notes",
     "jump_in",
     "jump_notes",
     "log_cut_at",
-    "rather_jumps",
+    "offsets_may_move",
+    "open_end",
     "still_moves",
+    "untold",
     "wandering",
     "with_free_offsets",
 ]
 
 Array = NDArray[np.float64]
 
-SIGNIFICANT = 5e-11  # chance that noise explains as much as a jump does: chi-square of 60 in six channels
+SIGNIFICANT = 3e-6  # chance that noise explains as much as a jump does: chi-square of 36 in six channels
 CHANCE = 4e-5  # and as much as the likeliest of all steps may, when the jump is taken out: 30
 DOUBT = 20.0  # of the chi-square, what moving the jump may cost: between these times it lies,
 VAGUE = 0.05  # or this share of it, for the wrench is not quite known
 SHARPLY = 8  # rows between which a jump needs no parts of its own: the samples that are wrong are left out
 PIECES = 6  # that the doubtful time is cut into, of
 PIECE = 12  # rows at least: only the one with the jump is lost
+END = 0.01  # share of the rows, or a PIECE if that is more: the shortest end of a log,
+KNOWN = 0.25  # share of it that must be known
 SHORT = 0.05  # share of the rows below which a piece between two cuts is too short to show anything
+BLOCKS = 24  # as many as there are parts with free offsets: of their means the slow noise is taken,
+LARGEST = 2  # of whose differences are not counted,
+OF_WHITE = 0.70  # which leaves so much of white noise
+ROUNDS = 3  # of the likeliest step and the noise without it
 LARGEST_STEP = 3.0  # 1 sigma of the walk, in which its largest step must be
 NAMED = 0.2  # of the largest jump in units of noise: what else jumps
 
@@ -69,6 +78,11 @@ class Wandering:
     estimate: WindowEstimate
 
 
+def offsets_may_move(rig: Rig) -> bool:
+    """Whether offsets are estimated log by log, so that one of its own in a part of a log can be."""
+    return not rig.sensor.pool_offsets and bool(rig.sensor.offset_prior_array.any())
+
+
 def with_free_offsets(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> WindowEstimate | None:
     """The logs estimated with an offset of its own in every part, None where that does not fit either.
 
@@ -76,15 +90,43 @@ def with_free_offsets(rig: Rig, estimate: Callable[[Rig], WindowEstimate]) -> Wi
         rig: with an offset for each log.
         estimate: on the logs, for a rig.
     """
-    free = rig.sensor.offset_prior_array  # per second: every part is as free as the first one
-    if rig.sensor.pool_offsets or not free.any():
+    if not offsets_may_move(rig):
         return None
+    free = rig.sensor.offset_prior_array  # per second: every part is as free as the first one
     found = estimate(_with_walk(rig, np.maximum(free, rig.sensor.offset_walk_array)))
     return found if found.solved and fitted_share(found.windows) >= ENOUGH else None
 
 
-def jump_in(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> Jump | None:
-    """The jump of the offset that explains most of a log whose wrench is known, if that is more than chance.
+def untold(wrench: Array) -> NDArray[np.bool_]:
+    """(M,) whether a wrench (M, 6) is not known."""
+    return np.asarray(np.isnan(wrench).any(axis=1), dtype=np.bool_)
+
+
+def open_end(wrench: Array) -> int:
+    """How many of a log's last rows hardly tell anything, so that its offset may be another there.
+
+    Args:
+        wrench: (M, 6); NaN where it is not known, as where contacts were left out.
+    """
+    unknown = untold(wrench)
+    rows = np.arange(1, len(wrench) + 1)
+    hardly = np.flatnonzero(np.cumsum(unknown[::-1]) > (1.0 - KNOWN) * rows)
+    count = int(rows[hardly[-1]]) if hardly.size else 0
+    if count < max(PIECE, END * len(wrench)):
+        return 0
+    return count - int(np.argmax(unknown[-count:]))
+
+
+def jump_in(
+    log: Log,
+    rows: NDArray[np.int64],
+    wrench: Array,
+    noise: Array,
+    left_out: NDArray[np.bool_] | None = None,
+) -> Jump | None:
+    """The jump of the offset that explains most of a log whose wrench is known.
+
+    None where chance explains as much, or contacts do.
 
     Least squares of every channel on wrench, constant and a step, at every row that it can be at.
 
@@ -93,13 +135,20 @@ def jump_in(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> J
         rows: (M,) of the log that the wrench belongs to.
         wrench: (M, 6) [N, N m]; NaN where it is not known.
         noise: (n,) 1 sigma of a sample.
+        left_out: (M,) samples that contacts were found in, which `wrench` is known for none the less.
     """
     time, y, regressors = _regression(log, rows, wrench, noise)
     if len(time) < 4 * PIECE:
         return None
-    explained = _explained_by_a_step(y, regressors)
+    explained, sigma = _explained_by_a_step(y, regressors)
     best = int(np.argmax(explained))
-    if explained[best] < chi2.isf(SIGNIFICANT, y.shape[1]):
+    by_others = chi2.isf(SIGNIFICANT, y.shape[1])
+    if left_out is not None:
+        _, kept, of_kept = _regression(log, rows, np.where(left_out[:, None], np.nan, wrench), noise)
+        by_chance = (len(y) - len(kept)) * float(np.sum(sigma**-2.0))
+        by_contacts = _misfit(y / sigma, regressors) - _misfit(kept / sigma, of_kept) - by_chance
+        by_others = max(by_others, by_contacts)
+    if explained[best] < by_others:
         return None
     unlikely = np.flatnonzero(explained < explained[best] - max(DOUBT, VAGUE * explained[best]))
     after = int(np.searchsorted(unlikely, best))
@@ -110,27 +159,6 @@ def jump_in(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> J
     if last - first <= SHARPLY and gap <= SHARPLY * float(np.median(np.diff(time))):
         return Jump(float(time[best - 1]), float(time[best]), change)
     return Jump(float(time[first - 1]), float(time[last]), change)
-
-
-def rather_jumps(
-    log: Log, rows: NDArray[np.int64], wrench: Array, left_out: NDArray[np.bool_], noise: Array
-) -> bool:
-    """Whether a jump of the offset explains a log better than the contacts that were found in it.
-
-    Args:
-        log: the whole of it.
-        rows: (M,) of the log that the wrench belongs to.
-        wrench: (M, 6) where these contacts were not left out [N, N m]; NaN where it is not known.
-        left_out: (M,) whether a sample was left out as a contact.
-        noise: (n,) 1 sigma of a sample.
-    """
-    time, y, regressors = _regression(log, rows, wrench, noise)
-    if len(time) < 4 * PIECE:
-        return False
-    _, kept, of_kept = _regression(log, rows, np.where(left_out[:, None], np.nan, wrench), noise)
-    by_contacts = _misfit(y, regressors) - _misfit(kept, of_kept) - float(y.size - kept.size)
-    by_jump = _explained_by_a_step(y, regressors).max()
-    return bool(by_jump > max(by_contacts, chi2.isf(SIGNIFICANT, y.shape[1])))
 
 
 def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> bool:
@@ -144,7 +172,7 @@ def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) 
     """
     time, y, regressors = _regression(log, rows, wrench, noise)
     limit = chi2.isf(CHANCE, y.shape[1])
-    return len(time) >= 4 * PIECE and bool(_explained_by_a_step(y, regressors).max() > limit)
+    return len(time) >= 4 * PIECE and bool(_explained_by_a_step(y, regressors)[0].max() > limit)
 
 
 def log_cut_at(log: Log, jump: Jump | None) -> Log:
@@ -193,8 +221,22 @@ def jump_notes(rig: Rig, jumps: Sequence[Jump | None]) -> list[str]:
         listed = ", ".join(f"{rig.sensor.channels[i]} by {jump.change[i]:.3g}" for i in named)
         notes.append(
             f"the offset of log {k + 1} jumps between {jump.begin:.3f} and {jump.end:.3f} s ({listed}): it "
-            "was estimated before and after, and the one reported is that at the end"
+            "was estimated before and after, and the one reported is that at the end, with whatever the "
+            "sensor bears since"
         )
+    return notes
+
+
+def end_notes(logs: Sequence[Log], estimate: WindowEstimate) -> list[str]:
+    """Per log whose end says nothing, since when."""
+    notes = []
+    for k, (log, rows, wrench) in enumerate(zip(logs, estimate.wrench_rows, estimate.wrench, strict=True)):
+        if 0 < open_end(wrench) < len(rows):
+            since = log.time[rows[-open_end(wrench)]]
+            notes.append(
+                f"hardly anything is known of log {k + 1} from {since:.3f} s on (contact, or a motion that "
+                "does not fit): the offset reported is that before"
+            )
     return notes
 
 
@@ -214,8 +256,10 @@ def _misfit(y: Array, regressors: Array) -> float:
     return float(np.sum((y - basis @ (basis.T @ y)) ** 2))
 
 
-def _explained_by_a_step(y: Array, regressors: Array) -> Array:
-    """(N,) chi-square that a step from each row on explains in all channels, beside the regressors.
+def _explained_by_a_step(y: Array, regressors: Array) -> tuple[Array, Array]:
+    """Chi-square that a step from each row on explains beside the regressors, and the noise it is over.
+
+    (N,) in all channels, and (n,) 1 sigma of white noise as dense as what is slow.
 
     Args:
         y: (N, n) channels, in sigma.
@@ -224,13 +268,36 @@ def _explained_by_a_step(y: Array, regressors: Array) -> Array:
     count = len(y)
     basis = np.linalg.qr(regressors)[0]
     residual = y - basis @ (basis.T @ y)
-    residual /= np.maximum(1.0, np.sqrt(np.mean(residual**2, axis=0)))
     behind = np.cumsum(basis[::-1], axis=0)[::-1]  # of every row and those after it
     free = np.arange(count, 0, -1) - np.sum(behind**2, axis=1)  # squared norm of what is new in the step
-    shown = np.sum(np.cumsum(residual[::-1], axis=0)[::-1] ** 2, axis=1)
-    explained = np.where(free > 1.0, shown / np.maximum(free, 1.0), 0.0)
-    explained[:PIECE] = explained[count - PIECE :] = 0.0
-    return np.asarray(explained)
+    sums = np.cumsum(residual[::-1], axis=0)[::-1]
+    sums[free <= 1.0] = 0.0
+    sums[:PIECE] = sums[count - PIECE :] = 0.0
+    free = np.maximum(free, 1.0)
+    noise, explained, variance = residual, np.zeros(count), np.ones(y.shape[1])
+    for _ in range(ROUNDS):
+        variance = _slow_noise(noise)
+        explained = np.sum(sums**2 / variance, axis=1) / free
+        best = int(np.argmax(explained))  # whose share of the residual is no noise
+        step = (np.arange(count) >= best) - basis @ behind[best]
+        noise = residual - np.outer(step, sums[best] / free[best])
+    return explained, np.sqrt(variance)
+
+
+def _slow_noise(residual: Array) -> Array:
+    """(n,) variance of white noise with the means over some time that differences show; 1 at least.
+
+    Offsets that are free from part to part take up the errors of the motion, which are large beside a good
+    sensor. The largest differences are not counted: contacts would be among them.
+
+    Args:
+        residual: (N, n) in sigma.
+    """
+    size = len(residual) // BLOCKS
+    means = residual[: BLOCKS * size].reshape(BLOCKS, size, -1).mean(axis=1)
+    squares = np.sort(np.diff(means, axis=0) ** 2, axis=0)[:-LARGEST]
+    slow = 0.5 * size * squares.mean(axis=0) / OF_WHITE
+    return np.asarray(np.maximum(1.0, np.maximum(slow, np.mean(residual**2, axis=0))))
 
 
 def _with_walk(rig: Rig, walk: Array) -> Rig:

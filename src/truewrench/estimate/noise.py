@@ -88,10 +88,9 @@ def estimate_with_noise(
     found: WindowEstimate,
     estimate: Callable[[Rig, bool], WindowEstimate],
     rescale: bool,
+    may_be_larger: bool = True,
 ) -> tuple[WindowEstimate, Noise]:
     """Estimate with the stated noise, and again with what the residuals show where that is coloured.
-
-    Where most windows do not fit, and do with a larger noise than stated, they are estimated with that.
 
     Args:
         stated: with the stated noise.
@@ -99,6 +98,8 @@ def estimate_with_noise(
         found: the estimate with that.
         estimate: the estimator on the logs for a rig; with True its first, quick pass is enough.
         rescale: take the size of the noise from the residuals, too.
+        may_be_larger: where most windows do not fit, and do with a larger noise than stated, estimate with
+            that.
     """
     given = _stated(stated)
     noise = measured_noise(rig, found.windows, given)
@@ -117,8 +118,9 @@ def estimate_with_noise(
         # Windows of the quick pass are solved with a gain of their own, and tell more where none fits.
         first = measured_noise(rig, estimate(rig, True).windows, given)
     if not first.coloured or np.any(np.nan_to_num(first.estimated / base, nan=1.0) ** 2.0 > FITS):
-        larger_noise = None if rescale else _with_larger_noise(rig, estimate, found, given)
-        return larger_noise or (found, noise)
+        if rescale or not may_be_larger:
+            return found, noise
+        return _with_larger_noise(rig, estimate, found, given) or (found, noise)
     colour = first.colour
     for _ in range(ROUNDS):
         changed = with_noise(rig, base * np.sqrt(colour))
