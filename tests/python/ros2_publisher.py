@@ -1,9 +1,9 @@
 """A real ROS 2 node (rclpy) that plays streams of numbers by their stamps, and prints the wrenches it hears.
 
-The first line of the input is one JSON object: `streams` {topic: [type, [[stamp ns, [numbers]], ...]]} and
-`listen` (topics of wrenches). Messages without a stamp go out on every topic until a second line of the
-input says that all of them have been heard; those with stamps follow, as fast as time passes. The output is
-one list of [topic, stamp ns, [six numbers]].
+The first line of the input is one JSON object: `streams` {topic: [type, [[stamp ns, [numbers]], ...]]},
+`listen` (topics of wrenches) and `pause` (a stamp). Messages without a stamp go out on every topic until a
+second line of the input says that all of them have been heard; those with stamps follow, as fast as time
+passes, but from the pause on not before a third line. The output is one list of [topic, stamp ns, [six numbers]].
 """
 
 import json
@@ -62,8 +62,17 @@ def publish(topic: str, stamp: int, values: list[float]) -> None:
     publishers[topic].publish(message)
 
 
-heard = threading.Event()
-threading.Thread(target=lambda: sys.stdin.readline() and heard.set(), daemon=True).start()
+heard, resumed = threading.Event(), threading.Event()
+
+
+def listen() -> None:
+    """The further lines of the input."""
+    for event in (heard, resumed):
+        if sys.stdin.readline():
+            event.set()
+
+
+threading.Thread(target=listen, daemon=True).start()
 end = time.monotonic() + 60.0
 while not heard.is_set() and time.monotonic() < end:
     for topic, (_, samples) in asked["streams"].items():
@@ -71,9 +80,13 @@ while not heard.is_set() and time.monotonic() < end:
     executor.spin_once(timeout_sec=0.1)
 
 events = sorted((stamp, topic, values) for topic, (_, of) in asked["streams"].items() for stamp, values in of)
-begun = time.monotonic()
+begun, first = time.monotonic(), events[0][0]
+end = begun + 60.0
 for stamp, topic, values in events:
-    due = begun + 1e-9 * (stamp - events[0][0])
+    while stamp >= asked["pause"] and not resumed.is_set() and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.1)
+        begun, first = time.monotonic(), stamp
+    due = begun + 1e-9 * (stamp - first)
     while time.monotonic() < due:
         executor.spin_once(timeout_sec=max(0.0, due - time.monotonic()))
     publish(topic, stamp, values)
