@@ -2,7 +2,7 @@
 
 PYTHON ?= python3
 WERROR ?= OFF
-PYTEST_ARGS ?= -n auto
+PYTEST_ARGS ?= -n auto --dist worksteal
 SEEDS ?= 20
 RUNS ?= 200
 WORKERS ?= 2
@@ -10,7 +10,8 @@ export PYTHON
 
 VENV := .venv
 BIN := $(abspath $(VENV))/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+# Modules are compiled as they are imported: most of what is installed never is.
+PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check --quiet install --no-compile
 
 HEADERS := $(wildcard include/truewrench/*.hpp)
 # What the compiled modules are made of.
@@ -42,16 +43,16 @@ $(VENV)/.created:
 	touch $@
 
 $(VENV)/.run: requirements/run.txt | $(VENV)/.created
-	$(PIP) install --require-hashes -r $<
+	$(PIP_INSTALL) --require-hashes -r $<
 	touch $@
 
 $(VENV)/.dev: requirements/dev.txt | $(VENV)/.run
 	scripts/system_packages.sh test
-	$(PIP) install --require-hashes -r $<
+	$(PIP_INSTALL) --require-hashes -r $<
 	touch $@
 
 $(VENV)/.built: $(CORE_SOURCES) $(VENV)/.run
-	$(PIP) install --no-build-isolation --no-deps --config-settings cmake.define.TRUEWRENCH_WERROR=$(WERROR) -e .
+	$(PIP_INSTALL) --no-build-isolation --no-deps --config-settings cmake.define.TRUEWRENCH_WERROR=$(WERROR) -e .
 	touch $@
 
 # What people run.
@@ -115,7 +116,7 @@ figures: demo
 	cp out/demo/fig3_gain_error.png docs/figures/demo.png
 
 lock: $(VENV)/.created
-	$(PIP) install uv
+	$(PIP_INSTALL) uv
 	PATH=$(BIN):$$PATH requirements/lock.sh
 
 clean:

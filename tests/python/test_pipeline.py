@@ -22,6 +22,7 @@ from truewrench.log import Log
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
 from truewrench.simulate import SimulatedRun, simulate
+from truewrench.split import rows_of
 
 
 def settings_of(**changes: Any) -> dict[str, Any]:
@@ -263,7 +264,8 @@ def test_command_with_a_poor_log_writes_and_leaves_with_3(
     capsys: pytest.CaptureFixture[str], run: SimulatedRun, tmp_path: Path
 ) -> None:
     noise = {"noise": [0.2, 0.2, 0.2, 0.02, 0.02, 0.02]}
-    status, said = through_command(capsys, settings_of(sensor=noise), run, tmp_path)
+    short = replace(run, log=rows_of(run.log, run.log.time < 5.0))
+    status, said = through_command(capsys, settings_of(sensor=noise), short, tmp_path)
     assert status == 3
     assert said["verdict"]["usable"] is False
     assert "noise stated too small" in said["verdict"]["reasons"][0]
