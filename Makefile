@@ -19,7 +19,7 @@ CORE_SOURCES := pyproject.toml CMakeLists.txt $(wildcard cmake/*) \
   $(HEADERS) $(wildcard bindings/*)
 CXX_FILES = $(shell git ls-files -co --exclude-standard '*.hpp' '*.cpp')
 
-.PHONY: help demo test test-cpp test-python test-benchmarks bench campaigns docs lint tidy format stubs lock figures clean
+.PHONY: help demo test test-cpp test-python test-benchmarks bench campaigns docs lint lint-python lint-cpp tidy format stubs lock figures clean
 
 help:
 	@echo "make demo     the case of the paper, from motion to pictures, in out/demo"
@@ -90,10 +90,15 @@ campaigns: $(VENV)/.built $(VENV)/.dev
 docs: $(VENV)/.built $(VENV)/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-lint: $(VENV)/.built $(VENV)/.dev
+lint: lint-python lint-cpp
+
+lint-python: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+lint-cpp: $(VENV)/.dev
+	mkdir -p build
 	$(BIN)/clang-format --dry-run --Werror $(CXX_FILES)
 	printf '#include "truewrench/%s"\n' $(notdir $(HEADERS)) > build/headers.cpp
 	$(BIN)/clang-tidy --quiet build/headers.cpp -- -std=c++20 -Iinclude \
