@@ -140,6 +140,25 @@ def test_offsets_that_are_free_to_follow_the_motion_show_no_jump_by_chance() -> 
             assert found.begin <= at * run.log.time[-1] <= found.end
 
 
+def test_a_jump_that_slow_noise_moves_lies_between_its_times_still() -> None:
+    log, rng = simulate(rig_of(RATE), seed=5).log, np.random.default_rng(6)
+    rows, gain = np.arange(len(log.raw)), np.diag(1.0 / NOISE)
+    part = rows * 24 // len(rows)
+    size = 2.0 / np.sqrt(len(rows) / 24)  # of a part's mean, twice that of the sensor's noise
+    cycles = log.time[:, None] / log.time[-1] * np.arange(0.5, 3.5, 0.5)
+    found = 0
+    for at in np.linspace(0.15, 0.85, 60).tolist():
+        for jump in (1.0, 1.5):
+            wrench = np.sin(2.0 * np.pi * (cycles + rng.uniform(size=6)))
+            slow = size * rng.normal(size=(24, 6))[part] + rng.normal(size=log.raw.shape)
+            still = replace(log, raw=wrench @ gain.T + NOISE * slow)
+            shown = jump_in(jumped(still, at, [0, jump, 0, 0, 0, 0]), rows, wrench, NOISE)
+            if shown is not None:
+                found += 1
+                assert shown.begin <= at * log.time[-1] <= shown.end
+    assert found > 30
+
+
 def test_what_a_slow_motion_takes_of_a_jump_does_not_hide_when_it_was() -> None:
     run, rng = simulate(rig_of(RATE), seed=5), np.random.default_rng(4)
     rows, log = np.arange(len(run.log.raw)), run.log

@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 SIGNIFICANT = 3e-6  # chance that noise explains as much as a jump does: chi-square of 36 in six channels
 CHANCE = 4e-5  # and as much as the likeliest of all steps may, when the jump is taken out: 30
 DOUBT = 20.0  # of the chi-square, what moving the jump may cost: between these times it lies,
+LITTLE_KNOWN = 2.0  # times as much, as slow noise is larger than white noise,
 VAGUE = 0.05  # or this share of it, for the wrench is not quite known
 SHARPLY = 8  # rows between which a jump needs no parts of its own: the samples that are wrong are left out
 PIECES = 6  # that the doubtful time is cut into, of
@@ -150,9 +151,10 @@ def jump_in(
         by_others = max(by_others, by_contacts)
     if explained[best] < by_others:
         return None
-    unlikely = np.flatnonzero(explained < explained[best] - max(DOUBT, VAGUE * explained[best]))
-    after = int(np.searchsorted(unlikely, best))
-    first, last = int(unlikely[after - 1]) + 1, int(unlikely[after])  # both ends of the log are unlikely
+    # Also beyond times that are unlikely: what slow noise leaves of a small jump may have several peaks.
+    doubt = DOUBT * min(LITTLE_KNOWN, float(np.max(sigma**2)))  # slow noise is measured on few means
+    likely = np.flatnonzero(explained > max(0.0, explained[best] - max(doubt, VAGUE * explained[best])))
+    first, last = int(likely[0]), int(likely[-1]) + 1
     step = np.arange(len(time)) >= best
     change = np.linalg.lstsq(np.column_stack([regressors, step]), y, rcond=None)[0][-1] * noise
     gap = float(time[best] - time[best - 1])
