@@ -3,7 +3,8 @@
 The first line of the input is one JSON object: `streams` {topic: [type, [[stamp ns, [numbers]], ...]]},
 `listen` (topics of wrenches) and `pause` (a stamp). Messages without a stamp go out on every topic until a
 second line of the input says that all of them have been heard; those with stamps follow, as fast as time
-passes, but from the pause on not before a third line. The output is one list of [topic, stamp ns, [six numbers]].
+passes, but from the pause on not before a third line. The output is one list of
+[topic, stamp ns, [six numbers]].
 """
 
 import json
