@@ -120,7 +120,18 @@ def test_a_jump_and_a_contact_are_told_apart_by_what_explains_more() -> None:
         (0.0 * late, stretch, False),
     ):
         shown = replace(log, raw=raw + moved[:, None] * np.array([0, 0, 0, 1, 0, 0]) * NOISE)
-        assert (jump_in(shown, rows, wrench, NOISE, left_out) is not None) == jumps
+        found = jump_in(shown, rows, wrench, NOISE, left_out)
+        assert (found is not None and not found.contested) == jumps
+
+
+def test_one_jump_is_simpler_than_contacts_that_explain_more() -> None:
+    rig = rig_of(RATE)
+    run = simulate(rig, seed=56)
+    found = tw.calibrate(rig, jumped(run.log, 0.68, [0, 0, 0, 0, 0, 0.41]), held_out=False)
+    assert found.verdict.usable, found.verdict.reasons
+    assert len(notes_of(found)) == 1
+    assert not found.logs[0].disturbances
+    assert nees(rig, found, run) < 1.45
 
 
 def test_offsets_that_are_free_to_follow_the_motion_show_no_jump_by_chance() -> None:

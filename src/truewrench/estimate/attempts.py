@@ -35,6 +35,7 @@ __all__ = ["LEFT_OUT", "Attempts", "Explanation"]
 NEARLY_ALL = 0.95  # share of the samples that contacts or jumps must explain to be believed
 LEFT_OUT = 0.2
 """Share of the samples left out as contacts that is accepted: beyond it a push may be an offset."""
+FEWER = 0.1  # of the samples left out as contacts may be so still, where a jump takes their place
 GLARING = 1e-12  # contacts by chance in a window, where only those that nobody doubts are left out,
 TINY = 1e-300  # and none that motion and gain take up
 
@@ -182,7 +183,12 @@ class Attempts:
         cut = self._as_a_whole(rig)
         moving = any(still_moves(*of_log, noise) for of_log in _wrenches_of(self.logs, rig, cut))
         open_still = any(jump and to_end[k] and open_end(cut.wrench[k]) > 0 for k, jump in enumerate(jumps))
-        if cut.solved and _explained(cut, NEARLY_ALL) and not moving and not open_still:
+        contested = any(
+            uncut is not None and jump and jump.contested
+            and not _replaced(whole[k].time[uncut.wrench_rows[k]], jump, uncut.left_out[k], cut.left_out[k])
+            for k, jump in enumerate(jumps)
+        )  # fmt: skip
+        if cut.solved and _explained(cut, NEARLY_ALL) and not (moving or open_still or contested):
             self.jumps, self._last_quick = jumps, None
             return cut if self.method == "map" else self.plain(rig)
         self.logs = whole
@@ -205,6 +211,17 @@ def _wrenches_of(
     """Per log: itself at the reference temperature, rows and the wrench there."""
     for log, rows, wrench in zip(logs, found.wrench_rows, found.wrench, strict=True):
         yield at_reference_temperature(found.offset_temperature, rig, log), rows, wrench
+
+
+def _replaced(
+    time: NDArray[np.float64], jump: Jump, contacts: NDArray[np.bool_], left: NDArray[np.bool_]
+) -> bool:
+    """Whether with a jump hardly a sample is `left` (M,) out, in place of `contacts` (M,) that lie elsewhere.
+
+    Then it is the simpler explanation, however much contacts explain.
+    """
+    elsewhere = contacts & ((time < jump.begin) | (time > jump.end))
+    return bool(left.sum() < FEWER * elsewhere.sum())
 
 
 def _glaring_contacts_alone() -> _core.KnotSettings:

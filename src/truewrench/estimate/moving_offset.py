@@ -59,11 +59,13 @@ class Jump:
         begin: it lies behind this time [s from the log's first row],
         end: and before this one, the likeliest if they are but a few samples apart.
         change: (n,) [raw units].
+        contested: contacts explain more of the log.
     """
 
     begin: float
     end: float
     change: Array
+    contested: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +129,7 @@ def jump_in(
 ) -> Jump | None:
     """The jump of the offset that explains most of a log whose wrench is known.
 
-    None where chance explains as much, or contacts do.
+    None where chance explains as much.
 
     Least squares of every channel on wrench, constant and a step, at every row that it can be at.
 
@@ -143,14 +145,14 @@ def jump_in(
         return None
     explained, sigma = _explained_by_a_step(y, regressors)
     best = int(np.argmax(explained))
-    by_others = chi2.isf(SIGNIFICANT, y.shape[1])
+    if explained[best] < chi2.isf(SIGNIFICANT, y.shape[1]):
+        return None
+    contested = False
     if left_out is not None:
         _, kept, of_kept = _regression(log, rows, np.where(left_out[:, None], np.nan, wrench), noise)
         by_chance = (len(y) - len(kept)) * float(np.sum(sigma**-2.0))
         by_contacts = _misfit(y / sigma, regressors) - _misfit(kept / sigma, of_kept) - by_chance
-        by_others = max(by_others, by_contacts)
-    if explained[best] < by_others:
-        return None
+        contested = bool(by_contacts > explained[best])
     # Also beyond times that are unlikely: what slow noise leaves of a small jump may have several peaks.
     doubt = DOUBT * min(LITTLE_KNOWN, float(np.max(sigma**2)))  # slow noise is measured on few means
     likely = np.flatnonzero(explained > max(0.0, explained[best] - max(doubt, VAGUE * explained[best])))
@@ -159,8 +161,8 @@ def jump_in(
     change = np.linalg.lstsq(np.column_stack([regressors, step]), y, rcond=None)[0][-1] * noise
     gap = float(time[best] - time[best - 1])
     if last - first <= SHARPLY and gap <= SHARPLY * float(np.median(np.diff(time))):
-        return Jump(float(time[best - 1]), float(time[best]), change)
-    return Jump(float(time[first - 1]), float(time[last]), change)
+        return Jump(float(time[best - 1]), float(time[best]), change, contested)
+    return Jump(float(time[first - 1]), float(time[last]), change, contested)
 
 
 def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> bool:
