@@ -206,6 +206,26 @@ struct Scene {
   }
 };
 
+// What the engine makes of a scene, which has to outlive it: everything but the normal equations.
+template <int N>
+struct Prepared {
+  LogData data;
+  SensorScale<N> sensor;
+  WindowModel<N> model;
+  BSpline spline;
+  Blocks<N> blocks;
+
+  explicit Prepared(const Scene& scene, int per_interval = one_sample_a_block)
+      : data(scene.data()),
+        sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale},
+        model(data, sensor, scene.layout()),
+        spline(scene.breakpoints) {
+    blocks.build(model, scene.window(), spline, per_interval, scene.delay(), scene.delay());
+  }
+  Prepared(const Prepared&) = delete;  // the model refers to the data
+  Prepared& operator=(const Prepared&) = delete;
+};
+
 inline double relative(const Eigen::MatrixXd& found, const Eigen::MatrixXd& expected) {
   return (found - expected).norm() / expected.norm();
 }

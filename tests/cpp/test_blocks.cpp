@@ -50,14 +50,9 @@ struct Averaged {
     Eigen::VectorXd score;
   };
   Sums sums(int per_interval) const {
-    const LogData data = scene.data();
-    const SensorScale<6> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
-    const WindowModel<6> model(data, sensor, scene.layout());
-    const BSpline spline(scene.breakpoints);
-    Blocks<6> blocks;
-    blocks.build(model, scene.window(), spline, per_interval, 0.0, 0.0);
+    const Prepared<6> window(scene, per_interval);
     WindowNormal<6> normal;
-    normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, true);
+    normal.assemble(window.model, window.blocks, window.spline, scene.x, scene.theta, Terms::all, true);
     EXPECT_EQ(normal.reduce(), Status::ok);
     return {normal.cost(), normal.information(), normal.score()};
   }

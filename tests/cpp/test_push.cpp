@@ -14,17 +14,14 @@ namespace {
 // the common parameters whose optimum they are.
 template <int N>
 void expect_dense_push(const Scene& scene, std::size_t first, std::size_t last, double rounding = 1.0) {
-  const LogData data = scene.data();
-  const SensorScale<N> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
-  const WindowModel<N> model(data, sensor, scene.layout());
+  const Prepared<N> window(scene);
+  const Blocks<N>& blocks = window.blocks;
   WindowFit fit;
-  fit.spline = BSpline(scene.breakpoints);
+  fit.spline = window.spline;
   fit.x = scene.x;
   fit.theta = scene.theta;
-  Blocks<N> blocks;
-  blocks.build(model, scene.window(), fit.spline, one_sample_a_block, scene.delay(), scene.delay());
   WindowNormal<N> normal;
-  normal.assemble(model, blocks, fit.spline, fit.x, fit.theta, Terms::all, true);
+  normal.assemble(window.model, blocks, fit.spline, fit.x, fit.theta, Terms::all, true);
   ASSERT_EQ(normal.reduce(), Status::ok);
   const Eigen::Index m = scene.x.size(), p = scene.theta.size(), n = scene.channels;
   const Eigen::MatrixXd prior = Eigen::MatrixXd::Identity(p, p);
@@ -57,7 +54,7 @@ void expect_dense_push(const Scene& scene, std::size_t first, std::size_t last, 
   double largest = 0.0;
   for (Eigen::Index c = 0; c < n; ++c) largest = std::max(largest, decrease(c, 1) - without);
 
-  const PushScan<N> scan(model, fit, blocks, normal, covariance);
+  const PushScan<N> scan(window.model, fit, blocks, normal, covariance);
   const auto block = [&](std::size_t sample) {  // the first that does not lie before it
     std::size_t b = 0;
     while (b < blocks.wrench.size() && blocks.wrench[b].first < sample) ++b;

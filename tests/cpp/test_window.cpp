@@ -10,12 +10,7 @@ namespace {
 
 template <int N>
 void expect_dense_normal_equations(const Scene& scene, double rounding = 1.0, double freedom = 0.0) {
-  const LogData data = scene.data();
-  const SensorScale<N> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
-  const WindowModel<N> model(data, sensor, scene.layout());
-  const BSpline spline(scene.breakpoints);
-  Blocks<N> blocks;
-  blocks.build(model, scene.window(), spline, one_sample_a_block, scene.delay(), scene.delay());
+  const Prepared<N> window(scene);
   WindowNormal<N> normal;
 
   const Eigen::VectorXd r = scene.residuals(scene.x, scene.theta);
@@ -33,7 +28,8 @@ void expect_dense_normal_equations(const Scene& scene, double rounding = 1.0, do
   const Eigen::MatrixXd hxx = h.topLeftCorner(m, m);
   const Eigen::LLT<Eigen::MatrixXd> factor(hxx);
 
-  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, true, freedom);
+  normal.assemble(window.model, window.blocks, window.spline, scene.x, scene.theta, Terms::all, true,
+                  freedom);
   EXPECT_NEAR(normal.cost(), r.dot(weight.asDiagonal() * r), 1e-10 * r.squaredNorm());
   EXPECT_LT(relative(normal.information(), h.bottomRightCorner(p, p)), 1e-11 * rounding);
   EXPECT_LT(relative(normal.score(), g.tail(p)), 1e-11 * rounding);
@@ -63,14 +59,15 @@ void expect_dense_normal_equations(const Scene& scene, double rounding = 1.0, do
 
   const MotionNormal covariance = normal.covariance_band();
   const Eigen::MatrixXd inverse = factor.solve(Eigen::MatrixXd::Identity(m, m));
-  for (int a = 0; a < spline.coefficients(); ++a) {
+  for (int a = 0; a < window.spline.coefficients(); ++a) {
     for (int b = std::max(0, a - kDegree); b <= a; ++b) {
       EXPECT_LT((covariance(a, b) - inverse.block<6, 6>(6 * a, 6 * b)).norm(), 1e-9 * inverse.norm());
     }
   }
 
   // Without the common parameters the motion's part is the same.
-  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::all, false, freedom);
+  normal.assemble(window.model, window.blocks, window.spline, scene.x, scene.theta, Terms::all, false,
+                  freedom);
   ASSERT_EQ(normal.reduce(), Status::ok);
   EXPECT_LT(relative(flat(normal.motion_step({})), held), 1e-9 * rounding);
 }
@@ -130,14 +127,9 @@ TEST(WindowNormal, EightGaugesGiveTheDenseNormalEquations) {
 
 TEST(WindowNormal, MotionTermsAloneLeaveTheSensorOut) {
   const Scene scene(6, true);
-  const LogData data = scene.data();
-  const SensorScale<6> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
-  const WindowModel<6> model(data, sensor, scene.layout());
-  const BSpline spline(scene.breakpoints);
-  Blocks<6> blocks;
-  blocks.build(model, scene.window(), spline, one_sample_a_block, 0.0, 0.0);
+  const Prepared<6> window(scene);
   WindowNormal<6> normal;
-  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::motion, false);
+  normal.assemble(window.model, window.blocks, window.spline, scene.x, scene.theta, Terms::motion, false);
   const Eigen::VectorXd r = scene.residuals(scene.x, scene.theta, false);
   EXPECT_NEAR(normal.cost(), r.squaredNorm(), 1e-10 * r.squaredNorm());
   ASSERT_EQ(normal.reduce(), Status::ok);
@@ -154,14 +146,9 @@ TEST(WindowNormal, MotionThatNoStreamDeterminesIsReported) {
   Scene scene(6, true);
   scene.twist.col(4).setConstant(missing);
   scene.rate.col(4).setConstant(missing);
-  const LogData data = scene.data();
-  const SensorScale<6> sensor{scene.channel, scene.sensor_sigma, scene.wrench_scale};
-  const WindowModel<6> model(data, sensor, scene.layout());
-  const BSpline spline(scene.breakpoints);
-  Blocks<6> blocks;
-  blocks.build(model, scene.window(), spline, one_sample_a_block, 0.0, 0.0);
+  const Prepared<6> window(scene);
   WindowNormal<6> normal;
-  normal.assemble(model, blocks, spline, scene.x, scene.theta, Terms::motion, false);
+  normal.assemble(window.model, window.blocks, window.spline, scene.x, scene.theta, Terms::motion, false);
   EXPECT_EQ(normal.reduce(), Status::not_factorizable);
 }
 
