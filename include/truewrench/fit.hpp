@@ -22,9 +22,9 @@ struct KnotSettings {
   double false_disturbances = 0.01;  // disturbances found by chance in a window without any
   double false_pushes = 0.05;        // the same of those that motion and gain have taken up
   double disturbance_price = 40;     // decrease of the cost (chi-square units) that one must be worth
-  double hopeless_sigma = 2;         // residuals of an interval that do not fit; where more intervals than
-  double hopeless_share = 0.9;       // this share do not, disturbances are not looked for
-  double most_disturbed = 0.4;       // share of a window's samples that may be left out
+  double hopeless_sigma = 2;         // residuals of a stretch that do not fit; where more stretches than
+  double hopeless_share = 0.9;  // this share do not, neither disturbances nor another gain are looked for
+  double most_disturbed = 0.4;  // share of a window's samples that may be left out
 };
 
 enum class WindowStatus : std::uint8_t {

@@ -13,6 +13,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -35,7 +36,7 @@ class WindowSolver {
     WindowFit fit = search(window, start, theta, prior, finest, false);
     if (!gating_.possible() || !suspect(fit, window)) return fit;
     const bool fitted = fit.status == WindowStatus::fitted;
-    if (!fitted && hopeless(fit, window)) return fit;
+    if (!fitted && nowhere(fit) && hopeless(fit, window, prior == nullptr)) return fit;
     gating_.open(window);
     WindowFit other = search(window, start, theta, prior, finest, true);
     other.iterations += fit.iterations;
@@ -49,6 +50,14 @@ class WindowSolver {
   bool suspect(const WindowFit& fit, const WindowRange& window) {
     return fit.status != WindowStatus::fitted || crowded(fit.spline) ||
            gating_.disturbed(fit, window, Terms::all);
+  }
+
+  // Whether a window that does not fit at a held theta would hardly anywhere with it free, at its knots, which resolve
+  // what the samples do where it does not fit.
+  bool lost(const WindowFit& held, const WindowRange& window, const Prior& prior) {
+    if (!nowhere(held)) return false;
+    WindowFit free = held;
+    return solve(free, window, Terms::all, &prior) == WindowStatus::fitted && hopeless(free, window, false);
   }
 
   // Leaves out what stands out of the residuals at a given theta, until nothing does.
@@ -118,6 +127,10 @@ class WindowSolver {
   }
 
  private:
+  static constexpr int kStretches = 20;  // that a window is judged by as a whole,
+  static constexpr double kEverywhere =
+      0.1;  // and what the better half of them have of a misfit that is in no place
+
   struct Refinement {
     std::vector<double> gain;  // decrease of the cost per interval by halving all of them
     std::vector<Groups> residuals;
@@ -207,16 +220,31 @@ class WindowSolver {
     return true;
   }
 
-  // Whether most intervals do not fit: no disturbance, but noise or a motion that the model has not.
-  bool hopeless(const WindowFit& fit, const WindowRange& window) const {
-    if (fit.status != WindowStatus::misfit && fit.status != WindowStatus::unresolved) return false;
-    int bad = 0;
-    const std::vector<Groups> groups = WindowResiduals<N>(model_, fit, window).groups(Terms::all);
-    for (const Groups& interval : groups) {
-      bad += std::any_of(interval.begin(), interval.end(),
+  // Whether all knots were tried, and none do.
+  static bool nowhere(const WindowFit& fit) {
+    return fit.status == WindowStatus::misfit || fit.status == WindowStatus::unresolved;
+  }
+
+  // Whether hardly a stretch of the window fits, and what does not is not in few of them: no disturbance, but noise or a
+  // motion that the model has not. At a held theta single intervals are asked: what is a little wrong with it is
+  // everywhere in longer stretches, and must not end the search for disturbances.
+  bool hopeless(const WindowFit& fit, const WindowRange& window, bool held) const {
+    const int most = held ? fit.spline.intervals() : kStretches;
+    const std::vector<Groups> stretches = WindowResiduals<N>(model_, fit, window).stretches(most);
+    double bad = 0.0;
+    std::vector<double> excess;
+    for (const Groups& stretch : stretches) {
+      bad += std::any_of(stretch.begin(), stretch.end(),
                          [&](const GroupStatistics& g) { return g.deviate() > settings_.hopeless_sigma; });
+      double sum = 0.0;
+      for (const GroupStatistics& g : stretch) sum += g.sum_of_squares - g.degrees_of_freedom();
+      excess.push_back(std::max(0.0, sum));
     }
-    return bad > settings_.hopeless_share * static_cast<double>(groups.size());
+    std::sort(excess.begin(), excess.end());
+    const auto half = excess.begin() + static_cast<std::ptrdiff_t>(excess.size() / 2);
+    return bad > settings_.hopeless_share * static_cast<double>(stretches.size()) &&
+           std::accumulate(excess.begin(), half, 0.0) >
+               kEverywhere * std::accumulate(excess.begin(), excess.end(), 0.0);
   }
 
   // Knots much closer in one place than in another.

@@ -4,6 +4,7 @@
 #include "truewrench/fit.hpp"
 #include "truewrench/window.hpp"
 
+#include <algorithm>
 #include <limits>
 #include <span>
 #include <utility>
@@ -101,6 +102,32 @@ class WindowResiduals {
     const int n = model_.layout().channels;
     for_each_sensor([&](std::size_t, int i, const ChannelVector<N>& r) {
       for (int c = 0; c < n; ++c) out[static_cast<std::size_t>(i)][wrench_group(c, n)].add(r[c]);
+    });
+    return out;
+  }
+
+  // Per group, of up to so many stretches of equal length, each of whole intervals, that have samples. Coefficients are
+  // dealt out to the groups by their samples.
+  std::vector<Groups> stretches(int most) const {
+    const std::vector<Groups> intervals = groups(Terms::all);
+    most = std::min(most, fit_.spline.intervals());
+    std::vector<Groups> out(static_cast<std::size_t>(most));
+    for (int i = 0; i < fit_.spline.intervals(); ++i) {
+      const auto k = static_cast<std::size_t>(i);
+      const double middle = fit_.spline.breakpoints()[k] + 0.5 * fit_.spline.width(i);
+      const double share = (middle - window_.begin) / (window_.end - window_.begin);
+      Groups& stretch =
+          out[static_cast<std::size_t>(std::clamp(static_cast<int>(share * most), 0, most - 1))];
+      double samples = 0.0;
+      for (const GroupStatistics& g : intervals[k]) samples += g.count;
+      for (std::size_t g = 0; g < kGroups; ++g) {
+        stretch[g] += intervals[k][g];
+        if (samples > 0.0) stretch[g].leverage += kCoordinates * intervals[k][g].count / samples;
+      }
+    }
+    std::erase_if(out, [](const Groups& stretch) {
+      return std::none_of(stretch.begin(), stretch.end(),
+                          [](const GroupStatistics& g) { return g.count > 0.0; });
     });
     return out;
   }

@@ -287,6 +287,32 @@ TEST(Knots, NoiseTwiceAsLargeAsStatedIsRejected) {
   }
 }
 
+// Of a window that does not fit at a held gain: another search, with the gain free, costs more than all before it.
+TEST(Knots, WindowIsLostUnlessAFreeGainOrWhatIsLeftOutMayMendIt) {
+  const ParameterLayout layout;
+  const Eigen::VectorXd precision = Eigen::VectorXd::Constant(layout.size(), 1.0 / (0.05 * 0.05));
+  const auto lost = [&](Held& window) {
+    const WindowFit fit = window.search();
+    EXPECT_EQ(fit.status, WindowStatus::misfit);
+    return window.solver().lost(fit, whole(window.recording), {precision.asDiagonal(), window.theta});
+  };
+  Simulation s = at_frequency(1.0, 10.0);
+
+  std::mt19937 random(9);
+  Held noisy(s, 8);
+  noisy.recording.raw +=
+      8e-4 * oracle::normal_matrix(random, noisy.recording.raw.rows(), 6) * s.range.asDiagonal();
+  EXPECT_TRUE(lost(noisy)) << "noise 1.3 times as large as stated";
+
+  Held wrong_gain(s, 8);
+  wrong_gain.theta.head<36>().array() += 0.02;
+  EXPECT_FALSE(lost(wrong_gain));
+
+  Held touched(s, 8);
+  touched.recording.raw.middleRows(400, 50).rowwise() += 0.02 * s.range.transpose();
+  EXPECT_FALSE(lost(touched));
+}
+
 TEST(Knots, ATwistWithoutRotationDoesNotDetermineTheMotion) {
   Held window(at_frequency(1.0, 2.0), 9);
   window.recording.twist.col(5).setConstant(std::nan(""));
