@@ -183,17 +183,14 @@ class Estimator {
       const BSpline knots = problem_.knots_to_begin_with(item.log, w, start);
       const Eigen::VectorXd& theta = posterior.mean[item.log];
       item.fit = solver.search(w, knots, theta, nullptr, problem_.finest[item.log]);
-      bool lost = false;
       if (item.fit.status != WindowStatus::fitted) {
         // What little is wrong with a gain of few windows may be much to a good sensor.
         const Prior prior{problem_.inverse(posterior.covariance[item.log]), theta};
-        lost = solver.lost(item.fit, w, prior);
-        if (!lost) {
-          WindowFit freed = solver.search(w, knots, theta, &prior, problem_.finest[item.log]);
-          if (freed.status == WindowStatus::fitted) item.fit = std::move(freed);
-        }
+        if (solver.lost(item.fit, w, prior)) return out.push_back(std::move(item));
+        WindowFit freed = solver.search(w, knots, theta, &prior, problem_.finest[item.log]);
+        if (freed.status == WindowStatus::fitted) item.fit = std::move(freed);
       }
-      if (item.fit.status != WindowStatus::fitted && !lost && length >= 2.0 * problem_.settings.window) {
+      if (item.fit.status != WindowStatus::fitted && length >= 2.0 * problem_.settings.window) {
         const auto [first, second] = halves(item, posterior);
         search({item.log, first, {}}, spacing, posterior, out);
         search({item.log, second, {}}, spacing, posterior, out);

@@ -36,7 +36,7 @@ class WindowSolver {
     WindowFit fit = search(window, start, theta, prior, finest, false);
     if (!gating_.possible() || !suspect(fit, window)) return fit;
     const bool fitted = fit.status == WindowStatus::fitted;
-    if (!fitted && nowhere(fit) && hopeless(fit, window, prior == nullptr)) return fit;
+    if (nowhere(fit) && hopeless(fit, window, prior == nullptr)) return fit;
     gating_.open(window);
     WindowFit other = search(window, start, theta, prior, finest, true);
     other.iterations += fit.iterations;
