@@ -19,6 +19,7 @@ SMALLEST: dict[str, str] = {
     "demo_seeds.py": "--seeds 1",
     "efficiency.py": "--seeds 2",
     "grid.py": "--runs 1 --samples 2000",
+    "hidden_steps.py": "--runs 2",
     "live.py": "--duration 3 --rate 200",
     "plans.py": "",
     "rates.py": "--runs 1",

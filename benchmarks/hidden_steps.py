@@ -1,0 +1,81 @@
+"""Steps of an offset that no test finds: what can be seen of them, and what the gain takes up.
+
+    python benchmarks/hidden_steps.py --runs 900 --seed 12
+
+The logs are those of `confident.py --kind "offset step"`; nothing is estimated. A part of a step is a
+combination of the channels themselves and a constant: a gain that nobody told of the step takes it up, and
+nobody can see it. With the energy of both parts (squares over the noise) and the time of the step given, the
+test for any change of the offset is a noncentral chi-square of the one, and the NEES of that gain one of the
+other. So the chance is known, for each log and whatever the estimator, that the step stays below a limit of
+the test and the gain is beyond the tail.
+"""
+
+from __future__ import annotations
+
+import confident  # first: it holds NumPy to one thread
+
+# isort: split
+from functools import partial
+
+import numpy as np
+import runs
+from scipy.stats import chi2, ncx2
+
+from truewrench.estimate.moving_offset import SIGNIFICANT
+
+LIMITS = 1e-3, 1e-4, SIGNIFICANT  # chance that noise exceeds them at a given time
+LISTED = 5
+
+
+def run(campaign: int, index: int) -> runs.Row:
+    """One row."""
+    rig, log, simulated, about = confident.problem("offset step", campaign, index)
+    plain = simulated.log.raw
+    change = (log.raw - plain) / rig.sensor.noise_array
+    basis = np.linalg.qr(np.column_stack([plain / rig.sensor.range_array, np.ones(len(plain))]))[0]
+    seen = float(np.sum((change - basis @ (basis.T @ change)) ** 2))
+    taken_up = float(np.sum((change - change.mean(axis=0)) ** 2)) - seen
+    gains = 6 * rig.sensor.n
+    wrong = float(ncx2.sf(chi2.isf(runs.TAIL, gains), gains, taken_up))
+    missed = [float(ncx2.cdf(chi2.isf(p, rig.sensor.n), rig.sensor.n, seen)) for p in LIMITS]
+    return about | {
+        "outcome": "drawn",
+        "seen": seen,
+        "taken_up": taken_up,
+        "hidden": [wrong * m for m in missed],
+    }
+
+
+def main() -> None:
+    options = runs.arguments(__doc__, runs=900).parse_args()
+    work = partial(run, options.seed)
+    rows = runs.gather(
+        work, range(options.runs), options.out, options.workers, ["hidden steps", options.seed]
+    )
+    rows = [row for row in rows if row["outcome"] != "fault"]
+    expected = np.sum([row["hidden"] for row in rows], axis=0)
+    runs.table(
+        ("chance of noise beyond the limit", "limit", "logs", "wrong and not seen, expected"),
+        [
+            [f"{p:.0e}", f"{chi2.isf(p, 6):.0f}", len(rows), f"{n:.3f}"]
+            for p, n in zip(LIMITS, expected, strict=True)
+        ],
+    )
+    most = sorted(rows, key=lambda row: -row["hidden"][-1])[:LISTED]
+    runs.table(
+        ("run", "size", "seen", "taken up", "chance to be wrong and not seen"),
+        [
+            [
+                row["index"],
+                f"{row['size']:.2f}",
+                f"{row['seen']:.0f}",
+                f"{row['taken_up']:.0f}",
+                f"{row['hidden'][-1]:.1e}",
+            ]
+            for row in most
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()
