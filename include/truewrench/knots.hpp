@@ -127,9 +127,9 @@ class WindowSolver {
   }
 
  private:
-  static constexpr int kStretches = 20;  // that a window is judged by as a whole,
-  static constexpr double kEverywhere =
-      0.1;  // and what the better half of them have of a misfit that is in no place
+  // That a window is judged by as a whole, and the share of a misfit that their better half has if it is in no one place.
+  static constexpr int kStretches = 20;
+  static constexpr double kEverywhere = 0.1;
 
   struct Refinement {
     std::vector<double> gain;  // decrease of the cost per interval by halving all of them
