@@ -182,6 +182,32 @@ def test_what_a_slow_motion_takes_of_a_jump_does_not_hide_when_it_was() -> None:
         assert found.begin <= at * log.time[-1] <= found.end < found.begin + 0.1
 
 
+def test_a_jump_that_the_gain_would_hide_is_sought_more_closely() -> None:
+    log, draws = simulate(rig_of(RATE), seed=5).log, 100
+    rows, gain, at = np.arange(len(log.raw)), np.diag(1.0 / NOISE), 0.8
+    step = (log.time > at * log.time[-1]).astype(float)
+    found = dict.fromkeys([(motion, seen) for motion in ("slow", "fast") for seen in (0, 30)], 0)
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        for motion, cycles in (("slow", np.arange(0.2, 1.4, 0.2)), ("fast", np.arange(3.0, 9.0))):
+            phase = log.time[:, None] / log.time[-1] * cycles + rng.uniform(size=6)
+            wrench = np.sin(2.0 * np.pi * phase)
+            known = np.column_stack([wrench, np.ones(len(rows))])
+            left = step - known @ np.linalg.lstsq(known, step, rcond=None)[0]
+            still = replace(log, raw=wrench @ gain.T + NOISE * rng.normal(size=log.raw.shape))
+            for seen in (0, 30):  # energy of the jump, where it is known when it was
+                size = np.sqrt(seen) / np.linalg.norm(left)
+                moved = jumped(still, at, [0, size, 0, 0, 0, 0])
+                jump = jump_in(moved, rows, wrench, NOISE)
+                found[motion, seen] += jump is not None
+                refused = jump_in(moved, rows, wrench, NOISE, share=0.0)  # the gain, whatever hides in it
+                assert refused is None or not refused.faint
+    assert found["fast", 0] == 0
+    assert found["slow", 0] <= 10
+    assert 0.3 * draws < found["fast", 30] < 0.65 * draws  # chance that chi-square exceeds 36: 0.47,
+    assert 0.7 * draws < found["slow", 30]  # and 25: 0.83
+
+
 @pytest.mark.parametrize("shape", ["line", "walk"])
 def test_a_drift_that_no_rig_stated_is_refused_with_the_walk_to_state(shape: str) -> None:
     rig, scores = rig_of(RATE), []

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.calibration import UNDETERMINED
 from truewrench.estimate.fits import ENOUGH, fitted_share
 from truewrench.estimate.moving_offset import (
     Jump,
@@ -173,10 +174,12 @@ class Attempts:
         """
         noise, whole = rig.sensor.noise_array, self.logs
         to_end = [uncut is not None and open_end(wrench) > 0 for wrench in (uncut or shown).wrench]
-        jumps = []
+        jumps, rows = [], sum(map(len, shown.wrench_rows))
+        claimed = _is_determined(rig, uncut or shown)
         for k, of_log in enumerate(_wrenches_of(whole, rig, shown)):
             contacts = None if uncut is None or to_end[k] else untold(uncut.wrench[k])
-            jumps.append(jump_in(*of_log, noise, contacts))
+            share = len(of_log[1]) / rows if claimed else 0.0
+            jumps.append(jump_in(*of_log, noise, contacts, share))
         if not any(jumps):
             return None
         self.logs = [log_cut_at(log, jump) for log, jump in zip(whole, jumps, strict=True)]
@@ -211,6 +214,13 @@ def _wrenches_of(
     """Per log: itself at the reference temperature, rows and the wrench there."""
     for log, rows, wrench in zip(logs, found.wrench_rows, found.wrench, strict=True):
         yield at_reference_temperature(found.offset_temperature, rig, log), rows, wrench
+
+
+def _is_determined(rig: Rig, found: WindowEstimate) -> bool:
+    """Whether every direction of the gain is: any other is refused, whatever may hide in it."""
+    gains = 6 * rig.sensor.n
+    largest = np.linalg.eigvalsh(found.normalised_covariance[:gains, :gains])[-1]
+    return bool(largest < (UNDETERMINED * rig.sensor.gain_prior) ** 2)
 
 
 def _replaced(

@@ -21,6 +21,7 @@ __all__ = [
     "end_notes",
     "jump_in",
     "jump_notes",
+    "limit_of_jump",
     "log_cut_at",
     "offsets_may_move",
     "open_end",
@@ -32,7 +33,9 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-SIGNIFICANT = 3e-6  # chance that noise explains as much as a jump does: chi-square of 36 in six channels
+SIGNIFICANT = 3e-6  # chance that noise explains as much as a jump does: chi-square of 36 in six channels,
+FAINT = 3e-4  # or where the gain would hide the jump: 25, or more,
+HIDDEN = 0.5  # if what it takes up of the jump is still less than this share of its NEES by chance
 CHANCE = 4e-5  # and as much as the likeliest of all steps may, when the jump is taken out: 30
 DOUBT = 20.0  # of the chi-square, what moving the jump may cost: between these times it lies,
 LITTLE_KNOWN = 2.0  # up to so many times as much, as slow noise is above white noise,
@@ -60,12 +63,14 @@ class Jump:
         end: and before this one, the likeliest if they are but a few samples apart.
         change: (n,) [raw units].
         contested: contacts explain more of the log.
+        faint: nearly as small as what noise alone may show.
     """
 
     begin: float
     end: float
     change: Array
     contested: bool = False
+    faint: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,12 +125,24 @@ def open_end(wrench: Array) -> int:
     return count - int(np.argmax(unknown[-count:]))
 
 
+def limit_of_jump(taken_up: Array, channels: int) -> Array:
+    """Chi-square above which a step is a jump (docs/method.md, M15c).
+
+    Args:
+        taken_up: energy of a step that the gain takes up, over the energy that is seen.
+        channels: of the sensor.
+    """
+    faint, significant = (float(chi2.isf(chance, channels)) for chance in (FAINT, SIGNIFICANT))
+    return np.clip(HIDDEN * 6 * channels / np.maximum(taken_up, 1e-9), faint, significant)
+
+
 def jump_in(
     log: Log,
     rows: NDArray[np.int64],
     wrench: Array,
     noise: Array,
     left_out: NDArray[np.bool_] | None = None,
+    share: float = 1.0,
 ) -> Jump | None:
     """The jump of the offset that explains most of a log whose wrench is known.
 
@@ -139,15 +156,18 @@ def jump_in(
         wrench: (M, 6) [N, N m]; NaN where it is not known.
         noise: (n,) 1 sigma of a sample.
         left_out: (M,) samples that contacts were found in, which `wrench` is known for none the less.
+        share: of the rows that the gain is held by, in this log; 0 where the gain is not relied on.
     """
     time, y, regressors = _regression(log, rows, wrench, noise)
     if len(time) < 4 * PIECE:
         return None
-    explained, sigma = _explained_by_a_step(y, regressors)
+    explained, sigma, free = _explained_by_a_step(y, regressors)
     best = int(np.argmax(explained))
-    if explained[best] < chi2.isf(SIGNIFICANT, y.shape[1]):
+    behind = np.arange(len(free), 0, -1)
+    taken_up = share * (behind * (len(free) - behind) / len(free) / free - 1.0)
+    if not np.any(explained > limit_of_jump(taken_up, y.shape[1])):
         return None
-    contested = False
+    contested, faint = False, bool(explained[best] < chi2.isf(SIGNIFICANT, y.shape[1]))
     if left_out is not None:
         _, kept, of_kept = _regression(log, rows, np.where(left_out[:, None], np.nan, wrench), noise)
         by_chance = (len(y) - len(kept)) * float(np.sum(sigma**-2.0))
@@ -161,8 +181,8 @@ def jump_in(
     change = np.linalg.lstsq(np.column_stack([regressors, step]), y, rcond=None)[0][-1] * noise
     gap = float(time[best] - time[best - 1])
     if last - first <= SHARPLY and gap <= SHARPLY * float(np.median(np.diff(time))):
-        return Jump(float(time[best - 1]), float(time[best]), change, contested)
-    return Jump(float(time[first - 1]), float(time[last]), change, contested)
+        return Jump(float(time[best - 1]), float(time[best]), change, contested, faint)
+    return Jump(float(time[first - 1]), float(time[last]), change, contested, faint)
 
 
 def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> bool:
@@ -223,10 +243,12 @@ def jump_notes(rig: Rig, jumps: Sequence[Jump | None]) -> list[str]:
         sizes = np.abs(jump.change) / rig.sensor.noise_array
         named = np.flatnonzero(sizes > NAMED * sizes.max()).tolist()
         listed = ", ".join(f"{rig.sensor.channels[i]} by {jump.change[i]:.3g}" for i in named)
+        verb = "may have jumped" if jump.faint else "jumps"
         notes.append(
-            f"the offset of log {k + 1} jumps between {jump.begin:.3f} and {jump.end:.3f} s ({listed}): it "
+            f"the offset of log {k + 1} {verb} between {jump.begin:.3f} and {jump.end:.3f} s ({listed}): it "
             "was estimated before and after, and the one reported is that at the end, with whatever the "
             "sensor bears since"
+            + ("; the gain would hide so small a jump, and noise shows one at times" if jump.faint else "")
         )
     return notes
 
@@ -260,10 +282,11 @@ def _misfit(y: Array, regressors: Array) -> float:
     return float(np.sum((y - basis @ (basis.T @ y)) ** 2))
 
 
-def _explained_by_a_step(y: Array, regressors: Array) -> tuple[Array, Array]:
-    """Chi-square that a step from each row on explains beside the regressors, and the noise it is over.
+def _explained_by_a_step(y: Array, regressors: Array) -> tuple[Array, Array, Array]:
+    """Chi-square that a step from each row on explains beside the regressors, and what it is made of.
 
-    (N,) in all channels, and (n,) 1 sigma of white noise as dense as what is slow.
+    (N,) in all channels; (n,) 1 sigma of white noise as dense as what is slow; and (N,) squared norm of
+    what the regressors leave of a step by 1, 1 at least.
 
     Args:
         y: (N, n) channels, in sigma.
@@ -285,7 +308,7 @@ def _explained_by_a_step(y: Array, regressors: Array) -> tuple[Array, Array]:
         best = int(np.argmax(explained))  # whose share of the residual is no noise
         step = (np.arange(count) >= best) - basis @ behind[best]
         noise = residual - np.outer(step, sums[best] / free[best])
-    return explained, np.sqrt(variance)
+    return explained, np.sqrt(variance), free
 
 
 def _slow_noise(residual: Array) -> Array:
