@@ -12,7 +12,7 @@ from test_disturbed_logs import NOISE, gain_error, pushed, rig_of
 
 import truewrench as tw
 from truewrench.calibration import Calibration
-from truewrench.estimate.moving_offset import jump_in, with_free_offsets
+from truewrench.estimate.moving_offset import Jump, jump_in, jump_notes, with_free_offsets
 from truewrench.estimate.windows import estimate_windows
 from truewrench.evidence import Evidence
 from truewrench.log import Log
@@ -206,6 +206,8 @@ def test_a_jump_that_the_gain_would_hide_is_sought_more_closely() -> None:
     assert found["slow", 0] <= 10
     assert 0.3 * draws < found["fast", 30] < 0.65 * draws  # chance that chi-square exceeds 36: 0.47,
     assert 0.7 * draws < found["slow", 30]  # and 25: 0.83
+    faint = Jump(1.0, 9.0, NOISE, faint=True)
+    assert "may have jumped between 1.000 and 9.000 s" in jump_notes(rig_of(RATE), [faint])[0]
 
 
 @pytest.mark.parametrize("shape", ["line", "walk"])

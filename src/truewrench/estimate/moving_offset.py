@@ -243,9 +243,9 @@ def jump_notes(rig: Rig, jumps: Sequence[Jump | None]) -> list[str]:
         sizes = np.abs(jump.change) / rig.sensor.noise_array
         named = np.flatnonzero(sizes > NAMED * sizes.max()).tolist()
         listed = ", ".join(f"{rig.sensor.channels[i]} by {jump.change[i]:.3g}" for i in named)
-        verb = "may have jumped" if jump.faint else "jumps"
+        verb = "may have jumped between" if jump.faint else "jumps between"
         notes.append(
-            f"the offset of log {k + 1} {verb} between {jump.begin:.3f} and {jump.end:.3f} s ({listed}): it "
+            f"the offset of log {k + 1} {verb} {jump.begin:.3f} and {jump.end:.3f} s ({listed}): it "
             "was estimated before and after, and the one reported is that at the end, with whatever the "
             "sensor bears since"
             + ("; the gain would hide so small a jump, and noise shows one at times" if jump.faint else "")
