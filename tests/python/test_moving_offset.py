@@ -12,7 +12,7 @@ from test_disturbed_logs import NOISE, gain_error, pushed, rig_of
 
 import truewrench as tw
 from truewrench.calibration import Calibration
-from truewrench.estimate.moving_offset import Jump, jump_in, jump_notes, with_free_offsets
+from truewrench.estimate.moving_offset import Jump, jump_in, jump_notes, log_cut_at, with_free_offsets
 from truewrench.estimate.windows import estimate_windows
 from truewrench.evidence import Evidence
 from truewrench.log import Log
@@ -130,7 +130,8 @@ def test_one_jump_is_simpler_than_contacts_that_explain_more() -> None:
     found = tw.calibrate(rig, jumped(run.log, 0.68, [0, 0, 0, 0, 0, 0.41]), held_out=False)
     assert found.verdict.usable, found.verdict.reasons
     assert len(notes_of(found)) == 1
-    assert not found.logs[0].disturbances
+    for begin, end in found.logs[0].disturbances:  # the few samples between the cut and the jump
+        assert abs(begin - 6.8) < 0.1 > abs(end - 6.8)
     assert nees(rig, found, run) < 1.45
 
 
@@ -206,8 +207,22 @@ def test_a_jump_that_the_gain_would_hide_is_sought_more_closely() -> None:
     assert found["slow", 0] <= 10
     assert 0.3 * draws < found["fast", 30] < 0.65 * draws  # chance that chi-square exceeds 36: 0.47,
     assert 0.7 * draws < found["slow", 30]  # and 25: 0.83
-    faint = Jump(1.0, 9.0, NOISE, faint=True)
+    faint = Jump(1.0, 5.0, 9.0, NOISE, faint=True)
     assert "may have jumped between 1.000 and 9.000 s" in jump_notes(rig_of(RATE), [faint])[0]
+
+
+def test_pieces_of_a_doubtful_time_meet_where_a_jump_is_likeliest() -> None:
+    log = simulate(rig_of(RATE), seed=0).log
+    end = float(log.time[-10])
+
+    def cuts(likeliest: float) -> Any:
+        return 1e-9 * (
+            np.array(log_cut_at(log, Jump(0.0, likeliest, end, NOISE)).offset_jumps_ns) - log.time_ns[0]
+        )
+
+    evenly = np.linspace(0.0, end, 7)
+    assert cuts(0.9 * end) == pytest.approx([*evenly[:5], 0.9 * end, end], abs=1e-8)
+    assert cuts(end - 2.0 / RATE) == pytest.approx(evenly, abs=1e-8)  # a piece of two rows tells nothing
 
 
 @pytest.mark.parametrize("shape", ["line", "walk"])

@@ -60,13 +60,15 @@ class Jump:
 
     Attributes:
         begin: it lies behind this time [s from the log's first row],
-        end: and before this one, the likeliest if they are but a few samples apart.
+        likeliest: best here,
+        end: and no later than this, the likeliest if they are but a few samples apart.
         change: (n,) [raw units].
         contested: contacts explain more of the log.
         faint: nearly as small as what noise alone may show.
     """
 
     begin: float
+    likeliest: float
     end: float
     change: Array
     contested: bool = False
@@ -179,10 +181,11 @@ def jump_in(
     first, last = int(likely[0]), int(likely[-1]) + 1
     step = np.arange(len(time)) >= best
     change = np.linalg.lstsq(np.column_stack([regressors, step]), y, rcond=None)[0][-1] * noise
-    gap = float(time[best] - time[best - 1])
-    if last - first <= SHARPLY and gap <= SHARPLY * float(np.median(np.diff(time))):
-        return Jump(float(time[best - 1]), float(time[best]), change, contested, faint)
-    return Jump(float(time[first - 1]), float(time[last]), change, contested, faint)
+    begin, likeliest, end = float(time[first - 1]), float(time[best]), float(time[last])
+    before = float(time[best - 1])
+    if last - first <= SHARPLY and likeliest - before <= SHARPLY * float(np.median(np.diff(time))):
+        begin, end = before, likeliest
+    return Jump(begin, likeliest, end, change, contested, faint)
 
 
 def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) -> bool:
@@ -200,13 +203,22 @@ def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) 
 
 
 def log_cut_at(log: Log, jump: Jump | None) -> Log:
-    """The log with an offset that begins anew at a jump, and in every piece of the time that it may be in."""
+    """The log with an offset that begins anew at a jump, and in every piece of the time that it may be in.
+
+    Two pieces meet where it is likeliest: in a long piece it would bend the gain still.
+    """
     if jump is None:
         return log
     inside = np.count_nonzero((log.time > jump.begin) & (log.time < jump.end))
     pieces = int(np.clip(inside / PIECE, 1, PIECES))
-    edges = [jump.end] if inside <= SHARPLY else np.linspace(jump.begin, jump.end, pieces + 1).tolist()
-    return replace(log, offset_jumps_ns=tuple(int(log.time_ns[0]) + round(1e9 * edge) for edge in edges))
+    edges = np.linspace(jump.begin, jump.end, pieces + 1)
+    if pieces > 1:
+        moved = edges.copy()
+        moved[1 + np.argmin(np.abs(edges[1:-1] - jump.likeliest))] = jump.likeliest
+        if np.diff(np.searchsorted(log.time, moved)).min() >= PIECE:
+            edges = moved
+    times = [jump.end] if inside <= SHARPLY else edges.tolist()
+    return replace(log, offset_jumps_ns=tuple(int(log.time_ns[0]) + round(1e9 * time) for time in times))
 
 
 def wandering(
