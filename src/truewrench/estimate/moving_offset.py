@@ -205,14 +205,14 @@ def still_moves(log: Log, rows: NDArray[np.int64], wrench: Array, noise: Array) 
 def log_cut_at(log: Log, jump: Jump | None) -> Log:
     """The log with an offset that begins anew at a jump, and in every piece of the time that it may be in.
 
-    Two pieces meet where it is likeliest: in a long piece it would bend the gain still.
+    Two pieces meet where a faint one is likeliest: it may lie anywhere, and in a long piece bends the gain.
     """
     if jump is None:
         return log
     inside = np.count_nonzero((log.time > jump.begin) & (log.time < jump.end))
     pieces = int(np.clip(inside / PIECE, 1, PIECES))
     edges = np.linspace(jump.begin, jump.end, pieces + 1)
-    if pieces > 1:
+    if jump.faint and pieces > 1:
         moved = edges.copy()
         moved[1 + np.argmin(np.abs(edges[1:-1] - jump.likeliest))] = jump.likeliest
         if np.diff(np.searchsorted(log.time, moved)).min() >= PIECE:
