@@ -10,9 +10,9 @@ import bound_common
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm_simulation.model import Arm
 from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.rig import Rig
+from truewrench.simulation.arm.model import Arm
 
 Array = NDArray[np.float64]
 

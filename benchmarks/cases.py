@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from truewrench.log import Log
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, WrenchSinusoids, integrate_wrench
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 Array = NDArray[np.float64]
 

@@ -35,16 +35,16 @@ from scipy.stats import chi2
 from truewrench import robots
 from truewrench.arm.robot import robot_of
 from truewrench.arm.track import track
-from truewrench.arm_simulation.model import Arm
-from truewrench.arm_simulation.motion import default_motion
-from truewrench.arm_simulation.run import Moved, arm_with, move, record
 from truewrench.files import write_yaml
 from truewrench.io.plans import joint_columns, read_joint_plan
 from truewrench.io.tables import write_table
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.planner import plan
 from truewrench.rig import Rig, load_rig
-from truewrench.truth import begin, stated
+from truewrench.simulation.arm.model import Arm
+from truewrench.simulation.arm.motion import default_motion
+from truewrench.simulation.arm.run import Moved, arm_with, move, record
+from truewrench.simulation.truth import begin, stated
 
 Array = NDArray[np.float64]
 

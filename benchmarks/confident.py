@@ -31,7 +31,7 @@ from scipy.signal import lfilter
 
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
+from truewrench.simulation.free_body import SimulatedRun, simulate
 
 Array = NDArray[np.float64]
 Settings = dict[str, Any]

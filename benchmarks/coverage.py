@@ -37,7 +37,7 @@ from scipy.stats import chi2
 from truewrench import _core
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, WrenchSinusoids, integrate_wrench
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 Array = NDArray[np.float64]
 

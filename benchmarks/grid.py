@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from truewrench.motion.trajectory import Body, Trajectory
 from truewrench.rig import Rig
-from truewrench.simulate import simulate, wrench_on_sensor
+from truewrench.simulation.free_body import simulate, wrench_on_sensor
 
 Array = NDArray[np.float64]
 

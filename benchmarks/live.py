@@ -92,7 +92,7 @@ def role(name: str, count: int = 0, rate: float = 0.0) -> subprocess.Popen[str]:
 def calibration(folder: Path) -> Path:
     """One that is fit for use, of a short simulated run."""
     from truewrench import calibrate, load_rig
-    from truewrench.simulate import simulate
+    from truewrench.simulation.free_body import simulate
 
     rig = folder / "rig.yaml"
     rig.write_text(yaml.safe_dump(yaml.safe_load(RIG)))

@@ -16,7 +16,7 @@ from truewrench.motion.trajectory import (
     WrenchSinusoids,
     integrate_wrench,
 )
-from truewrench.simulate import wrench_on_sensor
+from truewrench.simulation.free_body import wrench_on_sensor
 
 Array = NDArray[np.float64]
 

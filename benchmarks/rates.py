@@ -22,7 +22,7 @@ import numpy as np
 import runs
 
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 RATES = (100, 200, 500, 1000)
 CELLS = ((0.1, 1e-4), (0.5, 1e-4), (0.5, 1e-3), (5.0, 1e-3))

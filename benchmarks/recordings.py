@@ -37,7 +37,7 @@ from truewrench.arm.robot import robot_of
 from truewrench.io.tables import open_table, read_log, write_table
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig, load_rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "python"))
 from bags import KINDS, Bag, record

@@ -23,7 +23,7 @@ import truewrench as tw
 from truewrench.evidence import Evidence
 from truewrench.pipeline import calibrate
 from truewrench.report import write_report
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "rig.yaml"
 DRAWN = "[...document.querySelectorAll('.plot')].every(p => p.children.length)"

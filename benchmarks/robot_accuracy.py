@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from truewrench import robots
 from truewrench.arm.robot import robot_of
-from truewrench.arm_simulation.run import arm_with
 from truewrench.payload import payload_wrench
 from truewrench.rig import Rig, load_rig
-from truewrench.truth import stated
+from truewrench.simulation.arm.run import arm_with
+from truewrench.simulation.truth import stated
 
 Array = NDArray[np.float64]
 

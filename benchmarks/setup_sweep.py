@@ -27,7 +27,7 @@ import runs
 from numpy.typing import NDArray
 
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 from truewrench.verdict.setup_errors import suspected_setup_errors
 
 Array = NDArray[np.float64]

@@ -29,13 +29,13 @@ from numpy.typing import NDArray
 
 from truewrench import _core, robots
 from truewrench.arm.track import track
-from truewrench.arm_simulation import simulate_arm
 from truewrench.estimate.ekf import estimate_ekf
 from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.motion_noise import twist_noise
 from truewrench.rig import Rig, load_rig
-from truewrench.simulate import simulate
+from truewrench.simulation.arm import simulate_arm
+from truewrench.simulation.free_body import simulate
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import truewrench as tw
 from truewrench.evidence import Evidence
 from truewrench.pipeline import calibrate
 from truewrench.report import write_report
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 HERE = Path(__file__).parent
 SIZE = (1180, 880)

@@ -14,7 +14,7 @@ from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 from truewrench.verdict.advice import advice
 
 FREQUENCY = np.array([[0.3, 0.5, 0.7, 0.4, 0.6, 0.9]])  # 10 s is a period of all

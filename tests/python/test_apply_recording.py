@@ -23,7 +23,7 @@ from truewrench.errors import InputError
 from truewrench.io.recordings import reader, spool
 from truewrench.io.tables import write_table
 from truewrench.rig import Rig
-from truewrench.simulate import simulate, wrench_on_sensor
+from truewrench.simulation.free_body import simulate, wrench_on_sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

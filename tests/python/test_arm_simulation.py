@@ -13,9 +13,6 @@ import pytest
 import yaml
 from scipy.interpolate import make_interp_spline
 
-from truewrench.arm_simulation import simulate_arm
-from truewrench.arm_simulation.model import Arm, Reading, arm_of
-from truewrench.arm_simulation.run import ArmRun, record
 from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.tables import read_log
@@ -23,7 +20,10 @@ from truewrench.log import Log
 from truewrench.motion.trajectory import Body
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig, load_rig
-from truewrench.truth import Truth, begin
+from truewrench.simulation.arm import simulate_arm
+from truewrench.simulation.arm.model import Arm, Reading, arm_of
+from truewrench.simulation.arm.run import ArmRun, record
+from truewrench.simulation.truth import Truth, begin
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

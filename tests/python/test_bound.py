@@ -12,14 +12,14 @@ from scipy.interpolate import BSpline
 
 from truewrench.arm.robot import robot_of
 from truewrench.arm.track import track
-from truewrench.arm_simulation.motion import default_motion
-from truewrench.arm_simulation.run import arm_with
 from truewrench.bound import bound
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
-from truewrench.truth import stated
+from truewrench.simulation.arm.motion import default_motion
+from truewrench.simulation.arm.run import arm_with
+from truewrench.simulation.free_body import simulate
+from truewrench.simulation.truth import stated
 
 INERTIA = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
 FREQUENCY = np.array([[0.30, 0.51, 0.69, 0.39, 0.60, 0.87]])

@@ -25,7 +25,7 @@ from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import default_trajectory, simulate
+from truewrench.simulation.free_body import default_trajectory, simulate
 
 SETTINGS: dict[str, Any] = {
     "sensor": {

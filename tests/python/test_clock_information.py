@@ -14,7 +14,7 @@ from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.motion.trajectory import Body, WrenchSinusoids, integrate_wrench
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
+from truewrench.simulation.free_body import SimulatedRun, simulate
 
 Array = NDArray[np.float64]
 

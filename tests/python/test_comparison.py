@@ -17,7 +17,7 @@ from truewrench.cli import main
 from truewrench.log import Log
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
+from truewrench.simulation.free_body import SimulatedRun, simulate
 from truewrench.validation.comparison import Comparison, compare_held_out
 
 

@@ -17,7 +17,7 @@ from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
+from truewrench.simulation.free_body import SimulatedRun, simulate
 from truewrench.split import rows_of
 
 Array = NDArray[np.float64]

@@ -38,7 +38,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_python_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import truewrench as tw
-    from truewrench.simulate import simulate
+    from truewrench.simulation.free_body import simulate
 
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)

@@ -277,7 +277,7 @@ def test_one_export_that_fails_takes_nothing_with_it(calibration: Calibration, t
 def test_calibrate_writes_exports_and_says_what_they_lose(
     rig_of: Callable[..., Rig], settings: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from truewrench.simulate import simulate
+    from truewrench.simulation.free_body import simulate
 
     settings["payloads"]["default"]["uncertainty"] = {"mass": 0, "center_of_mass": 0, "inertia": 0}
     settings["sensor"] |= {"time_offset_prior": 0, "noise": [0.05] * 3 + [0.005] * 3}

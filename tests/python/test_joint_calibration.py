@@ -18,9 +18,6 @@ from scipy.stats import chi2
 import truewrench as tw
 from truewrench.arm.robot import robot_of
 from truewrench.arm.track import tracked
-from truewrench.arm_simulation.drive import Driven
-from truewrench.arm_simulation.motion import default_motion
-from truewrench.arm_simulation.run import Moved, arm_with, move, record
 from truewrench.bound import bound
 from truewrench.calibration import Calibration
 from truewrench.cli import main
@@ -30,8 +27,11 @@ from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig
+from truewrench.simulation.arm.drive import Driven
+from truewrench.simulation.arm.motion import default_motion
+from truewrench.simulation.arm.run import Moved, arm_with, move, record
+from truewrench.simulation.truth import Truth, begin, stamps_of, stated, write_run
 from truewrench.split import rows_of
-from truewrench.truth import Truth, begin, stamps_of, stated, write_run
 from truewrench.validation import validate
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -14,7 +14,7 @@ from truewrench.estimate.least_squares import least_squares
 from truewrench.log import Log
 from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 
 def rig_of(**changes: Any) -> Rig:

@@ -15,7 +15,7 @@ from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, default_trajectory, simulate
+from truewrench.simulation.free_body import SimulatedRun, default_trajectory, simulate
 
 FAR = {"gain_prior": 0.5, "time_offset_prior": 5e-3}
 VAGUE = {"mass": 1e-2, "center_of_mass": 2e-3, "inertia": 5e-2}

@@ -18,7 +18,7 @@ from truewrench.evidence import Evidence
 from truewrench.log import Log
 from truewrench.report.series import record_of
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
+from truewrench.simulation.free_body import SimulatedRun, simulate
 
 RATE = 200
 

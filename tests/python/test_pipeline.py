@@ -21,7 +21,7 @@ from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
+from truewrench.simulation.free_body import SimulatedRun, simulate
 from truewrench.split import rows_of
 
 

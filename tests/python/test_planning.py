@@ -22,7 +22,7 @@ from truewrench.planning.criterion import Criterion, packed
 from truewrench.planning.planner import plan
 from truewrench.planning.result import Plan
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

@@ -17,7 +17,7 @@ from truewrench.errors import InputError
 from truewrench.io.tables import read_log, write_table
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Columns = dict[str, np.ndarray[Any, Any]]

@@ -19,7 +19,7 @@ from truewrench.log import Log
 from truewrench.pipeline import calibrate
 from truewrench.report import write_report
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$$x$$\u2028"

@@ -15,7 +15,7 @@ from truewrench.cli import main
 from truewrench.report.series import Record, Series
 from truewrench.report.statistics import envelope, histogram, spectrum
 from truewrench.rig import load_rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 from truewrench.split import rows_of
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 from truewrench.verdict.setup_errors import (
     Suspicion,
     parameters_off_their_priors,

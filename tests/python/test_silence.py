@@ -13,7 +13,7 @@ from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import default_trajectory, simulate
+from truewrench.simulation.free_body import default_trajectory, simulate
 from truewrench.verdict.silence import channel_faults, still_twists
 
 

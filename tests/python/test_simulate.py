@@ -13,7 +13,7 @@ import yaml
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.motion.trajectory import Body, attitude
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, default_trajectory, simulate, wrench_on_sensor
+from truewrench.simulation.free_body import SimulatedRun, default_trajectory, simulate, wrench_on_sensor
 
 QUIET = {"sensor": {"noise": [1e-12] * 6}, "motion": {"noise": [1e-12] * 6}}
 

@@ -22,7 +22,7 @@ from truewrench.calibration import AXES, Calibration, Verdict, load_calibration
 from truewrench.cli import main
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 from truewrench.stream.json_lines import correct_lines
 from truewrench.stream.lines import LONGEST, Output, batches
 from truewrench.stream.stop import Stop

@@ -21,12 +21,12 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from truewrench.apply import corrector
-from truewrench.arm_simulation import simulate_arm
 from truewrench.calibration import Calibration, Verdict, load_calibration
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.arm import simulate_arm
+from truewrench.simulation.free_body import simulate
 from truewrench.stream.ros2 import Topics, calibrate_topics, correct_topic
 from truewrench.stream.ros2_node import Node, configuration, domain_id, ros_type, taken
 from truewrench.stream.ros2_types import TYPE_HASHES, Float64MultiArray, Header, Time, WrenchStamped

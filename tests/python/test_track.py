@@ -14,17 +14,17 @@ from scipy.spatial.transform import Rotation
 
 from truewrench.arm.robot import robot_of
 from truewrench.arm.track import track, tracked, tracked_streams
-from truewrench.arm_simulation.model import Reading
-from truewrench.arm_simulation.motion import default_motion
-from truewrench.arm_simulation.run import arm_with
 from truewrench.errors import InputError
 from truewrench.inertial import InertialMotion
 from truewrench.log import Log
 from truewrench.motion.spatial import twist_adjoint
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig
+from truewrench.simulation.arm.model import Reading
+from truewrench.simulation.arm.motion import default_motion
+from truewrench.simulation.arm.run import arm_with
+from truewrench.simulation.truth import stated
 from truewrench.split import held_out
-from truewrench.truth import stated
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 RigOf = Callable[..., Rig]

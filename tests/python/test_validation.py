@@ -17,7 +17,7 @@ from truewrench.inertial import InertialMotion
 from truewrench.log import Log
 from truewrench.motion.trajectory import Body
 from truewrench.rig import Rig
-from truewrench.simulate import simulate, wrench_on_sensor
+from truewrench.simulation.free_body import simulate, wrench_on_sensor
 from truewrench.split import held_out
 from truewrench.validation import Validation, validate
 

@@ -20,7 +20,7 @@ from truewrench.io.tables import read_log
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
-from truewrench.simulate import default_trajectory, simulate
+from truewrench.simulation.free_body import default_trajectory, simulate
 from truewrench.verdict import judge_reference, judge_windows, undetermined_directions
 
 Array = NDArray[np.float64]

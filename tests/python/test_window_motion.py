@@ -12,7 +12,7 @@ from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.windows import estimate_windows
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig
-from truewrench.simulate import default_trajectory, simulate
+from truewrench.simulation.free_body import default_trajectory, simulate
 
 
 @dataclass(frozen=True)

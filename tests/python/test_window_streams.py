@@ -11,7 +11,7 @@ from window_cases import FITTED, GRAVITY, METHODS, Method, honest, nees, rig_of
 from truewrench.errors import InputError
 from truewrench.estimate.windows import estimate_windows
 from truewrench.log import Log
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 
 @METHODS

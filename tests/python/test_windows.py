@@ -16,7 +16,7 @@ from truewrench.errors import InputError
 from truewrench.estimate.fits import mostly_unexplained
 from truewrench.estimate.windows import estimate_windows
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
+from truewrench.simulation.free_body import SimulatedRun, simulate
 
 
 @METHODS

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from truewrench import _core
 from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun
+from truewrench.simulation.free_body import SimulatedRun
 
 Array = NDArray[np.float64]
 Method = Literal["map", "online"]

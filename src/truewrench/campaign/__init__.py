@@ -33,7 +33,7 @@ from truewrench.motion.trajectory import Trajectory
 from truewrench.pipeline import EstimatorName
 from truewrench.rig import Rig
 from truewrench.rig.strict import key_path
-from truewrench.simulate import default_trajectory
+from truewrench.simulation.free_body import default_trajectory
 
 __all__ = ["FORMAT", "campaign"]
 

@@ -18,7 +18,7 @@ from truewrench.errors import InputError, UnsupportedError
 from truewrench.motion.trajectory import Trajectory
 from truewrench.pipeline import EstimatorName, calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import Truth, simulate
+from truewrench.simulation.free_body import Truth, simulate
 
 __all__ = ["SCHEMA", "STREAMS", "Row", "make_row", "nees", "run_trial", "trial_seed"]
 

@@ -17,8 +17,8 @@ from truewrench.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from truewrench.arm_simulation import ArmRun
-    from truewrench.simulate import SimulatedRun
+    from truewrench.simulation.arm import ArmRun
+    from truewrench.simulation.free_body import SimulatedRun
 
 __all__ = ["follow", "plan", "simulate"]
 
@@ -109,12 +109,12 @@ def simulate(
     settings = load_rig(rig)
     simulated: ArmRun | SimulatedRun
     if settings.motion.source == "joints":
-        from truewrench.arm_simulation import simulate_plan
+        from truewrench.simulation.arm import simulate_plan
 
         simulated = simulate_plan(settings, plan, payload=payload, seed=seed)
     else:
         from truewrench.io.plans import read_plan
-        from truewrench.simulate import simulate as run
+        from truewrench.simulation.free_body import simulate as run
 
         simulated = run(settings, None if plan is None else read_plan(plan), payload=payload, seed=seed)
     log, truth = simulated.write(output)

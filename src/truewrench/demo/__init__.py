@@ -45,7 +45,7 @@ from truewrench.motion.trajectory import (
 )
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
-from truewrench.simulate import SimulatedRun, simulate
+from truewrench.simulation.free_body import SimulatedRun, simulate
 
 __all__ = ["NOISE", "Comparison", "Result", "compare", "run", "simulate_case"]
 

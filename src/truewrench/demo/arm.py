@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from truewrench import robots
 from truewrench.arm.robot import robot_of
-from truewrench.arm_simulation import ArmRun, simulate_arm, simulate_plan
-from truewrench.arm_simulation.run import arm_with
 from truewrench.calibration import Calibration
 from truewrench.campaign.trial import nees
 from truewrench.errors import UnsupportedError
@@ -24,6 +22,8 @@ from truewrench.pipeline import calibrate
 from truewrench.planning.planner import plan as make_plan
 from truewrench.planning.result import Plan
 from truewrench.rig import Rig, load_rig
+from truewrench.simulation.arm import ArmRun, simulate_arm, simulate_plan
+from truewrench.simulation.arm.run import arm_with
 from truewrench.validation import Validation, validate
 
 __all__ = ["run_arm"]

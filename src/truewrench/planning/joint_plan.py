@@ -24,7 +24,7 @@ from truewrench.planning.result import Design
 from truewrench.planning.search import Effort, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
 from truewrench.rig import Rig
-from truewrench.truth import begin, readings, stamps_of
+from truewrench.simulation.truth import begin, readings, stamps_of
 
 __all__ = ["design_joints", "simulated_joints"]
 

@@ -19,7 +19,7 @@ from truewrench.planning.search import Progress
 from truewrench.planning.twist_plan import design_twist
 from truewrench.planning.wrench_plan import design_wrench
 from truewrench.rig import Rig
-from truewrench.simulate import simulate
+from truewrench.simulation.free_body import simulate
 
 __all__ = ["plan"]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.arm.robot import Robot
-from truewrench.arm_simulation.model import Arm, Reading
 from truewrench.errors import InputError
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig
+from truewrench.simulation.arm.model import Arm, Reading
 
 __all__ = ["default_motion"]
 

@@ -16,7 +16,7 @@ from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.rig import Rig
-from truewrench.truth import Truth, begin, readings, stamps_of, stated, write_run
+from truewrench.simulation.truth import Truth, begin, readings, stamps_of, stated, write_run
 
 __all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on_sensor"]
 
@@ -59,7 +59,7 @@ def simulate(
         InputError: for a payload that the rig does not have.
     """
     if rig.motion.source != "twist":
-        expected = "`twist`: arms move in `arm_simulation`"
+        expected = "`twist`: arms move in `simulate_arm`"
         raise UnsupportedError.at(rig.path, "motion.source", rig.motion.source, expected)
     name, truth = begin(rig, payload, seed)
     motion = default_trajectory(rig) if trajectory is None else trajectory

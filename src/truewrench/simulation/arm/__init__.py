@@ -3,6 +3,6 @@
 What is modelled and what is checked: docs/method.md, "The simulated arm".
 """
 
-from truewrench.arm_simulation.run import ArmRun, simulate_arm, simulate_plan
+from truewrench.simulation.arm.run import ArmRun, simulate_arm, simulate_plan
 
 __all__ = ["ArmRun", "simulate_arm", "simulate_plan"]

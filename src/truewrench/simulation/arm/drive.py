@@ -20,8 +20,8 @@ from scipy.integrate import DOP853
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 
-from truewrench.arm_simulation.model import Arm, Reading
 from truewrench.motion.trajectory_joint import JointTrajectory
+from truewrench.simulation.arm.model import Arm, Reading
 
 __all__ = ["Driven", "Servo", "drive", "servo_for"]
 

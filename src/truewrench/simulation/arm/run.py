@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from truewrench.arm.robot import Robot, robot_of
 from truewrench.arm.track import track
-from truewrench.arm_simulation.drive import Driven, drive, servo_for
-from truewrench.arm_simulation.model import Arm, Reading, arm_of
-from truewrench.arm_simulation.motion import default_motion
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.plans import read_joint_plan
 from truewrench.log import Log
 from truewrench.motion.trajectory import Body
 from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.rig import Rig
-from truewrench.simulate import wrench_on_sensor
-from truewrench.truth import Stamps, Truth, begin, readings, stamps_of, stated, write_run
+from truewrench.simulation.arm.drive import Driven, drive, servo_for
+from truewrench.simulation.arm.model import Arm, Reading, arm_of
+from truewrench.simulation.arm.motion import default_motion
+from truewrench.simulation.free_body import wrench_on_sensor
+from truewrench.simulation.truth import Stamps, Truth, begin, readings, stamps_of, stated, write_run
 
 __all__ = ["ArmRun", "Moved", "arm_with", "disagreement", "move", "record", "simulate_arm", "simulate_plan"]
 
