@@ -51,7 +51,7 @@ def test_defaults_are_those_of_the_format(settings: dict[str, Any]) -> None:
     }  # fmt: skip
     assert rig.simulate.model_dump() == {
         "rate": 100, "sensor_rate": 100, "seed": 0, "gain": "random", "offset": "random", "time_offset": 0,
-        "payload": "nominal",
+        "payload": "nominal", "imperfections": None,
     }  # fmt: skip
     assert rig.recording.stamps == "header"
 

@@ -15,6 +15,7 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from truewrench.errors import InputError
 from truewrench.files import read_yaml
+from truewrench.rig.imperfections import ImperfectionsSpec
 from truewrench.rig.payload_sources import AnyPayload
 from truewrench.rig.sections import (
     InertiaSpec,
@@ -30,6 +31,7 @@ from truewrench.rig.sections import (
     UncertaintySpec,
 )
 from truewrench.rig.strict import (
+    NonNegative,
     Positive,
     Section,
     SixPositives,
@@ -41,6 +43,7 @@ from truewrench.rig.strict import (
 )
 
 __all__ = [
+    "ImperfectionsSpec",
     "InertiaSpec",
     "LimitsSpec",
     "MotionSpec",
@@ -66,6 +69,7 @@ class Rig(Section):
     payloads: Annotated[dict[Text, AnyPayload], Field(min_length=1)]
     motion: MotionSpec
     gravity: ThreeNumbers = (0.0, 0.0, 0.0)
+    gravity_tilt_prior: NonNegative = 3.5e-3  # [rad] 1 sigma of gravity's direction about two axes
     reference_noise: SixPositives | None = None
     temperature: TemperatureSpec = TemperatureSpec()
     required: Positive = 0.02
@@ -97,6 +101,11 @@ class Rig(Section):
             raise refuse("simulate.gain", f"{len(gain)} rows", f"{n} rows of 6: one per channel")
         if isinstance(offset, tuple) and len(offset) != n:
             raise refuse("simulate.offset", f"{len(offset)} entries", f"{n}: one per channel")
+        imperfect = self.simulate.imperfections
+        if imperfect is not None and imperfect.gravity_tilt is not None and not self.in_gravity:
+            raise refuse(
+                "simulate.imperfections.gravity_tilt", shown(imperfect.gravity_tilt), "gravity to tilt"
+            )
         motion = self.motion
         axes = 6 if motion.source == "twist" else len(motion.noise or motion.position_noise or ())
         for key in ("position", "velocity", "acceleration", "jerk"):

@@ -5,16 +5,16 @@ SI units; six-vectors [linear; angular]; sensor axes.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, ValidationInfo, model_validator
 
 from truewrench.rig.ati_cal import read_ati_cal
+from truewrench.rig.imperfections import ImperfectionsSpec
 from truewrench.rig.strict import (
     Listed,
     Mapped,
@@ -38,6 +38,7 @@ from truewrench.rig.strict import (
     of_length,
     refuse,
     shown,
+    word_or_number,
 )
 
 __all__ = [
@@ -105,6 +106,9 @@ class SensorSpec(Section):
     offset_walk: NonNegatives | None = None  # 1 sigma of the offset's random walk, raw units per sqrt(s)
     gain_walk: NonNegative = 0.0  # of every gain's, normalised, per sqrt(day)
     lowpass_hz: Positive | None = None
+    discrepancy: Annotated[
+        float | Literal["auto"], word_or_number("auto", "a fraction of range of at least 0", 0.0)
+    ] = "auto"  # what departs from the model together with the pose, 1 sigma; auto: found; 0: there is none
     compensated: Switch = False
 
     @model_validator(mode="after")
@@ -370,13 +374,6 @@ class PlanSpec(Section):
     rest_to_rest: Switch = True
 
 
-def _random_or_seconds(value: Any) -> Any:
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not number and value != "random":
-        raise refuse("", shown(value), "`random` or a number of seconds")
-    return value
-
-
 class SimulateSpec(Section):
     """What a simulated run is made of."""
 
@@ -393,8 +390,11 @@ class SimulateSpec(Section):
         | Annotated[NonNegative, Zero],
         choice("`none`, `random` or a list, one per channel"),
     ] = "random"
-    time_offset: Annotated[float | Literal["random"], BeforeValidator(_random_or_seconds)] = 0.0  # [s]
+    time_offset: Annotated[float | Literal["random"], word_or_number("random", "a number of seconds")] = (
+        0.0  # [s]
+    )
     payload: Literal["nominal", "random"] = "nominal"
+    imperfections: ImperfectionsSpec | None = None
 
 
 class RecordingSpec(Section):

@@ -13,6 +13,7 @@ from pydantic import (
     AfterValidator,
     AllowInfNan,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -52,6 +53,7 @@ __all__ = [
     "of_length",
     "refuse",
     "shown",
+    "word_or_number",
 ]
 
 
@@ -97,6 +99,18 @@ def of_length(n: int, what: str) -> Callable[[_Sized], _Sized]:
         return value
 
     return check
+
+
+def word_or_number(word: str, number: str, least: float = -math.inf) -> BeforeValidator:
+    """A validator that wants one word, or a finite number of at least `least`; `number` says so."""
+
+    def check(value: Any) -> Any:
+        finite = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if value != word and not (finite and value >= least):
+            raise refuse("", shown(value), f"`{word}` or {number}")
+        return value
+
+    return BeforeValidator(check)
 
 
 Number = Annotated[float, Strict(), AllowInfNan(False)]
@@ -182,6 +196,8 @@ def _expectation(kind: str, context: Mapping[str, Any], message: str) -> str:
         return f"a number greater than {context['gt']:g}"
     if kind == "greater_than_equal":
         return f"a number of at least {context['ge']:g}"
+    if kind == "less_than_equal":
+        return f"a number of at most {context['le']:g}"
     if kind == "literal_error":
         return str(context["expected"]).replace("'", "`")
     return _EXPECTED.get(kind, message)
