@@ -199,7 +199,7 @@ def test_unknown_key_is_named_with_the_nearest_known_one(
             "-1",
             "at least 0",
         ),
-        ("motion.source", "encoders", "motion.source", "'encoders'", "`twist` or `joints`"),
+        ("motion.source", "encoders", "motion.source", "'encoders'", "`twist`, `joints` or `imu`"),
         ("motion.of", "flange", "motion.of", "'flange'", "`com` or `sensor`"),
         ("motion.noise", [1e-3] * 5, "motion.noise", "5 entries", "6"),
         ("motion.noise", 1e-3, "motion.noise", "0.001", "a list"),

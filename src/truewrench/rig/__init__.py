@@ -16,15 +16,15 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from truewrench.errors import InputError
 from truewrench.files import read_yaml
 from truewrench.rig.imperfections import ImperfectionsSpec
+from truewrench.rig.motion import MotionSpec, RobotSpec
 from truewrench.rig.payload_sources import AnyPayload
 from truewrench.rig.sections import (
+    CompensatedSpec,
     InertiaSpec,
     LimitsSpec,
-    MotionSpec,
     PayloadSpec,
     PlanSpec,
     RecordingSpec,
-    RobotSpec,
     SensorSpec,
     SimulateSpec,
     TemperatureSpec,
@@ -43,6 +43,7 @@ from truewrench.rig.strict import (
 )
 
 __all__ = [
+    "CompensatedSpec",
     "ImperfectionsSpec",
     "InertiaSpec",
     "LimitsSpec",
@@ -101,17 +102,20 @@ class Rig(Section):
             raise refuse("simulate.gain", f"{len(gain)} rows", f"{n} rows of 6: one per channel")
         if isinstance(offset, tuple) and len(offset) != n:
             raise refuse("simulate.offset", f"{len(offset)} entries", f"{n}: one per channel")
+        if self.sensor.subtracted is not None and not self.in_gravity:
+            expected = "the gravity in which the driver subtracted a weight (`sensor.compensated`)"
+            raise refuse("gravity", shown(self.gravity), expected)
         imperfect = self.simulate.imperfections
         if imperfect is not None and imperfect.gravity_tilt is not None and not self.in_gravity:
             raise refuse(
                 "simulate.imperfections.gravity_tilt", shown(imperfect.gravity_tilt), "gravity to tilt"
             )
         motion = self.motion
-        axes = 6 if motion.source == "twist" else len(motion.noise or motion.position_noise or ())
+        axes = len(motion.noise or motion.position_noise or ()) if motion.source == "joints" else 6
         for key in ("position", "velocity", "acceleration", "jerk"):
             values = getattr(self.limits, key)
             if values is not None and len(values) != axes:
-                what = "one per axis of the twist" if motion.source == "twist" else "one per joint"
+                what = "one per joint" if motion.source == "joints" else "one per axis of the twist"
                 raise refuse(f"limits.{key}", f"{len(values)} entries", f"{axes}: {what}")
         return self
 
@@ -139,8 +143,8 @@ class Rig(Section):
 
     def to_mapping(self) -> dict[str, Any]:
         """The settings, defaults filled in, as `from_mapping` and a rig file take them."""
-        unset_of = {"motion": {"of"}} if self.motion.source == "joints" else {}
-        return self.model_dump(mode="json", exclude_none=True, exclude=unset_of)
+        implied = {} if self.motion.source == "twist" else {"motion": {"of"}}  # a key of twists alone
+        return self.model_dump(mode="json", exclude_none=True, exclude=implied)
 
 
 def _context(path: str | Path | None) -> dict[str, Path]:

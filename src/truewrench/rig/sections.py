@@ -5,7 +5,6 @@ SI units; six-vectors [linear; angular]; sensor axes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -29,6 +28,7 @@ from truewrench.rig.strict import (
     Section,
     SixPositives,
     Switch,
+    Switched,
     Text,
     ThreeNumbers,
     WholeNumber,
@@ -42,13 +42,12 @@ from truewrench.rig.strict import (
 )
 
 __all__ = [
+    "CompensatedSpec",
     "InertiaSpec",
     "LimitsSpec",
-    "MotionSpec",
     "PayloadSpec",
     "PlanSpec",
     "RecordingSpec",
-    "RobotSpec",
     "SensorSpec",
     "SimulateSpec",
     "TemperatureSpec",
@@ -85,6 +84,13 @@ else:
     ]
 
 
+class CompensatedSpec(Section):
+    """A body whose static weight the driver has subtracted from the channels (truewrench/compensation.py)."""
+
+    mass: Positive  # [kg]
+    center_of_mass: ThreeNumbers  # from the sensor origin, sensor axes [m]
+
+
 class SensorSpec(Section):
     """The sensor: n >= 6 channels, raw = gain @ w + offset."""
 
@@ -109,7 +115,10 @@ class SensorSpec(Section):
     discrepancy: Annotated[
         float | Literal["auto"], word_or_number("auto", "a fraction of range of at least 0", 0.0)
     ] = "auto"  # what departs from the model together with the pose, 1 sigma; auto: found; 0: there is none
-    compensated: Switch = False
+    compensated: Annotated[
+        Annotated[Switch, Switched] | Annotated[CompensatedSpec, Mapped],
+        choice("false, or {mass, center_of_mass} of the weight that the driver subtracted"),
+    ] = False
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -125,12 +134,12 @@ class SensorSpec(Section):
             raise refuse("offset_walk", f"{len(self.offset_walk)} entries", f"{n}: one per channel")
         if self.pool_offsets and (self.gain_walk > 0.0 or any(self.offset_walk or ())):
             raise refuse("pool_offsets", "true", "false: one offset for all logs cannot walk")
-        if self.compensated:
+        if self.compensated is True:
             raise refuse(
                 "compensated",
                 "true",
-                "false: where a driver has already subtracted payload or gravity, the wrench that "
-                "calibrates the gain is gone; log the sensor's raw output",
+                "false, or {mass, center_of_mass} of the weight that the driver subtracted: where that is "
+                "unknown, the wrench that calibrates the gain is gone; log the sensor's raw output",
             )
         self._check_nominal_gain()
         if isinstance(self.offset_prior, tuple) and len(self.offset_prior) != n:
@@ -168,6 +177,11 @@ class SensorSpec(Section):
     def sign(self) -> int:
         """+1 when the sensor feels the payload's reaction w, -1 when it feels the opposite."""
         return 1 if self.feels == "payload_on_sensor" else -1
+
+    @property
+    def subtracted(self) -> CompensatedSpec | None:
+        """The body whose weight the driver has subtracted, None where the channels are raw."""
+        return self.compensated if isinstance(self.compensated, CompensatedSpec) else None
 
     @property
     def noise_array(self) -> FloatArray:
@@ -261,77 +275,6 @@ class PayloadSpec(Section):
         """Whether mass, centre of mass and inertia are all stated without uncertainty."""
         u = self.uncertainty
         return u.mass == 0 and u.center_of_mass == 0 and u.inertia == 0
-
-
-class RobotSpec(Section):
-    """The arm that carries the sensor."""
-
-    urdf: Text
-    sensor_frame: Text
-
-
-class MotionSpec(Section):
-    """What is logged of the motion, and how well."""
-
-    source: Literal["twist", "joints"] = "twist"
-    of: Literal["com", "sensor"] = "com"
-    noise: Positives | None = None
-    position_noise: Positives | None = None
-    initial_position: Numbers | None = None
-    acceleration_noise: Positives | None = None
-    robot: RobotSpec | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_joints(cls, data: Any) -> Any:
-        """What joints tell is the motion of the sensor frame."""
-        if not isinstance(data, Mapping) or data.get("source") != "joints":
-            return data
-        if "of" in data:
-            raise refuse("of", shown(data["of"]), "this key only with `source: twist`")
-        return {**data, "of": "sensor"}
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if self.acceleration_noise is not None and len(self.acceleration_noise) not in (3, 6):
-            found = f"{len(self.acceleration_noise)} entries"
-            raise refuse("acceleration_noise", found, "6, for ax ... alz, or 3, for accel_*")
-        if self.source == "twist":
-            for key in ("position_noise", "initial_position", "robot"):
-                if getattr(self, key) is not None:
-                    raise refuse(key, shown(getattr(self, key)), "this key only with `source: joints`")
-            if self.noise is None:
-                raise refuse(
-                    "noise",
-                    "nothing",
-                    "6 numbers, 1 sigma of v [m/s] and Omega [rad/s]: required with `source: twist`",
-                )
-            if len(self.noise) != 6:
-                raise refuse("noise", f"{len(self.noise)} entries", "6: of v [m/s] and of Omega [rad/s]")
-            return self
-        if self.robot is None:
-            raise refuse("robot", "nothing", "{urdf, sensor_frame}: required with `source: joints`")
-        if self.noise is None and self.position_noise is None:
-            raise refuse(
-                "noise",
-                "nothing",
-                "noise, position_noise or both, one number per joint, with `source: joints`",
-            )
-        lengths = {
-            key: len(getattr(self, key))
-            for key in ("noise", "position_noise", "initial_position")
-            if getattr(self, key) is not None
-        }
-        first, joints = next(iter(lengths.items()))
-        for key, length in lengths.items():
-            if length != joints or length == 0:
-                raise refuse(key, f"{length} entries", f"one per joint, as many as in `{first}` ({joints})")
-        return self
-
-    @property
-    def noise_array(self) -> FloatArray:
-        """1 sigma per sample: (6,) of the twist, or one per joint [rad/s]."""
-        return np.array(self.noise if self.noise is not None else (), dtype=np.float64)
 
 
 class TemperatureSpec(Section):

@@ -42,6 +42,7 @@ __all__ = [
     "SixNumbers",
     "SixPositives",
     "Switch",
+    "Switched",
     "Text",
     "ThreeNumbers",
     "WholeNumber",
@@ -130,20 +131,26 @@ Matrix = tuple[SixNumbers, ...]
 
 
 def _choice(value: Any) -> str | None:
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
+    if isinstance(value, bool):
+        return "<switch>"
+    if isinstance(value, (int, float)):
         return "<zero>" if value == 0 else None
-    if isinstance(value, Mapping):
+    if isinstance(value, (Mapping, BaseModel)):  # read, and about to be written
         return "<mapping>"
     return "<word>" if isinstance(value, str) else "<list>"
 
 
 def choice(expected: str) -> Discriminator:
-    """Tells apart the fields that hold a `Word`, a `Zero`, a `Listed` or a `Mapped` value."""
+    """Tells apart the fields that hold a `Word`, a `Zero`, a `Listed`, a `Mapped` or a `Switched` value."""
     return Discriminator(_choice, custom_error_type="choice", custom_error_message=expected)
 
 
 Word, Zero, Listed, Mapped = Tag("<word>"), Tag("<zero>"), Tag("<list>"), Tag("<mapping>")
-_TAGS = ("<word>", "<zero>", "<list>", "<mapping>", "[key]", "<body>", "<urdf>", "<franka>", "<ur>")
+Switched = Tag("<switch>")
+_TAGS = (
+    *("<word>", "<zero>", "<list>", "<mapping>", "<switch>"),
+    *("[key]", "<body>", "<urdf>", "<franka>", "<ur>"),
+)
 
 
 def input_error(
