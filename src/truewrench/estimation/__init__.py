@@ -1,0 +1,1 @@
+"""Estimates, what none of them can beat, and what none of them can see (docs/method.md)."""

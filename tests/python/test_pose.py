@@ -1,0 +1,227 @@
+"""Claims about what a motion can hide: forces that follow the pose, and delays."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_simpson
+from scipy.spatial.transform import Rotation
+
+from truewrench.estimation.pose import (
+    blind_to,
+    delay_share,
+    pooled_pose_share,
+    pose_about_mean,
+    pose_of_twist,
+    pose_share,
+    with_pose,
+)
+
+Array = NDArray[np.float64]
+
+MASS, CENTER, INERTIA = 50.0, np.array([0.2, 0.0, 0.0]), np.diag([1.5, 1.5, 0.4])
+RANGE = np.array([500.0] * 3 + [50.0] * 3)
+TIME = np.arange(800) / 100
+FREQUENCIES = np.array([0.15, 0.3, 0.45, 0.65, 0.85, 1.1])
+
+
+def felt(twist: Array, acceleration: Array) -> Array:
+    """Wrench over the range of a free body whose centre of mass moves so."""
+    v, w, a, alpha = twist[:, :3], twist[:, 3:], acceleration[:, :3], acceleration[:, 3:]
+    force = -MASS * (a + np.cross(w, v))
+    about_center = alpha @ INERTIA + np.cross(w, w @ INERTIA)
+    return np.hstack([force, np.cross(CENTER, force) - about_center]) / RANGE
+
+
+def sines(amplitude: Array, frequency: Array, phase: Array) -> tuple[Array, Array]:
+    """Twist (N, 6) and its derivative of sums of sines (K, 6)."""
+    rate = 2 * np.pi * frequency
+    angle = rate * TIME[:, None, None] + phase
+    return (amplitude * np.sin(angle)).sum(axis=1), (amplitude * rate * np.cos(angle)).sum(axis=1)
+
+
+def motion(seed: int, *, several: bool) -> tuple[Array, Array]:
+    """Twist and normalised wrench: six frequencies on every axis, or one on each."""
+    rng = np.random.default_rng(seed)
+    if several:
+        frequency, size = np.tile(FREQUENCIES[:, None], 6), 0.25 * rng.uniform(0.2, 0.7, (6, 6))
+    else:
+        frequency = rng.permutation(FREQUENCIES)[None]
+        size = 0.25 * np.sqrt(6) * rng.uniform(0.3, 0.6, (1, 6))
+    twist, acceleration = sines(size, frequency, rng.uniform(0, 2 * np.pi, size.shape))
+    return twist, felt(twist, acceleration)
+
+
+def dense_share(twist: Array, wrench: Array, used: NDArray[np.bool_]) -> float:
+    """Mean R^2 by ordinary least squares, component by component, of a pose by Simpson's rule."""
+    pose = cumulative_simpson(twist, x=TIME, axis=0, initial=0.0)[used]
+    columns = np.column_stack([wrench[used], np.ones(used.sum())])
+    found = []
+    for x in pose.T:
+        rest = x - columns @ np.linalg.lstsq(columns, x, rcond=None)[0]
+        found.append(1.0 - np.sum(rest**2) / np.sum((x - x.mean()) ** 2))
+    return float(np.mean(found))
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_share_of_the_pose_is_that_of_ordinary_regressions(several: bool) -> None:
+    twist, wrench = motion(3, several=several)
+    mask = np.random.default_rng(0).uniform(size=TIME.size) < 0.2
+    for left_out in (None, mask):
+        used = np.ones(TIME.size, dtype=bool) if left_out is None else ~left_out
+        found = pose_share(TIME, twist, wrench, left_out)
+        assert found.share == pytest.approx(dense_share(twist, wrench, used), abs=2e-3)
+        np.testing.assert_allclose(found.moment, wrench[used].T @ wrench[used] / used.sum(), rtol=1e-12)
+
+
+def test_one_frequency_an_axis_hides_its_pose_and_six_do_not() -> None:
+    for seed in range(6):
+        assert pose_share(TIME, *motion(seed, several=False)).share > 0.97
+        assert 0.25 < pose_share(TIME, *motion(seed, several=True)).share < 0.55
+
+
+def test_share_does_not_depend_on_units_or_on_where_the_body_began() -> None:
+    twist, wrench = motion(1, several=True)
+    found = pose_share(TIME, twist, wrench)
+    scaled = pose_share(
+        TIME, twist * np.array([1000.0] * 3 + [57.3 / 60] * 3), wrench * np.arange(1, 7) + 3.0
+    )
+    assert scaled.share == pytest.approx(found.share, rel=1e-9)
+
+
+def test_components_that_do_not_move_are_left_out() -> None:
+    twist, wrench = motion(1, several=True)
+    twist[:, 4] = 0.0
+    found = pose_share(TIME, twist, wrench)
+    assert np.isnan(found.components[4])
+    assert found.share == pytest.approx(np.delete(found.components, 4).mean())
+
+
+def test_at_rest_the_pose_is_the_wrench() -> None:
+    assert pose_share(TIME, np.zeros((TIME.size, 6)), np.ones((TIME.size, 6))).share == 1.0
+
+
+def test_two_records_of_one_motion_hide_what_one_of_them_hides() -> None:
+    twist, wrench = motion(2, several=True)
+    one = pose_share(TIME, twist, wrench)
+    pose = pose_of_twist(TIME, twist)
+    # elsewhere, with another offset of the wrench's mean
+    two = pooled_pose_share([pose, pose + 5.0], [wrench, wrench])
+    assert two.share == pytest.approx(one.share, rel=1e-9)
+    np.testing.assert_allclose(two.moment, one.moment)
+
+
+def test_pose_of_a_body_that_turns_far_is_a_place_and_a_rotation_vector() -> None:
+    rate = np.array([0.3, -0.5, 0.4])  # more than three radians in all
+    twist = np.tile(np.concatenate([[0.1, 0.2, 0.0], rate]), (TIME.size, 1))
+    pose = pose_of_twist(TIME, twist)
+    turned = Rotation.from_rotvec(rate * TIME[:, None])
+    place = cumulative_simpson(turned.apply(twist[:, :3]), x=TIME, axis=0, initial=0.0)
+    np.testing.assert_allclose(pose[:, :3], place - place.mean(axis=0), atol=1e-4)
+    middle = rate * (TIME - TIME.mean())[:, None]
+    np.testing.assert_allclose(pose[:, 3:], middle, atol=1e-9)
+    np.testing.assert_allclose(pose_about_mean(place, turned.as_matrix()), pose, atol=1e-4)
+
+
+def test_small_turns_have_the_same_share_by_either_pose() -> None:
+    twist, wrench = motion(4, several=True)
+    twist[:, 3:] *= 0.01
+    turned = Rotation.from_rotvec(np.zeros(3))
+    places, turns = [np.zeros(3)], [turned]
+    for before, after in pairwise(twist):
+        step = 0.5 * (before + after) * 0.01
+        places.append(places[-1] + turns[-1].apply(step[:3]))
+        turns.append(turns[-1] * Rotation.from_rotvec(step[3:]))
+    about_mean = pose_about_mean(np.array(places), Rotation.concatenate(turns).as_matrix())
+    by_components = pose_share(TIME, twist, wrench)
+    assert pooled_pose_share([about_mean], [wrench]).share == pytest.approx(by_components.share, abs=0.01)
+
+
+# -- what it would move ----------------------------------------------------------------------------------
+
+
+def test_force_that_follows_the_pose_moves_the_gain_by_what_is_said() -> None:
+    """Cables of random stiffness, RMS 0.1 % of range in every channel, regressed as a calibration would."""
+    twist, wrench = motion(5, several=True)
+    found = pose_share(TIME, twist, wrench)
+    effect = blind_to(found, delay_share(TIME, wrench))[0].effect
+    pose = pose_of_twist(TIME, twist)
+    pose /= pose.std(axis=0)
+    columns = np.column_stack([wrench, np.ones(TIME.size)])
+    rng, moved = np.random.default_rng(0), []
+    for _ in range(2000):
+        force = pose @ rng.standard_normal(6)
+        moved.append(np.linalg.lstsq(columns, 1e-3 * force / force.std(), rcond=None)[0][:6])
+    largest = np.sqrt(np.mean(np.square(moved), axis=0)).max()
+    assert 0.4 < largest / effect < 1.6  # A, a mean over components, stands for all of them
+
+
+def test_a_stronger_force_moves_it_in_proportion_up_to_what_is_known_beforehand() -> None:
+    twist, wrench = motion(5, several=True)
+    pose, delay = pose_share(TIME, twist, wrench), delay_share(TIME, wrench)
+    small, large = (blind_to(pose, delay, force=f)[0].effect for f in (1e-4, 1e-3))
+    assert large == pytest.approx(10 * small)
+    assert blind_to(pose, delay, force=1.0, ceiling=0.3)[0].effect == 0.3
+
+
+def test_force_and_moment_in_quadrature_hide_a_delay() -> None:
+    """The paper's wrench: f sine and n cosine of one frequency, so that dw/dt is another wrench."""
+    k = 2 * np.pi * np.array([3, 5, 7]) / 8
+    size = np.array([0.02, 0.03, 0.04])
+    wrench = np.hstack([size * np.sin(k * TIME[:, None]), 2 * size * np.cos(k * TIME[:, None])])
+    found = delay_share(TIME, wrench)
+    assert found.share > 0.99
+    pose = pose_share(TIME, np.gradient(wrench, TIME, axis=0), wrench)
+    entry = next(e for e in blind_to(pose, found) if e.kind == "delay")
+    # -m dw/dt: of the force by the moment k / 2 a second, of the moment by the force 2 k
+    assert entry.effect == pytest.approx(1e-3 * 2 * k[2], rel=0.02)
+    assert "leave no trace" in entry.words
+
+
+def test_a_delay_that_the_data_show_is_not_named() -> None:
+    t = TIME[:, None]
+    wrench = 0.1 * np.sin(2 * np.pi * np.array([0.3, 0.51, 0.69, 0.39, 0.6, 0.87]) * t + np.arange(6))
+    found = delay_share(TIME, wrench)
+    assert found.share < 0.2
+    pose = pose_share(TIME, wrench, wrench)
+    assert [entry.kind for entry in blind_to(pose, found)] == ["cable"]
+
+
+def test_delay_of_a_sensor_moves_the_gain_with_it() -> None:
+    k = 2 * np.pi * np.array([3, 5, 7]) / 8
+    wrench = 0.1 * np.hstack([np.sin(k * TIME[:, None]), np.cos(k * TIME[:, None])])
+    pose, delay = pose_share(TIME, wrench, wrench), delay_share(TIME, wrench)
+    gain = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 3.0])
+    assert blind_to(pose, delay, gain=gain)[1].effect == pytest.approx(3 * blind_to(pose, delay)[1].effect)
+
+
+# -- in the covariance -----------------------------------------------------------------------------------
+
+
+def test_what_follows_the_pose_raises_no_variance_above_its_prior_and_narrows_nothing() -> None:
+    twist, wrench = motion(0, several=False)
+    pose = pose_share(TIME, twist, wrench)
+    root = 1e-2 * np.random.default_rng(0).standard_normal((36, 36))
+    covariance, prior = root @ root.T, np.full(36, 0.09)
+    wider = with_pose(covariance, pose, np.full(6, 0.05), prior)
+    assert (np.diag(wider) <= 0.09 + 1e-12).all()
+    assert np.diag(wider).max() == pytest.approx(0.09)
+    assert np.linalg.eigvalsh(wider - covariance)[0] > -1e-12
+
+
+def test_where_nothing_follows_the_pose_the_covariance_stands() -> None:
+    pose = pose_share(TIME, *motion(0, several=True))
+    covariance = 1e-4 * np.eye(36)
+    np.testing.assert_array_equal(with_pose(covariance, pose, np.zeros(6), np.full(36, 0.09)), covariance)
+
+
+def test_added_variance_is_that_of_the_equation() -> None:
+    pose = pose_share(TIME, *motion(0, several=True))
+    size = 1e-4 * np.arange(1, 7)
+    added = with_pose(np.zeros((36, 36)), pose, size, np.full(36, 1.0))
+    for i in range(6):
+        row = size[i] ** 2 * pose.share / (1 - pose.share) * np.linalg.inv(pose.moment) / 6
+        np.testing.assert_allclose(added[6 * i : 6 * i + 6, 6 * i : 6 * i + 6], row, rtol=1e-6)
