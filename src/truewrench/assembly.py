@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.bound import oracle_rms
 from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.window_estimate import PayloadDeparture, WindowEstimate
+from truewrench.estimation.bound import oracle_rms
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.arm.track import tracked
 from truewrench.assembly import assemble, assemble_windows, window_figures
-from truewrench.bound import oracle_rms
 from truewrench.calibration import Bound, Calibration, LogReport, Verdict
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.attempts import Attempts
@@ -26,6 +25,7 @@ from truewrench.estimate.moving_offset import end_notes, jump_notes
 from truewrench.estimate.noise import hidden_delay, noise_figures, noise_notes
 from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimation.bound import oracle_rms
 from truewrench.evidence import Evidence
 from truewrench.known_wrench import (
     compare_known_wrench,

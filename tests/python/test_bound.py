@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline
 
 from truewrench.arm.robot import robot_of
 from truewrench.arm.track import track
-from truewrench.bound import bound
+from truewrench.estimation.bound import bound
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.rig import Rig

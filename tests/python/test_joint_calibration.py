@@ -18,12 +18,12 @@ from scipy.stats import chi2
 import truewrench as tw
 from truewrench.arm.robot import robot_of
 from truewrench.arm.track import tracked
-from truewrench.bound import bound
 from truewrench.calibration import Calibration
 from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimate.windows import estimate_windows
+from truewrench.estimation.bound import bound
 from truewrench.log import Log
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.rig import Rig

@@ -11,10 +11,10 @@ from scipy.stats import chi2
 from window_cases import FITTED, GRAVITY, METHODS, Method, error, honest, nees, rig_of, uncertain_rig
 
 from truewrench import _core
-from truewrench.bound import bound
 from truewrench.errors import InputError
 from truewrench.estimate.fits import mostly_unexplained
 from truewrench.estimate.windows import estimate_windows
+from truewrench.estimation.bound import bound
 from truewrench.rig import Rig
 from truewrench.simulation.free_body import SimulatedRun, simulate
 

@@ -15,10 +15,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.bound import bound
 from truewrench.estimate.ekf import EkfEstimate, estimate_ekf
 from truewrench.estimate.least_squares import least_squares
 from truewrench.estimate.windows import estimate_windows
+from truewrench.estimation.bound import bound
 from truewrench.figures import (
     BLUE,
     GREEN,

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.bound import bound
 from truewrench.calibration import Undetermined
 from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimate.windows import estimate_windows
+from truewrench.estimation.bound import bound
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig, SimulateSpec
 from truewrench.verdict import undetermined_directions
