@@ -14,6 +14,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from truewrench import robots
     from truewrench.calibration import Calibration, Verdict, load_calibration
     from truewrench.errors import InputError, TruewrenchError, UnsupportedError
     from truewrench.evidence import Evidence
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from truewrench.validation import Validation, validate
 
 __version__ = version("truewrench")
+
+_MODULES = {"robots"}  # `tw.robots.path(NAME)`: the file of a packaged arm
 
 _HOMES = {
     "AtiCalibration": "rig.ati_cal",
@@ -72,6 +75,7 @@ __all__ = [
     "plan",
     "read_ati_cal",
     "read_log",
+    "robots",
     "validate",
     "write_exports",
     "write_report",
@@ -80,6 +84,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name on its first use: `import truewrench` alone loads neither SciPy nor the core."""
+    if name in _MODULES:  # the import sets the attribute
+        return import_module(f"{__name__}.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import mujoco
@@ -180,3 +182,9 @@ def test_arms_are_part_of_what_is_installed() -> None:
     here = Path(robots.__file__).parent
     assert {path.stem for path in here.glob("*.yaml")} == set(robots.NAMES)
     assert {path.stem for path in here.glob("*.urdf")} == set(ARMS)
+
+
+def test_arms_are_at_hand_after_the_package_alone_is_imported() -> None:
+    code = "import truewrench as tw; print(tw.robots.path('panda').name)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "panda.yaml", done.stderr
