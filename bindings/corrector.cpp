@@ -17,6 +17,7 @@ struct AnyCorrector {
   Corrector<> more;
   Eigen::Index channels = 0;
 
+  AnyCorrector() = default;  // without a calibration: every use of it raises
   AnyCorrector(const RowMatrix& gain, const Eigen::VectorXd& offset, const Eigen::VectorXd& noise,
                const Eigen::MatrixXd& covariance)
       : channels(gain.rows()) {
@@ -28,7 +29,12 @@ struct AnyCorrector {
             "calibration");
   }
 
+  Status status() const {
+    return six.configured() || more.configured() ? Status::ok : Status::not_configured;
+  }
+
   std::pair<ArrayOut, ArrayOut> correct(const Array2& raw) const {
+    require(status(), "corrector");
     const std::size_t n = raw.shape(0);
     expect_shape(raw, n, static_cast<std::size_t>(channels), "raw");
     ArrayOut wrench = new_array({n, 6});
@@ -46,6 +52,7 @@ struct AnyCorrector {
   }
 
   Matrix6 covariance(const Vector6& wrench) const {
+    require(status(), "corrector");
     return channels == 6 ? six.covariance(wrench) : more.covariance(wrench);
   }
 };
@@ -54,12 +61,14 @@ struct AnyCorrector {
 
 void bind_corrector(nb::module_& m) {
   nb::class_<AnyCorrector>(m, "Corrector", "Raw channels to the true wrench and its uncertainty.")
+      .def(nb::init<>(), "Without a calibration: `status` says so, and correcting raises ValueError.")
       .def(nb::init<const RowMatrix&, const Eigen::VectorXd&, const Eigen::VectorXd&,
                     const Eigen::MatrixXd&>(),
            nb::arg("gain"), nb::arg("offset"), nb::arg("noise"), nb::arg("covariance"),
            "gain (n, 6), offset (n,), 1-sigma noise per sample (n,) and the covariance (7n, 7n) of [gain row "
            "by row,\n"
            "offset]. Raises ValueError when the gain cannot be inverted.")
+      .def_prop_ro("status", &AnyCorrector::status, "`ok`, or `not_configured` without a calibration.")
       .def("correct", &AnyCorrector::correct, nb::arg("raw"),
            "The true wrench (N, 6) [N, N m] of raw samples (N, n), and its 1 sigma (N, 6); NaN where a "
            "channel has none.")

@@ -24,6 +24,8 @@ const char* words(Status status) {
       return "the gain cannot be inverted";
     case Status::not_converged:
       return "the iteration did not converge";
+    case Status::not_configured:
+      return "there is no calibration";
   }
   return "unknown";
 }
@@ -47,6 +49,7 @@ void bind_status(nb::module_& m) {
       .value("unphysical_payload", Status::unphysical_payload)
       .value("singular", Status::singular)
       .value("not_converged", Status::not_converged)
+      .value("not_configured", Status::not_configured)
       .def_prop_ro("words", &words, "The outcome as a person would say it.");
 }
 

@@ -21,8 +21,10 @@ class Corrector {
  public:
   using Sensor = SensorModel<N>;
 
-  // `covariance`: 7n x 7n, of [gain row by row; offset]. Allocates; step() does not.
+  // `covariance`: 7n x 7n, of [gain row by row; offset]. Allocates; step() does not. A failure leaves no
+  // calibration, not even an earlier one: what it was replaced for is not to be used in its place.
   Status configure(const Sensor& sensor, const Eigen::Ref<const Eigen::MatrixXd>& covariance) {
+    configured_ = false;
     const Eigen::Index n = sensor.gain.rows();
     if (covariance.rows() != 7 * n || covariance.cols() != 7 * n) return Status::wrong_size;
     if (!covariance.allFinite()) return Status::not_finite;
@@ -53,13 +55,17 @@ class Corrector {
         if (k == l) deviation_.row(k) = elements_.row(pair);
       }
     }
+    configured_ = true;
     return Status::ok;
   }
 
+  bool configured() const noexcept { return configured_; }
   const typename Sensor::Channels& offset() const { return sensor_.offset; }
 
-  // One sample of the n channels. A value that is not finite gives a NaN wrench and not_finite.
+  // One sample of the n channels. A value that is not finite gives a NaN wrench and not_finite; without a
+  // calibration every sample gives a NaN wrench and not_configured, and `raw` is not read.
   Status step(const double* raw, Correction& out) const noexcept {
+    if (!configured_) return nothing(out, Status::not_configured);
     Lanes w = Lanes::Zero();
     for (Eigen::Index i = 0; i < sensor_.offset.size(); ++i)
       w += (raw[i] - sensor_.offset(i)) * inverse_.col(i);
@@ -69,14 +75,12 @@ class Corrector {
     out.wrench = w.template head<6>();
     // Rounding can leave a variance that is zero in truth slightly below it.
     out.std = variance.template head<6>().cwiseMax(0.0).cwiseSqrt();
-    if (out.wrench.allFinite()) return Status::ok;
-    out.wrench.setConstant(std::nan(""));
-    out.std.setConstant(std::nan(""));
-    return Status::not_finite;
+    return out.wrench.allFinite() ? Status::ok : nothing(out, Status::not_finite);
   }
 
-  // The full covariance of a wrench that step() gave.
+  // The full covariance of a wrench that step() gave; NaN without a calibration.
   Matrix6 covariance(const Vector6& wrench) const noexcept {
+    if (!configured_) return Matrix6::Constant(std::nan(""));
     Lanes w = Lanes::Zero();
     w.template head<6>() = wrench;
     const Eigen::Matrix<double, 21, 1> elements = elements_.lazyProduct(products_of(w));
@@ -92,6 +96,12 @@ class Corrector {
   using Lanes = Eigen::Matrix<double, 8, 1>;  // six values, padded to whole vector registers
   using Products = Eigen::Matrix<double, products, 1>;
 
+  static Status nothing(Correction& out, Status why) noexcept {
+    out.wrench.setConstant(std::nan(""));
+    out.std.setConstant(std::nan(""));
+    return why;
+  }
+
   static Products products_of(const Lanes& w) {
     Lanes u = w;
     u(6) = 1.0;
@@ -106,6 +116,7 @@ class Corrector {
   Eigen::Matrix<double, 8, N, Eigen::ColMajor, 8, Sensor::storage> inverse_;
   Eigen::Matrix<double, 8, products> deviation_;
   Eigen::Matrix<double, 21, products> elements_;
+  bool configured_ = false;
 };
 
 }  // namespace truewrench

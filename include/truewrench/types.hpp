@@ -27,6 +27,7 @@ enum class Status : std::uint8_t {
   unphysical_payload,  // the inertia violates positive definiteness or the triangle inequality
   singular,            // a gain cannot be inverted
   not_converged,       // an iteration ended before its tolerance
+  not_configured,      // nothing was configured yet, or the last attempt failed
 };
 
 // Sign of w in `raw = gain * w + offset` (docs/notation.md, "Sign").

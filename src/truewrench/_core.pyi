@@ -31,6 +31,8 @@ class Status(enum.Enum):
 
     not_converged = 8
 
+    not_configured = 9
+
     @property
     def words(self) -> str:
         """The outcome as a person would say it."""
@@ -234,11 +236,22 @@ def ekf_run(payload: Payload, settings: EkfSettings, with_offset: bool, time_ns:
 class Corrector:
     """Raw channels to the true wrench and its uncertainty."""
 
+    @overload
+    def __init__(self) -> None:
+        """
+        Without a calibration: `status` says so, and correcting raises ValueError.
+        """
+
+    @overload
     def __init__(self, gain: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], noise: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]) -> None:
         """
         gain (n, 6), offset (n,), 1-sigma noise per sample (n,) and the covariance (7n, 7n) of [gain row by row,
         offset]. Raises ValueError when the gain cannot be inverted.
         """
+
+    @property
+    def status(self) -> Status:
+        """`ok`, or `not_configured` without a calibration."""
 
     def correct(self, raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')]]:
         """

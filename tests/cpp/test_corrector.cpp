@@ -5,6 +5,9 @@
 
 #include <Eigen/LU>
 
+#include <limits>
+#include <utility>
+
 namespace truewrench {
 namespace {
 
@@ -66,6 +69,44 @@ TEST(Corrector, CovarianceOfTheWrongSizeIsRefused) {
   EXPECT_EQ(corrector.configure({Matrix6::Identity(), Vector6::Zero(), Vector6::Ones()},
                                 Eigen::MatrixXd::Zero(36, 36)),
             Status::wrong_size);
+}
+
+template <int N>
+void has_nothing_to_say(const Corrector<N>& corrector) {
+  const Eigen::VectorXd raw = Eigen::VectorXd::Ones(32);
+  Correction found{Vector6::Zero(), Vector6::Zero()};
+  EXPECT_FALSE(corrector.configured());
+  EXPECT_EQ(corrector.step(raw.data(), found), Status::not_configured);
+  EXPECT_TRUE(found.wrench.array().isNaN().all());
+  EXPECT_TRUE(found.std.array().isNaN().all());
+  EXPECT_TRUE(corrector.covariance(Vector6::Zero()).array().isNaN().all());
+}
+
+TEST(Corrector, WithoutACalibrationNoSampleIsOk) {
+  has_nothing_to_say(Corrector<6>());
+  has_nothing_to_say(Corrector<>());
+}
+
+TEST(Corrector, CalibrationThatFailsLeavesNone) {
+  const Eigen::MatrixXd exact = Eigen::MatrixXd::Zero(42, 42);
+  const SensorModel<6> good{Matrix6::Identity(), Vector6::Zero(), Vector6::Ones()};
+  SensorModel<6> singular = good;
+  singular.gain.row(5).setZero();
+  SensorModel<6> silent = good;
+  silent.noise.setZero();
+  Corrector<6> corrector;
+  for (const auto& [bad, why] : {std::pair{singular, Status::singular}, {silent, Status::not_positive}}) {
+    ASSERT_EQ(corrector.configure(good, exact), Status::ok);
+    EXPECT_TRUE(corrector.configured());
+    EXPECT_EQ(corrector.configure(bad, exact), why);
+    has_nothing_to_say(corrector);
+  }
+}
+
+TEST(Corrector, SensorWithoutChannelsIsNoCalibration) {
+  Corrector<> corrector;
+  EXPECT_EQ(corrector.configure(SensorModel<>(), Eigen::MatrixXd(0, 0)), Status::wrong_size);
+  has_nothing_to_say(corrector);
 }
 
 }  // namespace

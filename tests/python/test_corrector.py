@@ -69,3 +69,19 @@ def test_unusable_calibrations_are_refused() -> None:
         _core.Corrector(np.ones((6, 6)), np.zeros(6), np.ones(6), np.zeros((42, 42)))
     with pytest.raises(ValueError, match="array lengths disagree"):
         _core.Corrector(np.eye(6), np.zeros(6), np.ones(6), np.zeros((36, 36)))
+
+
+def test_without_a_calibration_nothing_is_corrected() -> None:
+    corrector = _core.Corrector()
+    assert corrector.status == _core.Status.not_configured
+    assert corrector.status.words == "there is no calibration"
+    with pytest.raises(ValueError, match="there is no calibration"):
+        corrector.correct(np.zeros((3, 6)))
+    with pytest.raises(ValueError, match="there is no calibration"):
+        corrector.covariance(np.zeros(6))
+
+
+@pytest.mark.parametrize("n", [6, 9])
+def test_corrector_with_a_calibration_says_so(n: int) -> None:
+    corrector = _core.Corrector(*random_calibration(np.random.default_rng(n), n))
+    assert corrector.status == _core.Status.ok
