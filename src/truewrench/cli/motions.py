@@ -118,9 +118,12 @@ def simulate(
 
         simulated = run(settings, None if plan is None else read_plan(plan), payload=payload, seed=seed)
     log, truth = simulated.write(output)
-    rows = len(simulated.log.time_ns)
+    rows, imperfect = len(simulated.log.time_ns), list(simulated.truth.imperfections)
+    said = [f"{rows} rows with `{simulated.log.payload}`, and what they were made with"]
+    said += [f"on imperfect hardware: {', '.join(imperfect)}"] if imperfect else []
+    figures = {"rows": rows, "duration": float(simulated.log.time[-1]), **simulated.figures()}
     return Outcome(
         outputs=[log, truth],
-        figures={"rows": rows, "duration": float(simulated.log.time[-1]), **simulated.figures()},
-        words=lambda: iter([f"{rows} rows with `{simulated.log.payload}`, and what they were made with"]),
+        figures=figures | ({"imperfections": imperfect} if imperfect else {}),
+        words=lambda: iter(said),
     )

@@ -75,12 +75,11 @@ def rms(std: Array) -> float:
 
 
 def _ideal(rig: Rig) -> Rig:
-    """The rig whose simulated sensor is as nominal: gain, offset, clocks and payload as stated."""
+    """The rig whose simulated hardware is perfect and as nominal: gain, offset, clocks, payload as stated."""
     options = rig.simulate.model_dump() | {"gain": "nominal", "offset": "none", "time_offset": 0.0}
+    options |= {"payload": "nominal", "imperfections": None}
     sensor = rig.sensor.model_copy(update={"lowpass_hz": None})
-    return rig.model_copy(
-        update={"simulate": SimulateSpec.model_validate(options | {"payload": "nominal"}), "sensor": sensor}
-    )
+    return rig.model_copy(update={"simulate": SimulateSpec.model_validate(options), "sensor": sensor})
 
 
 def _with_heavier(rig: Rig, payload: str) -> Rig:

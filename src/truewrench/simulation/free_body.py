@@ -6,7 +6,7 @@ estimation uses the core's Newton-Euler equations, so a mistake in either shows 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.rig import Rig
+from truewrench.simulation.imperfect import FineMotion, Hardware, integral_of
 from truewrench.simulation.truth import Truth, begin, readings, stamps_of, stated, write_run
 
 __all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on_sensor"]
@@ -52,33 +53,44 @@ def simulate(
         seed: of every random draw; ``rig.simulate.seed`` if left out.
 
     The sensor sample stamped t shows the motion at ``t + time_offset``. In gravity the sensor starts aligned
-    with the root frame and turns with Omega.
+    with the root frame and turns with Omega; the log's gravity is the stated one, whatever tilt it has.
 
     Raises:
-        UnsupportedError: for a joint rig or a sensor with a filter of its own.
-        InputError: for a payload that the rig does not have.
+        UnsupportedError: for a joint rig or a sensor with a filter of its own that is not simulated.
+        InputError: for a payload that the rig does not have, or an imperfection that the motion cannot have.
     """
     if rig.motion.source != "twist":
         expected = "`twist`: arms move in `simulate_arm`"
         raise UnsupportedError.at(rig.path, "motion.source", rig.motion.source, expected)
     name, truth = begin(rig, payload, seed)
     motion = default_trajectory(rig) if trajectory is None else trajectory
+    hardware = Hardware(rig, truth.seed, motion.duration)
     stamps = stamps_of(rig, motion.duration, truth.time_offset)
     rng = np.random.default_rng([truth.seed, 1])
-    rows, shown = stamps.time, stamps.shown
-    gravity = _gravity_in_sensor(rig, motion, np.concatenate([rows, shown]))
-    wrench = wrench_on_sensor(
-        truth.payloads[name], _logged_point(rig, name), motion.twist(shown), motion.acceleration(shown),
-        gravity[rows.size :],
-    )  # fmt: skip
-    raw = readings(rig, truth, stamps, wrench, rng)
-    twist = motion.twist(stamps.motion)
-    twist += rig.motion.noise_array * rng.standard_normal(twist.shape)
+    shown, read = hardware.read_at(stamps.shown, "sensor"), hardware.read_at(stamps.motion, "motion")
+    rows, fine = stamps.time, hardware.fine_time
+    rows[np.searchsorted(stamps.time_ns, stamps.motion_ns)] = read  # attitude and twist are of one reading
+    rotation = _rotation(rig, motion, np.concatenate([rows, shown, fine]))
+    point = _logged_point(rig, name)
+
+    def wrench(time: Array, R_root_sensor: Array) -> Array:
+        gravity = np.asarray(hardware.gravity @ R_root_sensor)  # R^T g
+        nu, a = motion.twist(time), motion.acceleration(time)
+        return wrench_on_sensor(truth.payloads[name], point, nu, a, gravity)
+
+    at_shown, at_fine = np.split(rotation[rows.size :], [shown.size])
+    twist = motion.twist(fine)
+    ideal = FineMotion(wrench(fine, at_fine), twist, integral_of(twist, fine))
+    readout = hardware.readout(truth.gain, ideal, shown, read)
+    raw = readings(rig, truth, stamps, wrench(shown, at_shown), rng, readout)
+    sigma = rig.motion.noise_array
+    logged = readout.velocity(motion.twist(read), sigma, rng.standard_normal((read.size, 6)))
     log = Log(
         path=None, payload=name, sha256="", time_ns=stamps.time_ns, raw=raw,
-        twist=stamps.rows_of(stamps.motion_ns, twist),
-        gravity=gravity[: rows.size] if rig.in_gravity else None,
+        twist=stamps.rows_of(stamps.motion_ns, logged),
+        gravity=np.asarray(rig.gravity_array @ rotation[: rows.size]) if rig.in_gravity else None,
     )  # fmt: skip
+    truth = replace(truth, imperfections=readout.told)
     return SimulatedRun(log, truth, motion)
 
 
@@ -146,11 +158,11 @@ def _logged_point(rig: Rig, payload: str) -> Array:
     return rig.payloads[payload].center_of_mass_array if rig.motion.of == "com" else np.zeros(3)
 
 
-def _gravity_in_sensor(rig: Rig, motion: Trajectory, time: Array) -> Array:
+def _rotation(rig: Rig, motion: Trajectory, time: Array) -> Array:
+    """R_root_sensor (N, 3, 3); without gravity nobody asks for it, and it is the identity."""
     if not rig.in_gravity:
-        return np.zeros((time.size, 3))
-    rotation = attitude(motion, time)  # R_root_sensor
-    return np.asarray(rig.gravity_array @ rotation)  # R^T g
+        return np.broadcast_to(np.eye(3), (time.size, 3, 3))
+    return attitude(motion, time)
 
 
 def _material_points(body: Body) -> tuple[Array, Array]:
@@ -171,7 +183,7 @@ def _within_wrench(rig: Rig, motion: HarmonicTwist, fraction: float) -> Harmonic
 
     def load(factor: float) -> float:
         scaled = motion.scaled(factor)
-        gravity = _gravity_in_sensor(rig, scaled, time)
+        gravity = np.asarray(rig.gravity_array @ _rotation(rig, scaled, time))
         nu, a = scaled.twist(time), scaled.acceleration(time)
         wrenches = [
             wrench_on_sensor(stated(spec), _logged_point(rig, name), nu, a, gravity)

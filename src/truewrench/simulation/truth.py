@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,31 +11,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.files import write_yaml
+from truewrench.files import read_yaml, write_yaml
 from truewrench.io.table import GRAVITY, TWIST
 from truewrench.io.tables import write_table
 from truewrench.log import Log
 from truewrench.motion.trajectory import Body
 from truewrench.rig import PayloadSpec, Rig
+from truewrench.rig.fields import Fields
+from truewrench.simulation.imperfect import Readout
 
-__all__ = ["Stamps", "Truth", "begin", "draw_truth", "readings", "stamps_of", "stated", "write_run"]
+__all__ = [
+    "Stamps",
+    "Truth",
+    "begin",
+    "draw_truth",
+    "read_truth",
+    "readings",
+    "stamps_of",
+    "stated",
+    "write_run",
+]
 
 Array = NDArray[np.float64]
 Stamp = NDArray[np.int64]
 
+_PERFECT = Readout()
+_ELEMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a log was made with: gain (n, 6) and offset (n,) [raw units], clock offset [s], payloads."""
+    """What a log was made with: gain (n, 6) and offset (n,) [raw units], clock offset [s], payloads.
+
+    `imperfections` holds those of the hardware as applied, by kind, with all that was drawn
+    (docs/imperfections.md); gain and offset are what they come on top of.
+    """
 
     gain: Array
     offset: Array
     time_offset: float
     payloads: dict[str, Body]
     seed: int
+    imperfections: Mapping[str, Any] = field(default_factory=dict)
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain numbers and lists, as LOG.truth.yaml holds them."""
+        imperfect = {"imperfections": dict(self.imperfections)} if self.imperfections else {}
         return {
             "gain": self.gain.tolist(),
             "offset": self.offset.tolist(),
@@ -44,19 +65,39 @@ class Truth:
                 name: {
                     "mass": body.mass,
                     "center_of_mass": body.center_of_mass.tolist(),
-                    "inertia": {
-                        key: float(body.inertia[i, j])
-                        for key, (i, j) in zip(
-                            ("xx", "yy", "zz", "xy", "xz", "yz"),
-                            ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)),
-                            strict=True,
-                        )
-                    },
+                    "inertia": {key: float(body.inertia[element]) for key, element in _ELEMENTS.items()},
                 }
                 for name, body in self.payloads.items()
             },
             "seed": self.seed,
+            **imperfect,
         }
+
+
+def read_truth(path: str | Path) -> Truth:
+    """Read a LOG.truth.yaml.
+
+    Raises:
+        InputError: naming file, line, key, what was found and what was expected.
+    """
+    data, locate = read_yaml(path)
+    fields = Fields(data, path, locate)
+    n = len(fields.get("offset"))
+    payloads = {}
+    for name in fields.section("payloads").data:
+        body = fields.section("payloads").section(name)
+        inertia, elements = np.empty((3, 3)), body.section("inertia")
+        for key, (i, j) in _ELEMENTS.items():
+            inertia[i, j] = inertia[j, i] = elements.number(key)
+        payloads[name] = Body(body.number("mass"), body.array("center_of_mass", (3,)), inertia)
+    return Truth(
+        gain=fields.array("gain", (n, 6)),
+        offset=fields.array("offset", (n,)),
+        time_offset=fields.number("time_offset"),
+        payloads=payloads,
+        seed=fields.count("seed"),
+        imperfections=fields.section("imperfections").data if "imperfections" in fields.data else {},
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +137,13 @@ def begin(rig: Rig, payload: str | None, seed: int | None) -> tuple[str, Truth]:
     """The payload that is carried, the rig's first if none is named, and the truth of the run.
 
     Raises:
-        UnsupportedError: for a sensor with a filter of its own.
+        UnsupportedError: for a sensor with a filter of its own that is not simulated.
         InputError: for a payload that the rig does not have.
     """
-    if rig.sensor.lowpass_hz is not None:
-        found = f"{rig.sensor.lowpass_hz}"
-        raise UnsupportedError.at(rig.path, "sensor.lowpass_hz", found, "null: the filter is not simulated")
+    imperfect = rig.simulate.imperfections
+    if rig.sensor.lowpass_hz is not None and (imperfect is None or imperfect.sensor_filter is None):
+        expected = "null, or the filter that is simulated (`simulate.imperfections.sensor_filter`)"
+        raise UnsupportedError.at(rig.path, "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz}", expected)
     name = next(iter(rig.payloads)) if payload is None else payload
     if name not in rig.payloads:
         raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
@@ -125,14 +167,22 @@ def stamps_of(rig: Rig, duration: float, time_offset: float) -> Stamps:
     return Stamps(np.union1d(motion_ns, sensor_ns), motion_ns, sensor_ns, shown[inside])
 
 
-def readings(rig: Rig, truth: Truth, stamps: Stamps, wrench: Array, rng: np.random.Generator) -> Array:
+def readings(
+    rig: Rig,
+    truth: Truth,
+    stamps: Stamps,
+    wrench: Array,
+    rng: np.random.Generator,
+    readout: Readout = _PERFECT,
+) -> Array:
     """Raw channels (N, n) on all rows, from the wrench (M, 6) of the payload on the sensor at its samples."""
     noise = rig.sensor.noise_array * rng.standard_normal((len(wrench), rig.sensor.n))
     # the offset walks to what the truth says, which is its value at the end
     steps = np.sqrt(np.diff(stamps.shown, append=stamps.shown[-1]))[:, None] * rig.sensor.offset_walk_array
     steps = steps * np.random.default_rng([truth.seed, 3]).standard_normal(steps.shape)
     offset = truth.offset - np.cumsum(steps[::-1], axis=0)[::-1]
-    return stamps.rows_of(stamps.sensor_ns, rig.sensor.sign * wrench @ truth.gain.T + offset + noise)
+    ideal = rig.sensor.sign * wrench @ truth.gain.T + offset
+    return stamps.rows_of(stamps.sensor_ns, readout.channels(ideal, noise))
 
 
 def write_run(path: str | Path, log: Log, truth: Truth, joints: Sequence[str] = ()) -> tuple[Path, Path]:

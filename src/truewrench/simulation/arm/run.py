@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from truewrench.simulation.arm.drive import Driven, drive, servo_for
 from truewrench.simulation.arm.model import Arm, Reading, arm_of
 from truewrench.simulation.arm.motion import default_motion
 from truewrench.simulation.free_body import wrench_on_sensor
+from truewrench.simulation.imperfect import FineMotion, Hardware, Readout
 from truewrench.simulation.truth import Stamps, Truth, begin, readings, stamps_of, stated, write_run
 
 __all__ = ["ArmRun", "Moved", "arm_with", "disagreement", "move", "record", "simulate_arm", "simulate_plan"]
@@ -40,15 +41,37 @@ class Moved:
 
     Attributes:
         stamps: of the log.
-        joints: positions, velocities and torques at ``stamps.motion_ns``, with the readings of ideal sensors.
-        wrench: (M, 6) of the payload on the sensor at ``stamps.shown``, sensor axes.
+        joints: positions, velocities and torques at `read`, with the readings of ideal sensors.
+        wrench: (M, 6) of the payload on the sensor at `shown`, sensor axes.
         disagreement: largest, relative, of the recorded wrench and Newton-Euler on the recorded twist.
+        hardware: that reads all this; perfect where there is none.
+        fine: the run between the samples, where the hardware needs it.
     """
 
     stamps: Stamps
     joints: Driven
     wrench: Array
     disagreement: float
+    hardware: Hardware | None = None
+    fine: FineMotion | None = None
+
+    @property
+    def shown(self) -> Array:
+        """(M,) times that the sensor's samples show [s]: ``stamps.shown`` but for jitter."""
+        shown = self.stamps.shown
+        return shown if self.hardware is None else self.hardware.read_at(shown, "sensor")
+
+    @property
+    def read(self) -> Array:
+        """(K,) times at which the joints were read [s]: those of ``stamps.motion_ns`` but for jitter."""
+        read = self.stamps.motion
+        return read if self.hardware is None else self.hardware.read_at(read, "motion")
+
+    def readout(self, gain: Array) -> Readout:
+        """What the hardware makes of it, with a gain (n, 6)."""
+        if self.hardware is None or self.fine is None:
+            return Readout()
+        return self.hardware.readout(gain, self.fine, self.shown, self.read)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +90,7 @@ class ArmRun:
 
     def figures(self) -> dict[str, float]:
         """How closely the servos follow, and whether wrench and motion of the record belong together."""
-        joints, time = self.moved.joints, self.moved.stamps.motion
+        joints, time = self.moved.joints, self.moved.read
         return {
             "tracking_error_position": float(np.abs(joints.position - self.trajectory.position(time)).max()),
             "tracking_error_velocity": float(np.abs(joints.velocity - self.trajectory.velocity(time)).max()),
@@ -93,8 +116,9 @@ def simulate_arm(
     The sensor sample stamped t shows the motion at ``t + time_offset``.
 
     Raises:
-        UnsupportedError: for a twist rig or a sensor with a filter of its own.
-        InputError: for a payload that the rig does not have, or a plan beyond the joints' ranges.
+        UnsupportedError: for a twist rig or a sensor with a filter of its own that is not simulated.
+        InputError: for a payload that the rig does not have, a plan beyond the joints' ranges, or an
+            imperfection that the motion cannot have.
         RuntimeError: if what MuJoCo reports breaks Newton's and Euler's laws.
     """
     if rig.motion.source != "joints":
@@ -105,9 +129,10 @@ def simulate_arm(
     if trajectory is None:
         arms = {carried: arm_with(rig, robot, stated(spec)) for carried, spec in rig.payloads.items()}
         trajectory = default_motion(rig, robot, arms)
-    moved = move(rig, robot, trajectory, truth.payloads[name], truth.time_offset)
-    log = record(rig, name, truth, moved)
-    return ArmRun(log, truth, trajectory, moved, robot.joints)
+    moved = move(rig, robot, trajectory, truth.payloads[name], truth.time_offset, truth.seed)
+    readout = moved.readout(truth.gain)
+    log = record(rig, name, truth, moved, readout)
+    return ArmRun(log, replace(truth, imperfections=readout.told), trajectory, moved, robot.joints)
 
 
 def simulate_plan(
@@ -118,28 +143,44 @@ def simulate_plan(
     return simulate_arm(rig, trajectory, payload=payload, seed=seed)
 
 
-def arm_with(rig: Rig, robot: Robot, payload: Body) -> Arm:
-    """The rig's arm with a payload."""
+def arm_with(rig: Rig, robot: Robot, payload: Body, gravity: Array | None = None) -> Arm:
+    """The rig's arm with a payload, in the rig's gravity or another (3,)."""
     assert rig.urdf_path is not None  # robot_of has read it
-    return arm_of(rig.urdf_path, robot.sensor_frame, robot.joints, payload, rig.gravity_array)
+    acting = rig.gravity_array if gravity is None else gravity
+    return arm_of(rig.urdf_path, robot.sensor_frame, robot.joints, payload, acting)
 
 
-def move(rig: Rig, robot: Robot, trajectory: JointTrajectory, payload: Body, time_offset: float) -> Moved:
-    """Let the arm follow a plan with a payload, and check what it reports before anyone calls it truth."""
+def move(
+    rig: Rig, robot: Robot, trajectory: JointTrajectory, payload: Body, time_offset: float, seed: int = 0
+) -> Moved:
+    """Let the arm follow a plan with a payload, and check what it reports before anyone calls it truth.
+
+    Args:
+        rig: noise and gain play no part.
+        robot: limits of the joints.
+        trajectory: what is commanded.
+        payload: the true one.
+        time_offset: of the clocks [s].
+        seed: of the rig's imperfections.
+    """
     _check_range(rig, robot, trajectory)
-    stamps = stamps_of(rig, trajectory.duration, time_offset)
-    arm = arm_with(rig, robot, payload)
+    hardware = Hardware(rig, seed, trajectory.duration)
+    stamps, fine = stamps_of(rig, trajectory.duration, time_offset), hardware.fine_time
+    shown, read = hardware.read_at(stamps.shown, "sensor"), hardware.read_at(stamps.motion, "motion")
+    arm = arm_with(rig, robot, payload, hardware.gravity)
     stencils = _stencils(stamps.shown, trajectory.duration)
-    time = np.unique(np.concatenate([stamps.motion, stamps.shown, stencils.ravel()]))
+    time = np.unique(np.concatenate([read, shown, stencils.ravel(), fine]))
     driven = drive(arm, servo_for(arm, trajectory), trajectory, time)
     error = disagreement(rig, payload, driven.reading, np.searchsorted(time, stencils))
     if not error < _AGREEMENT:
         raise RuntimeError(
             f"the simulated wrench departs by {error:.1e} from Newton-Euler on the simulated motion"
         )
-    at_motion = np.searchsorted(time, stamps.motion)
-    wrench = driven.reading.wrench[np.searchsorted(time, stamps.shown)]
-    return Moved(stamps, driven.at(at_motion), wrench, error)
+    wrench = driven.reading.wrench
+    between = np.searchsorted(time, fine)
+    ideal = FineMotion(wrench[between], driven.velocity[between], driven.position[between])
+    joints = driven.at(np.searchsorted(time, read))
+    return Moved(stamps, joints, wrench[np.searchsorted(time, shown)], error, hardware, ideal)
 
 
 def disagreement(rig: Rig, payload: Body, reading: Reading, stencils: NDArray[np.int64]) -> float:
@@ -167,25 +208,26 @@ def disagreement(rig: Rig, payload: Body, reading: Reading, stencils: NDArray[np
     )
 
 
-def record(rig: Rig, payload: str, truth: Truth, moved: Moved) -> Log:
-    """The log of a movement: gain, offset and noise on what ideal sensors read.
+def record(rig: Rig, payload: str, truth: Truth, moved: Moved, readout: Readout | None = None) -> Log:
+    """The log of a movement: gain, offset, noise and imperfections on what ideal sensors read.
 
     Positions are logged unless the rig states where the joints start and no noise of positions; velocities
     where it states their noise.
     """
     stamps, motion = moved.stamps, rig.motion
     rng = np.random.default_rng([truth.seed, 1])
-    raw = readings(rig, truth, stamps, moved.wrench, rng)
+    readout = moved.readout(truth.gain) if readout is None else readout
+    raw = readings(rig, truth, stamps, moved.wrench, rng, readout)
     # drawn whether logged or not, so that one stream's noise does not depend on the other
     deviates = rng.standard_normal((2, *moved.joints.position.shape))
     position, velocity = None, None
     if motion.position_noise is not None:
-        noisy = moved.joints.position + np.array(motion.position_noise) * deviates[1]
+        noisy = readout.position(moved.joints.position, np.array(motion.position_noise), deviates[1])
         position = stamps.rows_of(stamps.motion_ns, noisy)
     elif motion.initial_position is None:
         position = stamps.rows_of(stamps.motion_ns, moved.joints.position)
     if motion.noise is not None:
-        noisy = moved.joints.velocity + motion.noise_array * deviates[0]
+        noisy = readout.velocity(moved.joints.velocity, motion.noise_array, deviates[0])
         velocity = stamps.rows_of(stamps.motion_ns, noisy)
     log = Log(
         path=None, payload=payload, sha256="", time_ns=stamps.time_ns, raw=raw,
