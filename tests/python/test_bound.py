@@ -8,18 +8,22 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
 
 from truewrench.arm.robot import robot_of
 from truewrench.arm.track import track
-from truewrench.estimation.bound import bound
+from truewrench.estimation.bound import bound, information
 from truewrench.log import Log
-from truewrench.motion.trajectory import HarmonicTwist
+from truewrench.motion.trajectory import Body, HarmonicTwist, attitude
 from truewrench.rig import Rig
 from truewrench.simulation.arm.motion import default_motion
 from truewrench.simulation.arm.run import arm_with
-from truewrench.simulation.free_body import simulate
+from truewrench.simulation.free_body import simulate, wrench_on_sensor
 from truewrench.simulation.truth import stated
+
+Array = NDArray[np.float64]
 
 INERTIA = {"xx": 1.5, "yy": 1.5, "zz": 0.4}
 FREQUENCY = np.array([[0.30, 0.51, 0.69, 0.39, 0.60, 0.87]])
@@ -27,20 +31,29 @@ PHASE = np.array([[0, 1, 2, 0.5, 1.5, 2.5]])
 MOTION = HarmonicTwist(np.full((1, 6), 0.25), FREQUENCY, PHASE, 10.0)  # the scenario of the benchmarks
 
 
-def rig_of(sf: float, sv: float, **sensor: Any) -> Rig:
-    exact = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+EXACT = {"mass": 0, "center_of_mass": 0, "inertia": 0}
+
+
+def rig_of(sf: float, sv: float, *, uncertainty: Any = EXACT, gravity: Any = (0, 0, 0), **sensor: Any) -> Rig:
     return Rig.from_mapping(
         {
+            "gravity": list(gravity),
             "sensor": {
                 "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
                 "feels": "payload_on_sensor",
                 "noise": [sf] * 3 + [sf / 10] * 3,
                 "range": [500, 500, 500, 50, 50, 50],
                 "offset_prior": 0,
+                "time_offset_prior": 0,
                 **sensor,
             },
             "payloads": {
-                "p": {"mass": 50, "center_of_mass": [0.2, 0, 0], "inertia": INERTIA, "uncertainty": exact}
+                "p": {
+                    "mass": 50,
+                    "center_of_mass": [0.2, 0, 0],
+                    "inertia": INERTIA,
+                    "uncertainty": uncertainty,
+                }
             },
             "motion": {"noise": [sv] * 6},
             "simulate": {"gain": "nominal", "offset": "none"},
@@ -138,6 +151,124 @@ def test_bound_accepts_streams_of_different_rates() -> None:
     assert found.oracle_rms < found.rms < once.rms
 
 
+# -- payload, clock and gravity uncertain ----------------------------------------------------------------
+
+UNCERTAIN = {"mass": 3e-3, "center_of_mass": 1e-3, "inertia": 0.02}
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def dense_bound_of_all(rig: Rig, gain: Array) -> tuple[float, float]:
+    """Bound with and without what else is uncertain, by differences of material points that are moved.
+
+    The unknowns are spline coefficients, gains, offsets, ten numbers of the payload, the clock, and the two
+    angles by which gravity may be tilted, one after the other in a dense matrix.
+    """
+    t = np.arange(1000) / 100
+    unit, noise = rig.sensor.range_array, rig.sensor.noise_array / rig.sensor.channel_scale
+    point = np.array([0.2, 0, 0])
+
+    def wrench(p: Array, nu: Array, a: Array, at: Array) -> Array:
+        """Normalised wrench for departures of [mass, centre (3), inertia (6), clock, tilt (2)]."""
+        inertia = np.diag([1.5, 1.5, 0.4])
+        for x, (i, j) in zip(p[4:10], PAIRS, strict=True):
+            step = x * np.sqrt(np.diag([1.5, 1.5, 0.4])[i, i] * np.diag([1.5, 1.5, 0.4])[j, j])
+            inertia[i, j] += step
+            inertia[j, i] = inertia[i, j]
+        fall = Rotation.from_rotvec([p[11], p[12], 0.0]).apply(rig.gravity_array)
+        gravity = fall @ attitude(MOTION, at)  # R^T g
+        return (
+            wrench_on_sensor(Body(50.0 * (1 + p[0]), point + p[1:4], inertia), point, nu, a, gravity) / unit
+        )
+
+    nu, a, none = MOTION.twist(t), MOTION.acceleration(t), np.zeros(13)
+    w = wrench(none, nu, a, t)
+    knots = np.arange(-5, 40 + 6) * (t[-1] / 40)
+    splines = BSpline(knots, np.eye(45), 5)
+    by_motion = np.zeros((1000, 6, 45, 6))
+    for c, e in enumerate(np.eye(6)):
+        for basis, (dn, da) in ((splines(t), (e, 0 * e)), (splines(t, nu=1), (0 * e, e))):
+            slope = 0.5 * (wrench(none, nu + dn, a + da, t) - wrench(none, nu - dn, a - da, t))
+            by_motion[..., c] += slope[:, :, None] * basis[:, None]
+    by_others = np.zeros((1000, 6, 13))
+    step = 1e-5
+    for k, e in enumerate(step * np.eye(13)):
+        by_others[..., k] = (wrench(e, nu, a, t) - wrench(-e, nu, a, t)) / (2 * step)
+    late = wrench(none, MOTION.twist(t + step), MOTION.acceleration(t + step), t + step)
+    by_others[..., 10] = (late - w) / step
+    columns = np.column_stack([w, np.ones(1000)])
+    parameters = np.einsum("ij,km->kijm", np.diag(1 / noise), columns).reshape(6000, 42)
+    raw = [
+        (np.einsum("ij,kjm->kim", gain, x.reshape(1000, 6, -1)) / noise[:, None]).reshape(6000, -1)
+        for x in (by_motion, by_others)
+    ]
+    of_twist = np.kron(splines(t), np.diag(1 / rig.motion.noise_array))
+    jacobian = np.block([[of_twist, np.zeros((6000, 42 + 13))], [raw[0], parameters, raw[1]]])
+    gains = 270 + (7 * np.arange(6)[:, None] + np.arange(6)).ravel()
+    prior = np.zeros(270 + 42 + 13)
+    prior[gains] = rig.sensor.gain_prior**-2
+    prior[270 + 7 * np.arange(6) + 6] = (rig.sensor.channel_scale / rig.sensor.offset_prior_array) ** 2
+    u = rig.payloads["p"].uncertainty
+    sigma = [u.mass, *[u.center_of_mass] * 3, *[u.inertia] * 6]
+    prior[312:] = np.array([*sigma, rig.sensor.time_offset_prior, *[rig.gravity_tilt_prior] * 2]) ** -2.0
+    full = jacobian.T @ jacobian + np.diag(prior)
+    # in units of sigma: seconds and kilograms together are badly scaled
+    unit_of = 1 / np.sqrt(np.diag(full))
+    every = np.linalg.inv(full * np.outer(unit_of, unit_of)) * np.outer(unit_of, unit_of)
+    known = np.linalg.inv(full[:312, :312])
+    return tuple(float(np.sqrt(np.mean(np.diag(x)[gains]))) for x in (every, known))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize(("sf", "sv"), [(0.02, 1e-4), (0.5, 1e-3)])
+def test_bound_with_uncertain_payload_clock_and_gravity_agrees_with_a_dense_one(sf: float, sv: float) -> None:
+    offset = {"offset_prior": [50.0] * 3 + [5.0] * 3, "time_offset_prior": 5e-3}
+    rig = rig_of(sf, sv, uncertainty=UNCERTAIN, gravity=[0, 0, -9.81], **offset)
+    gain = np.eye(6) + 0.1 * np.random.default_rng(0).standard_normal((6, 6))
+    expected, without = dense_bound_of_all(rig, gain)
+    log = simulate(rig, MOTION).log
+    raw_gain = gain * rig.sensor.channel_scale[:, None] / rig.sensor.range_array
+    found = information(rig, [log], raw_gain)[0]
+    assert rms_of(found.covariance()) == pytest.approx(expected, rel=0.03)
+    assert rms_of(found.known()) == pytest.approx(without, rel=0.03)
+    assert bound(rig, [log], raw_gain).rms == rms_of(found.covariance())
+    assert expected > 1.2 * without
+
+
+def rms_of(covariance: Array) -> float:
+    return float(np.sqrt(np.mean(np.diag(covariance))))
+
+
+def test_each_source_accounts_for_what_it_adds_alone() -> None:
+    uncertain = {"time_offset_prior": 5e-3}
+    rig = rig_of(0.5, 1e-3, uncertainty=UNCERTAIN, gravity=[0, 0, -9.81], **uncertain)
+    found = information(rig, [simulate(rig, MOTION).log], np.eye(6))[0]
+    parts = found.contributions()
+    assert set(parts) == {"noise", "mass", "center_of_mass", "inertia", "timing", "gravity"}
+    # mass and gain of the force are one: what is not known of the mass is not known of the gain
+    of_force = parts["mass"].reshape(6, 6).diagonal()[:3]
+    np.testing.assert_allclose(of_force, UNCERTAIN["mass"], rtol=0.1)
+    np.testing.assert_allclose(parts["noise"] ** 2, np.diag(found.known()), rtol=1e-9)
+
+
+def test_tilt_of_gravity_costs_most_where_the_body_hardly_turns() -> None:
+    """A tilt is a force along the root's axes; in a body that turns it is none that a gain could make."""
+    cost = []
+    for turning in (1.0, 0.2):
+        size = np.array([[0.25] * 3 + [0.25 * turning] * 3])
+        motion = HarmonicTwist(size, FREQUENCY, PHASE, 10.0)
+        offset = {"offset_prior": [50.0] * 3 + [5.0] * 3}
+        rig = rig_of(0.02, 1e-4, gravity=[0, 0, -9.81], **offset)
+        found = information(rig, [simulate(rig, motion).log], np.eye(6))[0]
+        cost.append(found.contributions()["gravity"].max())
+    assert cost[1] > 2.0 * cost[0] > 0.0
+
+
+def test_a_record_twice_as_long_has_the_bound_of_two_records() -> None:
+    rig = rig_of(0.5, 1e-3, offset_prior=[5.0] * 3 + [0.5] * 3, pool_offsets=True, uncertainty=UNCERTAIN)
+    logs = [simulate(rig, MOTION, seed=s).log for s in range(2)]
+    one, two = (information(rig, logs[:k], np.eye(6))[0] for k in (1, 2))
+    assert rms_of(one.covariance(2.0)) == pytest.approx(rms_of(two.covariance()), rel=0.02)
+
+
 def dense_bound_of_joints(rig: Rig, time: np.ndarray, positions: bool, velocities: bool) -> tuple[float, Log]:
     """RMS bound with splines on every joint and differences of MuJoCo's sensors, and a noise-free log."""
     robot = robot_of(rig)
@@ -191,7 +322,12 @@ def test_bound_of_joints_agrees_with_a_dense_one_in_joint_space(
     noise = [0.001, 0.001, 0.002, 6e-5, 6e-5, 6e-5] if accurate else [0.05, 0.05, 0.1, 3e-3, 3e-3, 3e-3]
     of_joints = {"noise": [2e-4] * 7, "position_noise": [1e-4, 5e-5, 1e-4, 1e-4, 2e-4, 1e-4, 5e-5]}
     rig = arm_rig(
-        "panda_ground", sensor={"noise": noise}, motion=of_joints, plan={"duration": 6}, simulate={"rate": 50}
+        "panda_ground",
+        sensor={"noise": noise},
+        motion=of_joints,
+        plan={"duration": 6},
+        simulate={"rate": 50},
+        gravity_tilt_prior=0,
     )
     expected, log = dense_bound_of_joints(rig, np.arange(300) / 50, positions, velocities)
     found = bound(rig, [log], np.eye(6))

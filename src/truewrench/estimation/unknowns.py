@@ -1,0 +1,169 @@
+"""What is unknown besides gain and offset, payloads, clocks, gravity, and what it does to the wrench.
+
+Wrenches are normalised by the range of their axis and have the sign of the rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.attitude import attitude_at, attitude_of
+from truewrench.log import Log
+from truewrench.motion.spatial import cross_matrix
+from truewrench.rig import Rig
+
+__all__ = [
+    "Motion",
+    "Unknown",
+    "Wrench",
+    "horizontal_axes",
+    "payload_rates",
+    "unknowns_of",
+    "wrench_rates",
+]
+
+Array = NDArray[np.float64]
+Motion = Callable[[Array], tuple[Array, Array, Array]]
+"""Of times (M,): twist (M, 6) of the logged point, its derivative, free fall (M, 3) in sensor axes."""
+Wrench = Callable[[Array, Array, Array], Array]
+"""Of these three: the normalised wrench (M, 6)."""
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_STEP = 1e-4  # [s] of the difference by time; motions of seconds are smooth over it, rounding is 1e-9 of w
+_OF_PAYLOAD = ("mass", *["center_of_mass"] * 3, *["inertia"] * 6)
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """One number that is known beforehand with some uncertainty.
+
+    Attributes:
+        group: mass, center_of_mass, inertia, timing, gravity.
+        prior: 1 sigma, greater than zero.
+        place: which of the group's numbers: of a payload's ten, of the tilt's two.
+        payload: whose it is, None for clocks and gravity.
+        log: the number of the log whose clock it is, else None.
+    """
+
+    group: str
+    prior: float
+    place: int
+    payload: str | None = None
+    log: int | None = None
+
+
+def unknowns_of(rig: Rig, logs: Sequence[Log]) -> list[Unknown]:
+    """What the rig states with an uncertainty; what is exact is left out.
+
+    Masses are relative, centres of mass in m, elements of the inertia relative to sqrt(I_ii I_jj); a clock in
+    s, t_motion = t_sensor + time_offset; gravity's tilt in rad about the two `horizontal_axes`.
+    """
+    found = []
+    for name in dict.fromkeys(log.payload for log in logs):
+        u = rig.payloads[name].uncertainty
+        sigma = (u.mass, *[u.center_of_mass] * 3, *[u.inertia] * 6)
+        found += [
+            Unknown(group, s, k, payload=name)
+            for k, (group, s) in enumerate(zip(_OF_PAYLOAD, sigma, strict=True))
+        ]
+    found += [Unknown("timing", rig.sensor.time_offset_prior, 0, log=k) for k in range(len(logs))]
+    if rig.in_gravity:
+        found += [Unknown("gravity", rig.gravity_tilt_prior, k) for k in range(2)]
+    return [u for u in found if u.prior > 0.0]
+
+
+def wrench_rates(
+    rig: Rig,
+    log: Log,
+    number: int,
+    unknowns: Sequence[Unknown],
+    at: Array,
+    motion: Motion,
+    wrench: Wrench,
+) -> Array:
+    """Derivatives (M, 6, len(unknowns)) of the normalised wrench of a log at times (M,) of its motion.
+
+    Args:
+        rig: the rig.
+        log: the log.
+        number: of the log among all.
+        unknowns: by which.
+        at: times (M,) since its first row [s].
+        motion: of the log.
+        wrench: normalised, of a motion.
+    """
+    nu, a, gravity = motion(at)
+    rates = np.zeros((at.size, 6, len(unknowns)))
+    by_group: dict[str, Array] = {}
+    for k, unknown in enumerate(unknowns):
+        if unknown.payload == log.payload:
+            if "payload" not in by_group:
+                by_group["payload"] = payload_rates(rig, log.payload, nu, a, gravity)
+            rates[:, :, k] = by_group["payload"][:, :, unknown.place]
+        elif unknown.log == number:  # the sensor's sample shows the motion that much later
+            ahead, back = (wrench(*motion(at + side * _STEP)) for side in (1.0, -1.0))
+            rates[:, :, k] = (ahead - back) / (2.0 * _STEP)
+        elif unknown.group == "gravity":
+            if "gravity" not in by_group:
+                by_group["gravity"] = _tilt_rates(rig, log, at, nu, a, gravity, wrench)
+            rates[:, :, k] = by_group["gravity"][:, :, unknown.place]
+    return rates
+
+
+def payload_rates(rig: Rig, payload: str, nu: Array, a: Array, gravity: Array) -> Array:
+    """Derivatives (M, 6, 10) of the normalised wrench by a payload: see `unknowns_of`; xx yy zz xy xz yz.
+
+    The logged point stays where it is: at the STATED centre of mass, or at the sensor's origin.
+
+    Args:
+        rig: the rig.
+        payload: which.
+        nu: twist (M, 6) of the logged point.
+        a: its component-wise derivative (M, 6).
+        gravity: free fall (M, 3) in sensor axes.
+    """
+    spec, omega, alpha = rig.payloads[payload], nu[:, 3:], a[:, 3:]
+    center, inertia = spec.center_of_mass_array, spec.inertia_matrix
+    lever = center if rig.motion.of == "sensor" else np.zeros(3)
+    turning = cross_matrix(omega)
+    # ([A00] 5-9): f = m (vdot + Omega x v + D lever - g), D = [Omegadot] + [Omega][Omega]
+    D = cross_matrix(alpha) + turning @ turning
+    force = spec.mass * (a[:, :3] + np.cross(omega, nu[:, :3]) + D @ lever - gravity)
+    c = cross_matrix(center[None])[0]
+    found = np.empty((len(nu), 6, 10))
+    found[:, :3, 0], found[:, 3:, 0] = force, np.cross(center, force)
+    # of c x f + n_c by c: -[f] + m [c] D
+    found[:, :3, 1:4] = spec.mass * D
+    found[:, 3:, 1:4] = spec.mass * c @ D - cross_matrix(force)
+    found[:, :3, 4:] = 0.0
+    for k, (i, j) in enumerate(_PAIRS):
+        unit = np.zeros((3, 3))
+        unit[i, j] = unit[j, i] = np.sqrt(inertia[i, i] * inertia[j, j])
+        found[:, 3:, 4 + k] = alpha @ unit + np.cross(omega, omega @ unit)
+    return np.asarray(-rig.sensor.sign * found / rig.sensor.range_array[:, None])
+
+
+def horizontal_axes(gravity: Array) -> Array:
+    """(2, 3) unit vectors of the root frame at right angles to gravity (3,), about which it may be tilted."""
+    down = gravity / np.linalg.norm(gravity)
+    first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(down, first)])
+
+
+def _tilt_rates(rig: Rig, log: Log, at: Array, nu: Array, a: Array, gravity: Array, wrench: Wrench) -> Array:
+    """(M, 6, 2): a tilt about e changes free fall in sensor axes by R (e x g)."""
+    rates = np.zeros((at.size, 6, 2))
+    told = attitude_of(rig, log)
+    if told is None:
+        return rates
+    R_sensor_root = attitude_at(*told, at)
+    here = wrench(nu, a, gravity)
+    for k, axis in enumerate(horizontal_axes(rig.gravity_array)):
+        change = R_sensor_root @ np.cross(axis, rig.gravity_array)
+        rates[:, :, k] = wrench(nu, a, gravity + change) - here  # linear in gravity: exact
+    return rates
