@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from truewrench import _core
 from truewrench.arm.track import tracked_streams
-from truewrench.errors import InputError
+from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
 from truewrench.motion.smooth import DEGREE, segments, smooth_twist, uniform_knots, uniform_spline
 from truewrench.motion.spatial import twist_adjoint
@@ -76,9 +76,13 @@ class InertialMotion:
 
     Raises:
         InputError: for a log without a twist, or without gravity where gravity acts.
+        UnsupportedError: for a rig with an IMU.
     """
 
     def __init__(self, rig: Rig, log: Log) -> None:
+        if rig.motion.source == "imu":
+            expected = "`twist` or `joints`: of an IMU, the motion is not known without an estimate"
+            raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
         if log.twist is None:
             raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
         if log.gravity is None and rig.in_gravity:

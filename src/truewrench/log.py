@@ -76,14 +76,20 @@ class Log:
         sha256: of the file, empty when it was not read.
         time_ns: (N,) int64, strictly increasing [ns].
         raw: (N, n) sensor channels in the order of the rig [raw units].
-        twist: (N, 6) of the point `motion.of`, sensor axes [m/s, rad/s]; None with a reference instead.
-        gravity: (N, 3) acceleration of free fall in sensor axes [m/s^2], None when there is no such column.
+        twist: (N, 6) of the point `motion.of`, sensor axes [m/s, rad/s]; None with a reference instead, and
+            where the motion is an IMU's.
+        angular_velocity: (N, 3) of the sensor, sensor axes [rad/s]: an IMU's gyroscope, which with
+            `specific_force` takes the place of the twist; None for other sources of motion.
+        gravity: (N, 3) acceleration of free fall in sensor axes [m/s^2], as logged or by the attitude or the
+            joints; None where nothing tells it.
+        attitude: (N, 4) quaternion w, x, y, z from the sensor to the root frame, None when there is no such
+            column.
         position: (N, n) joint positions in the order of the chain [rad, m], None likewise.
         velocity: (N, n) joint velocities [rad/s, m/s], None likewise.
         base_twist: (N, 6) of the robot's root, root axes [m/s, rad/s], None where the base is fixed.
         base_attitude: (N, 4) quaternion w, x, y, z from the root to the inertial frame, None likewise.
         acceleration: (N, 6) component-wise derivative of the twist, None likewise.
-        specific_force: (N, 3) of the sensor origin, sensor axes [m/s^2], None likewise.
+        specific_force: (N, 3) of the sensor origin, sensor axes: vdot + Omega x v - g [m/s^2], None likewise.
         temperature: (N,) [degC], None likewise.
         reference: (N, 6) wrench known from elsewhere, in the rig's sign [N, N m], None likewise.
         offset_jumps_ns: time stamps at which the offset begins anew.
@@ -99,7 +105,9 @@ class Log:
     time_ns: npt.NDArray[np.int64]
     raw: FloatArray
     twist: FloatArray | None = None
+    angular_velocity: FloatArray | None = None
     gravity: FloatArray | None = None
+    attitude: FloatArray | None = None
     acceleration: FloatArray | None = None
     specific_force: FloatArray | None = None
     temperature: FloatArray | None = None

@@ -15,6 +15,7 @@ from truewrench import _core
 from truewrench.arm.track import tracked
 from truewrench.assembly import assemble, assemble_windows, window_figures
 from truewrench.calibration import Bound, Calibration, LogReport, Verdict
+from truewrench.compensation import uncompensated
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.attempts import Attempts
 from truewrench.estimate.clock import clock_doubts, delay_excluded
@@ -103,11 +104,12 @@ def calibrate(
     report = progress or (lambda phase, share: None)
     show = evidence or (lambda found: None)
     started = time.perf_counter()
-    records = tracked(rig, records)
+    records = uncompensated(rig, tracked(rig, records))
     if wrench_is_known(rig, records, estimator):
         if window is not None:
             raise UnsupportedError.at(None, "window", f"{window:g} s", "nothing for logs with ref_* columns")
         return _from_known_wrench(rig, records, held_out, report, show)
+    _check_motion(rig, estimator)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
         return _from_windows(rig, records, estimator, window, threads, held_out, rescale_noise, report, show)
@@ -297,6 +299,13 @@ def _check_supported(rig: Rig, estimator: EstimatorName) -> None:
     for key, walk in (("offset_walk", sensor.offset_walk_array.max()), ("gain_walk", sensor.gain_walk)):
         if walk > 0.0:
             raise refuse(f"sensor.{key}", f"{walk:g}", f"0: `{estimator}` knows no drift")
+
+
+def _check_motion(rig: Rig, estimator: EstimatorName) -> None:
+    """Refuse what only logs with a wrench known from elsewhere can be calibrated with."""
+    if rig.motion.source == "imu":
+        expected = f"`twist` or `joints`: `{estimator}` knows no motion of an IMU"
+        raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
 
 
 def _check_options(estimator: EstimatorName, **options: Any) -> None:

@@ -20,7 +20,7 @@ FLOORS = [
     {"_core", "files", "robots", "split"},
     {"rig"},
     {"arm", "attitude", "calibration", "motion_noise", "payload", "temperature"},
-    {"estimation", "exports", "inertial", "io"},
+    {"compensation", "estimation", "exports", "inertial", "io"},
     {"apply", "estimate", "inspection"},
     {"assembly", "evidence", "simulation", "validation", "verdict"},
     {"known_wrench", "planning", "summary"},

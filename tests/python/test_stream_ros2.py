@@ -415,7 +415,9 @@ def test_other_messages_are_read_as_ros_2_packs_them(name: str) -> None:
     message = filled(ros_type(kind))
     read = kind.deserialize(bytes(store.serialize_cdr(message, ros_type(kind))))
     expected = {
-        "Imu": lambda m: (m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z),
+        "Imu": lambda m: tuple(
+            getattr(part, axis) for part in (m.angular_velocity, m.linear_acceleration) for axis in "xyz"
+        ),
         "Temperature": lambda m: (m.temperature,),
         "Vector3Stamped": lambda m: (m.vector.x, m.vector.y, m.vector.z),
     }[name](message)

@@ -20,7 +20,7 @@ from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 
-__all__ = ["Applied", "Run", "apply", "corrector", "without_temperature"]
+__all__ = ["Applied", "Run", "apply", "corrector", "without_temperature", "without_weight"]
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
@@ -101,12 +101,14 @@ class Run:
         self._raw = raw_columns(self.table, calibration.n)
         self._time = TimeReader(self.table)
         self._warmth = _Warmth(calibration, self.table.names)
+        self._weighed = without_weight(calibration)
         self._progress = progress
 
     @property
     def applied(self) -> Applied:
         """What has been done so far."""
-        return Applied(self._rows, self._corrected, (*self.table.notes, *self._warmth.notes))
+        notes = (*self.table.notes, *self._warmth.notes, *self._weighed)
+        return Applied(self._rows, self._corrected, notes)
 
     @property
     def _read(self) -> list[str]:
@@ -185,6 +187,17 @@ def without_temperature(calibration: Calibration) -> tuple[str, ...]:
         return ()
     reference = f"{calibration.rig.temperature.reference:g} degC"
     return (f"no `temperature`, which the offset follows: it is taken for that of {reference}",)
+
+
+def without_weight(calibration: Calibration) -> tuple[str, ...]:
+    """What is worth saying where samples are corrected from which the driver has subtracted a weight."""
+    body = calibration.rig.sensor.subtracted
+    if body is None:
+        return ()
+    return (
+        f"the driver has subtracted the weight of {body.mass:g} kg (sensor.compensated), which is not added "
+        "back here: the wrench lacks it, and is off by that weight times what the gain departs from nominal",
+    )
 
 
 def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:

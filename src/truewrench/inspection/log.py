@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from truewrench.errors import InputError
 from truewrench.io.cells import numbers
-from truewrench.io.table import ACCELERATION, GRAVITY, TWIST, Table
+from truewrench.io.table import ACCELERATION, ANGULAR_VELOCITY, ATTITUDE, GRAVITY, TWIST, Table
 from truewrench.io.tables import TimeReader, open_table
 
 __all__ = ["ColumnContent", "Gap", "LogContent", "Stream", "inspect_log"]
@@ -26,6 +26,7 @@ _STREAMS = (
     ("joint positions", r"q_.+"),
     ("joint velocities", r"dq_.+"),
     ("gravity", "|".join(GRAVITY)),
+    ("attitude", "|".join(ATTITUDE)),
     ("twist derivative", "|".join(ACCELERATION)),
     ("accelerometer", r"accel_[xyz]"),
     ("base", r"base_(v[xyz]|w[xyz]|q[wxyz])"),
@@ -98,6 +99,8 @@ def inspect_log(path: str | Path) -> LogContent:
         name: [column for column in table.names if re.fullmatch(pattern, column)]
         for name, pattern in _STREAMS
     }
+    if set(groups["twist"]) <= set(ANGULAR_VELOCITY):  # an IMU's
+        groups = {"angular velocity" if name == "twist" else name: names for name, names in groups.items()}
     time, counters = _read(table, groups)
     if not len(time):
         raise InputError.at(path, "", "no row", "at least one row below the header")

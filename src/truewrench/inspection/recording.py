@@ -28,7 +28,7 @@ _TAKEN = {
     "array": "raw channels",
     "joints": "joints",
     "twist": "twist",
-    "imu": "accelerometer",
+    "imu": "accelerometer, or with `motion.source: imu` the motion",
     "temperature": "temperature",
     "gravity": "gravity",
 }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -55,8 +57,10 @@ def joint_groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def check_attitude(attitude: npt.NDArray[np.float64], path: object, time_ns: npt.NDArray[np.int64]) -> None:
-    """Refuse quaternions (N, 4) that are none; rows with NaN are passed over.
+def check_attitude(
+    attitude: npt.NDArray[np.float64], names: Sequence[str], path: object, time_ns: npt.NDArray[np.int64]
+) -> None:
+    """Refuse quaternions (N, 4), columns of these names, that are none; rows with NaN are passed over.
 
     Raises:
         InputError: naming the first time stamp at which the length is not 1.
@@ -65,5 +69,5 @@ def check_attitude(attitude: npt.NDArray[np.float64], path: object, time_ns: npt
     wrong = np.flatnonzero(np.abs(length - 1.0) > _LENGTH)
     if len(wrong):
         i = int(wrong[0])
-        place = f"columns `base_qw` ... `base_qz`, time {time_ns[i]} ns"
+        place = f"columns `{names[0]}` ... `{names[-1]}`, time {time_ns[i]} ns"
         raise InputError.at(f"{path}", place, f"a quaternion of length {length[i]:.6g}", "length 1")

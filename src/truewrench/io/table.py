@@ -12,9 +12,21 @@ import pyarrow as pa
 from truewrench.errors import InputError
 from truewrench.io.cells import Column
 
-__all__ = ["ACCELERATION", "GRAVITY", "REFERENCE", "TWIST", "Chunk", "Table"]
+__all__ = [
+    "ACCELERATION",
+    "ANGULAR_VELOCITY",
+    "ATTITUDE",
+    "GRAVITY",
+    "REFERENCE",
+    "SPECIFIC_FORCE",
+    "TWIST",
+    "Chunk",
+    "Table",
+]
 
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+ANGULAR_VELOCITY = TWIST[3:]
+ATTITUDE = ("qw", "qx", "qy", "qz")
 ACCELERATION = ("ax", "ay", "az", "alx", "aly", "alz")
 GRAVITY = ("gx", "gy", "gz")
 SPECIFIC_FORCE = ("accel_x", "accel_y", "accel_z")

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from truewrench.arm.track import track
+from truewrench.attitude import free_fall
 from truewrench.errors import InputError
 from truewrench.io.cells import numbers, to_nanoseconds
 from truewrench.io.csv_table import CsvTable
@@ -20,7 +21,17 @@ from truewrench.io.joints import check_attitude, joint_groups
 from truewrench.io.output import write_batches
 from truewrench.io.parquet_table import ParquetTable
 from truewrench.io.recordings.reader import is_recording
-from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST, Chunk, Table
+from truewrench.io.table import (
+    ACCELERATION,
+    ANGULAR_VELOCITY,
+    ATTITUDE,
+    GRAVITY,
+    REFERENCE,
+    SPECIFIC_FORCE,
+    TWIST,
+    Chunk,
+    Table,
+)
 from truewrench.log import Log
 from truewrench.rig import Rig
 
@@ -149,6 +160,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     """Read a log.
 
     The motion is required, of a twist rig in gravity its direction too, unless there are reference columns.
+    Where the direction of gravity is told by the attitude alone, `Log.gravity` comes from it.
 
     Args:
         source: path of a CSV or Parquet file or of a recording, or `path@payload`.
@@ -175,8 +187,11 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         group: np.ascontiguousarray(values[kept][:, [columns.index(name) for name in names]])
         for group, names in groups.items()
     }
-    if "base_attitude" in arrays:
-        check_attitude(arrays["base_attitude"], path, time_ns[kept])
+    for group in ("attitude", "base_attitude"):
+        if group in arrays:
+            check_attitude(arrays[group], groups[group], path, time_ns[kept])
+    if "attitude" in arrays and "gravity" not in arrays and rig.in_gravity:
+        arrays["gravity"] = free_fall(rig, arrays["attitude"])
     log = Log(
         path=path,
         payload=payload,
@@ -184,7 +199,9 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         time_ns=time_ns[kept],
         raw=arrays["raw"],
         twist=arrays.get("twist"),
+        angular_velocity=arrays.get("angular_velocity"),
         gravity=arrays.get("gravity"),
+        attitude=arrays.get("attitude"),
         acceleration=arrays.get("acceleration"),
         specific_force=arrays.get("specific_force"),
         temperature=arrays["temperature"][:, 0] if "temperature" in arrays else None,
@@ -210,14 +227,22 @@ def _groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
         "temperature": ("temperature",),
         "reference": REFERENCE,
     }
-    if rig.motion.source == "twist":
-        optional |= {"twist": TWIST, "gravity": GRAVITY}
+    source, weighed = rig.motion.source, rig.sensor.subtracted is not None
+    fall = {"gravity": GRAVITY, "attitude": ATTITUDE}
+    told = any(name in table.names for names in fall.values() for name in names)
+    if source != "joints":
+        twist = {"twist": TWIST}
+        imu = {"angular_velocity": ANGULAR_VELOCITY, "specific_force": SPECIFIC_FORCE}
+        motion = twist if source == "twist" else imu
+        optional |= motion | fall
         if not referenced:
-            groups["twist"] = TWIST
-            if rig.in_gravity:
-                groups["gravity"] = GRAVITY
-    elif not referenced:
+            groups |= motion
+        if not told and (weighed or (source == "twist" and rig.in_gravity and not referenced)):
+            groups["gravity"] = GRAVITY  # whose absence is told
+    elif not referenced or (weighed and not told):
         groups |= joint_groups(table, rig)
+    else:
+        optional |= fall if weighed else {}
     groups |= {group: names for group, names in optional.items() if set(names).intersection(table.names)}
     for names in groups.values():
         require(table, names)

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from truewrench.errors import InputError
+from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
 from truewrench.motion.trajectory import SplineTwist
 from truewrench.motion.trajectory_joint import SplineJoints
@@ -52,6 +52,9 @@ def plan(
     if name not in rig.payloads:
         raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
     tell = progress or (lambda phase, share: None)
+    if rig.motion.source == "imu":
+        expected = "`twist` or `joints`: a motion is planned in these"
+        raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
     if method == "optimal":
         check_harmonics(rig)
     design = _design(rig, name, method, criterion, tell)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truewrench.apply import corrector, without_temperature
+from truewrench.apply import corrector, without_temperature, without_weight
 from truewrench.calibration import AXES, Calibration
 from truewrench.errors import InputError
 from truewrench.stream.json_rows import LineError, Row, motion_of, read_row
@@ -77,7 +77,7 @@ def correct_lines(
         InputError: the gain of the calibration cannot be inverted.
     """
     correct = corrector(calibration, INPUT).correct
-    for note in without_temperature(calibration):
+    for note in (*without_temperature(calibration), *without_weight(calibration)):
         complain(note)
     n = calibration.n
     sample = np.empty((1, n))

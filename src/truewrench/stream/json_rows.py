@@ -10,14 +10,15 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST
-from truewrench.io.table import ACCELERATION, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST
+from truewrench.io.table import ACCELERATION, ATTITUDE, GRAVITY, REFERENCE, SPECIFIC_FORCE, TWIST
 from truewrench.rig.strict import shown
 from truewrench.stream.lines import LONGEST
 
 __all__ = ["LineError", "Row", "motion_of", "read_row"]
 
 _COLUMNS = frozenset(
-    [*TWIST, *GRAVITY, *ACCELERATION, *SPECIFIC_FORCE, *REFERENCE, *BASE_TWIST, *BASE_ATTITUDE, "temperature"]
+    [*TWIST, *GRAVITY, *ATTITUDE, *ACCELERATION, *SPECIFIC_FORCE, *REFERENCE]
+    + [*BASE_TWIST, *BASE_ATTITUDE, "temperature"]
 )
 _JOINT = re.compile(r"d?q_.+")
 _LARGEST_SECONDS = 9e9  # int64 nanoseconds end at 9.22e9 s

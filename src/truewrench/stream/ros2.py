@@ -14,7 +14,7 @@ import numpy as np
 from cyclonedds.util import duration
 
 from truewrench import _core
-from truewrench.apply import corrector, without_temperature
+from truewrench.apply import corrector, without_temperature, without_weight
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS
@@ -142,7 +142,7 @@ def correct_topic(
         InputError: no topic is found, or the gain cannot be inverted.
     """
     correct = corrector(calibration, "ROS 2")  # before a topic is waited for
-    for note in without_temperature(calibration):
+    for note in (*without_temperature(calibration), *without_weight(calibration)):
         complain(note)
     sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
     node = Node()

@@ -11,7 +11,7 @@ from cyclonedds.idl import IdlStruct
 from truewrench.arm.robot import robot_of
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.recordings.choice import KEYS, roles_of
-from truewrench.io.table import GRAVITY, SPECIFIC_FORCE, TWIST
+from truewrench.io.table import ANGULAR_VELOCITY, GRAVITY, SPECIFIC_FORCE, TWIST
 from truewrench.rig import Rig
 from truewrench.stream.ros2_types import (
     Float64MultiArray,
@@ -101,6 +101,20 @@ class _Vector(Source):
         return self._names, _without_infinity(message.values)
 
 
+class _Imu(Source):
+    """A specific force, and where the motion is an IMU's the angular velocity before it."""
+
+    kind = Imu
+
+    def __init__(self, rig: Rig) -> None:
+        super().__init__(rig, "imu")
+        whole = ANGULAR_VELOCITY + SPECIFIC_FORCE
+        self._names = whole if rig.motion.source == "imu" else SPECIFIC_FORCE
+
+    def _values(self, message: Imu) -> tuple[tuple[str, ...], Sequence[float]]:
+        return self._names, _without_infinity(message.values[-len(self._names) :])
+
+
 class _Joints(Source):
     """Joints by name; those that do not move the sensor are passed over."""
 
@@ -135,7 +149,6 @@ def _without_infinity(values: Sequence[float]) -> Sequence[float]:
 
 _VECTORS: dict[str, tuple[type[IdlStruct], tuple[str, ...]]] = {
     "twist": (TwistStamped, TWIST),
-    "imu": (Imu, SPECIFIC_FORCE),
     "temperature": (Temperature, ("temperature",)),
     "gravity": (Vector3Stamped, GRAVITY),
 }
@@ -148,8 +161,12 @@ def motion_sources(rig: Rig) -> list[Source]:
         UnsupportedError: gravity matters, and nothing tells its direction.
     """
     roles = roles_of(rig)[1:]
-    if rig.motion.source == "twist" and rig.in_gravity and "gravity" not in roles:
+    source, weighed = rig.motion.source, rig.sensor.subtracted is not None
+    needed = (source == "twist" and rig.in_gravity) or (source != "joints" and weighed)
+    if needed and "gravity" not in roles:
         place = f"recording.{KEYS['gravity']}"
-        expected = "the topic of free fall in sensor axes (Vector3Stamped), which a twist in gravity needs"
+        why = "`sensor.compensated`" if weighed else "a twist in gravity"
+        expected = f"the topic of free fall in sensor axes (Vector3Stamped), which {why} needs"
         raise UnsupportedError.at(rig.path, place, "nothing", expected)
-    return [_Joints(rig) if role == "joints" else _Vector(rig, role, *_VECTORS[role]) for role in roles]
+    own = {"joints": _Joints, "imu": _Imu}
+    return [own[role](rig) if role in own else _Vector(rig, role, *_VECTORS[role]) for role in roles]

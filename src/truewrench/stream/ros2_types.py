@@ -174,7 +174,7 @@ def _unknown() -> list[float]:
 @dataclass
 @annotate.final
 class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
-    """Specific force [m/s^2], and what is not used here."""
+    """Angular velocity [rad/s] and specific force [m/s^2], and what is not used here."""
 
     header: Header = field(default_factory=Header)
     orientation: Quaternion = field(default_factory=Quaternion)
@@ -186,9 +186,9 @@ class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The specific force."""
-        a = self.linear_acceleration
-        return (a.x, a.y, a.z)
+        """Angular velocity, then specific force."""
+        w, a = self.angular_velocity, self.linear_acceleration
+        return (w.x, w.y, w.z, a.x, a.y, a.z)
 
 
 @dataclass

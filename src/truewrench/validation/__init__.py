@@ -20,6 +20,7 @@ from scipy.stats import chi2
 
 from truewrench.arm.track import tracked
 from truewrench.calibration import AXES, AxisImprovement, Calibration, Verdict
+from truewrench.compensation import uncompensated
 from truewrench.errors import InputError
 from truewrench.files import write_yaml
 from truewrench.log import Log
@@ -159,7 +160,7 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     _check_same_sensor(calibration, rig)
-    records = tracked(rig, records)
+    records = uncompensated(rig, tracked(rig, records))
     parts = [residuals(calibration, rig, log) for log in records]
     tared = is_tared(rig)
     used = {report.sha256 for report in calibration.logs if report.sha256}

@@ -28,9 +28,9 @@ _COMMANDS = re.compile(r"(^|[/_])(cmd|command|commands|desired|target|goal|setpo
 
 def roles_of(rig: Rig) -> list[str]:
     """What a rig uses: the sensor first, then the motion, then what else it names or has priors for."""
-    roles = ["wrench", "joints" if rig.motion.source == "joints" else "twist"]
+    roles = ["wrench", rig.motion.source]
     noise = rig.motion.acceleration_noise
-    if rig.recording.imu_topic or (noise is not None and len(noise) == 3):
+    if "imu" not in roles and (rig.recording.imu_topic or (noise is not None and len(noise) == 3)):
         roles.append("imu")
     if rig.recording.temperature_topic or rig.temperature.prior > 0.0:
         roles.append("temperature")

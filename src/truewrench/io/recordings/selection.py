@@ -11,6 +11,7 @@ from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS, commanded, named_topic, one_topic, roles_of, topics_in_words
 from truewrench.io.recordings.reader import Recording, Topic
 from truewrench.io.recordings.streams import Stream, clock_notes, gather, role_of
+from truewrench.io.table import SPECIFIC_FORCE
 from truewrench.rig import Rig
 
 __all__ = ["Selection", "select"]
@@ -44,7 +45,7 @@ def select(
     """
     topics = _topics(recording, rig)
     joints = robot_of(rig).joints if whole and rig.motion.source == "joints" else None
-    wanted = _Wanted(rig.sensor.n, joints)
+    wanted = _Wanted(rig, joints)
     streams = gather(recording, topics, rig.recording.stamps, wanted=wanted, progress=progress)
     notes = [*recording.miscounted()]
     chosen = [_sensor(recording, rig, streams)]
@@ -92,18 +93,23 @@ def _topics(recording: Recording, rig: Rig) -> list[Topic]:
 class _Wanted:
     """Which columns are read: joints of the arm, if it is known, and arrays as long as there are channels.
 
+    Of an IMU, the angular velocity is read where it is the motion: a twist has its own.
+
     Attributes:
         seen: names of all joints that came by.
     """
 
-    def __init__(self, channels: int, joints: Sequence[str] | None) -> None:
-        self.channels, self.joints = channels, joints
+    def __init__(self, rig: Rig, joints: Sequence[str] | None) -> None:
+        self.channels, self.joints = rig.sensor.n, joints
+        self._turning = rig.motion.source == "imu"
         self.seen: set[str] = set()
 
     def __call__(self, topic: Topic, columns: tuple[str, ...]) -> Sequence[int]:
         role = role_of(topic.type_name)
         if role == "array":
             return range(len(columns)) if len(columns) == self.channels else ()
+        if role == "imu":
+            return [i for i, name in enumerate(columns) if self._turning or name in SPECIFIC_FORCE]
         if role != "joints":
             return range(len(columns))
         names = [column.partition("_")[2] for column in columns]
@@ -137,10 +143,13 @@ def _of_role(
         found = [s for s in found if not s.spool.all_nan]  # drivers fill in what they do not measure
         _check_publishers(recording, found)
         return found
-    stream = one_topic(recording.path, found, role, {"imu": "the accelerometer"}.get(role, f"the {role}"))
-    if stream is None and role == "twist" and whole:
+    what = f"the {role}"
+    if role == "imu":
+        what = "the IMU" if rig.motion.source == "imu" else "the accelerometer"
+    stream = one_topic(recording.path, found, role, what)
+    if stream is None and role == rig.motion.source and whole:
         there = topics_in_words(recording.topics)
-        expected = "a topic with the twist; one that is named like a command has to be chosen"
+        expected = f"a topic with {what}; one that is named like a command has to be chosen"
         raise InputError.at(recording.path, "", f"none among {there}", expected)
     return [] if stream is None else [stream]
 
@@ -183,8 +192,11 @@ def _check_complete(recording: Recording, rig: Rig, chosen: Sequence[Stream], wa
         seen = ", ".join(sorted(wanted.seen)) or "none"
         found = f"no samples of the joints {', '.join(missing)} (joints in the recording: {seen})"
         raise InputError.at(recording.path, "", found, "every joint of the arm, by its name in the URDF")
-    if rig.motion.source == "twist" and rig.in_gravity and not rig.recording.gravity_topic:
-        expected = "the topic of free fall in sensor axes (Vector3Stamped), which a twist in gravity needs"
+    source, weighed = rig.motion.source, rig.sensor.subtracted is not None
+    needed = (source == "twist" and rig.in_gravity) or (source != "joints" and weighed)
+    if needed and not rig.recording.gravity_topic:
+        why = "`sensor.compensated`" if weighed else "a twist in gravity"
+        expected = f"the topic of free fall in sensor axes (Vector3Stamped), which {why} needs"
         raise InputError.at(recording.path, "recording.gravity_topic", "nothing", expected)
 
 
@@ -218,7 +230,7 @@ def _apart(rig: Rig, chosen: Sequence[Stream]) -> list[str]:
     notes = []
     for other in chosen[1:]:
         apart = sensor.clocks.delay - other.clocks.delay
-        if role_of(other.topic.type_name) in ("joints", "twist") and abs(apart) > allowed:
+        if role_of(other.topic.type_name) == rig.motion.source and abs(apart) > allowed:
             which = "header" if sensor.headers and other.headers else "header and receive"
             notes.append(
                 f"{sensor.topic.name} and {other.topic.name}: their {which} stamps are {apart:.3g} s apart "

@@ -14,7 +14,7 @@ from truewrench.errors import InputError
 from truewrench.io.recordings.layout import Layout, layouts_of
 from truewrench.io.recordings.reader import Batch, Recording, Topic
 from truewrench.io.recordings.spool import Spool
-from truewrench.io.table import GRAVITY, SPECIFIC_FORCE, TWIST
+from truewrench.io.table import ANGULAR_VELOCITY, GRAVITY, SPECIFIC_FORCE, TWIST
 
 __all__ = ["Clocks", "Stream", "clock_notes", "gather", "role_of", "samples_of"]
 
@@ -42,11 +42,16 @@ _VECTORS: dict[str, tuple[str, tuple[str, ...]]] = {
     "geometry_msgs/msg/Twist": ("twist", _paths("linear", "angular")),
     "geometry_msgs/msg/TwistWithCovarianceStamped": ("twist", _COVARIANT),
     "nav_msgs/msg/Odometry": ("twist", _COVARIANT),
-    "sensor_msgs/msg/Imu": ("imu", _paths("linear_acceleration")),
+    "sensor_msgs/msg/Imu": ("imu", _paths("angular_velocity", "linear_acceleration")),
     "sensor_msgs/msg/Temperature": ("temperature", ("temperature",)),
     "geometry_msgs/msg/Vector3Stamped": ("gravity", _paths("vector")),
 }  # fmt: skip
-_COLUMNS = {"twist": TWIST, "imu": SPECIFIC_FORCE, "temperature": ("temperature",), "gravity": GRAVITY}
+_COLUMNS = {
+    "twist": TWIST,
+    "imu": ANGULAR_VELOCITY + SPECIFIC_FORCE,
+    "temperature": ("temperature",),
+    "gravity": GRAVITY,
+}
 _JOINTS = "sensor_msgs/msg/JointState"
 
 
