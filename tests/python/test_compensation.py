@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from truewrench.compensation import uncompensated
-from truewrench.errors import InputError
+from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.tables import read_log, write_table
 from truewrench.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.pipeline import calibrate
+from truewrench.planning.planner import plan
 from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
 
@@ -138,3 +139,16 @@ def test_wrench_known_from_elsewhere_is_of_the_whole_weight(settings: dict[str, 
     rig = rig_with(settings, BODY, noise=[1e-3] * 6)
     found = calibrate(rig, read_log(tmp_path / "run.csv", rig), held_out=False)
     np.testing.assert_allclose(found.gain, gain, atol=1e-3)
+
+
+def test_driver_that_subtracts_is_not_simulated_but_planned_for(settings: dict[str, Any]) -> None:
+    limits = {"velocity": [0.5] * 6, "acceleration": [2.0] * 6, "position": [0.5] * 6}
+    settings |= {"plan": {"duration": 6, "harmonics": 2}, "limits": limits}
+    settings["payloads"]["default"]["mass"] = 10
+    rig = rig_with(settings, BODY)
+    with pytest.raises(UnsupportedError, match=r"sensor\.compensated: found a weight, expected false"):
+        simulate(rig)
+    promised, plain = (plan(each).prediction for each in (rig, rig_with(settings, False)))
+    assert promised is not None
+    assert plain is not None
+    np.testing.assert_array_equal(promised.gain_std, plain.gain_std)

@@ -78,7 +78,7 @@ def _ideal(rig: Rig) -> Rig:
     """The rig whose simulated hardware is perfect and as nominal: gain, offset, clocks, payload as stated."""
     options = rig.simulate.model_dump() | {"gain": "nominal", "offset": "none", "time_offset": 0.0}
     options |= {"payload": "nominal", "imperfections": None}
-    sensor = rig.sensor.model_copy(update={"lowpass_hz": None})
+    sensor = rig.sensor.model_copy(update={"lowpass_hz": None, "compensated": False})
     return rig.model_copy(update={"simulate": SimulateSpec.model_validate(options), "sensor": sensor})
 
 

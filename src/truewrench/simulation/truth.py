@@ -144,6 +144,9 @@ def begin(rig: Rig, payload: str | None, seed: int | None) -> tuple[str, Truth]:
     if rig.sensor.lowpass_hz is not None and (imperfect is None or imperfect.sensor_filter is None):
         expected = "null, or the filter that is simulated (`simulate.imperfections.sensor_filter`)"
         raise UnsupportedError.at(rig.path, "sensor.lowpass_hz", f"{rig.sensor.lowpass_hz}", expected)
+    if rig.sensor.subtracted is not None:
+        expected = "false: a driver that subtracts a weight is not simulated"
+        raise UnsupportedError.at(rig.path, "sensor.compensated", "a weight", expected)
     name = next(iter(rig.payloads)) if payload is None else payload
     if name not in rig.payloads:
         raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
