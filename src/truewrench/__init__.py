@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from truewrench.report import write_report
     from truewrench.rig import Rig, load_rig
     from truewrench.rig.ati_cal import AtiCalibration, read_ati_cal
+    from truewrench.simulation.arm import simulate_arm
+    from truewrench.simulation.free_body import simulate
+    from truewrench.simulation.truth import read_truth
     from truewrench.validation import Validation, validate
 
 __version__ = version("truewrench")
@@ -51,6 +54,9 @@ _HOMES = {
     "plan": "planning.planner",
     "read_ati_cal": "rig.ati_cal",
     "read_log": "io.tables",
+    "read_truth": "simulation.truth",
+    "simulate": "simulation.free_body",
+    "simulate_arm": "simulation.arm",
     "validate": "validation",
     "write_exports": "exports",
     "write_report": "report",
@@ -75,7 +81,10 @@ __all__ = [
     "plan",
     "read_ati_cal",
     "read_log",
+    "read_truth",
     "robots",
+    "simulate",
+    "simulate_arm",
     "validate",
     "write_exports",
     "write_report",
