@@ -140,7 +140,7 @@ def calibrated(
     used, total = 0, 0
     for report in found.logs:
         used += report.used
-        total += report.used + sum(report.rejected.values()) + sum(report.gated.values())
+        total += report.used + sum(report.rejected.values()) + sum(report.masked.values())
     figures = found.figures
     return {
         "outcome": "calibrated",

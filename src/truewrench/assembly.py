@@ -99,13 +99,13 @@ def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
         if w.log == k:
             samples[w.status.name.replace("_", " ")] += w.samples
     rows, left_out = estimate.wrench_rows[k], estimate.left_out[k]
-    gated = Counter(
+    masked = Counter(
         {
             "disturbance of the sensor": int(left_out.sum()),
             "disturbance of the motion": estimate.motion_left_out[k],
         }
     )
-    used = max(0, samples.pop("fitted", 0) - gated["disturbance of the sensor"])
+    used = max(0, samples.pop("fitted", 0) - masked["disturbance of the sensor"])
     sensed = int(np.isfinite(log.raw).any(axis=1).sum())
     samples["outside every window"] = max(0, sensed - used - int(left_out.sum()) - samples.total())
     return LogReport(
@@ -116,7 +116,7 @@ def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
         estimate.offsets_std[k],
         time_offset=float(estimate.time_offsets[k]),
         used=used,
-        gated=dict(+gated),
+        masked=dict(+masked),
         rejected=dict(+samples),
         disturbances=_intervals(log.time[rows], left_out),
         dropped_rows=log.dropped_rows,

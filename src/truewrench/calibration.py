@@ -5,11 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from truewrench.calibration_parts import (
+    AXES,
+    KINDS,
+    Assumed,
+    AxisImprovement,
+    BlindTo,
+    Bound,
+    LogReport,
+    Undetermined,
+    Verdict,
+)
 from truewrench.errors import InputError
 from truewrench.files import read_yaml, write_yaml
 from truewrench.rig import Rig
@@ -18,8 +29,11 @@ from truewrench.rig.fields import Fields
 __all__ = [
     "AXES",
     "FORMAT",
+    "KINDS",
     "UNDETERMINED",
+    "Assumed",
     "AxisImprovement",
+    "BlindTo",
     "Bound",
     "Calibration",
     "LogReport",
@@ -28,9 +42,6 @@ __all__ = [
     "load_calibration",
 ]
 
-AXES = ("fx", "fy", "fz", "mx", "my", "mz")
-"""The wrench axes, in order."""
-
 FORMAT = "truewrench/1"
 """What the first line of a calibration file says."""
 
@@ -38,84 +49,6 @@ UNDETERMINED = 0.5
 """Of the prior's sigma: what is less certain than that was not determined by the data."""
 
 FloatArray = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Undetermined:
-    """A direction of the gain that the data say nothing about.
-
-    Attributes:
-        direction: (6n,) unit vector over the normalised gains, row by row.
-        words: the same for a person, such as "moment about z: gains of all channels".
-    """
-
-    direction: FloatArray
-    words: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Verdict:
-    """Whether the result may be used as it stands, and every reason why not."""
-
-    usable: bool
-    reasons: tuple[str, ...] = ()
-    undetermined: tuple[Undetermined, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class AxisImprovement:
-    """RMS residual of one wrench axis with the nominal and with the new gain [N or N m]."""
-
-    nominal: float
-    new: float
-    held_out: bool
-    better: Literal[True, False, "unsure"]
-
-
-@dataclass(frozen=True, slots=True)
-class Bound:
-    """What no estimator can beat, as RMS of sigma over the normalised gains.
-
-    Attributes:
-        oracle_rms: when the motion is known.
-        rms: when the motion has to be inferred from the log.
-    """
-
-    oracle_rms: float
-    rms: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LogReport:
-    """What one log contributed.
-
-    Attributes:
-        path: as it was given, None for a log that was not read from a file.
-        sha256: of the file, empty likewise.
-        payload: which payload of the rig the arm carried.
-        offset: (n,) of this log [raw units].
-        offset_std: (n,) its 1 sigma.
-        time_offset: [s], t_motion = t_sensor + time_offset.
-        used: samples that the estimate rests on.
-        gated: samples left out one by one, by reason.
-        rejected: samples left out with their whole window, by reason.
-        disturbances: (begin, end) of what was left out as contact or spike [s from the log's first row].
-        dropped_rows: rows of the log without any measurement.
-        nan_counts: cells that held NaN and were left out, by column.
-    """
-
-    path: Path | None
-    sha256: str
-    payload: str
-    offset: FloatArray
-    offset_std: FloatArray
-    time_offset: float = 0.0
-    used: int = 0
-    gated: Mapping[str, int] = field(default_factory=dict)
-    rejected: Mapping[str, int] = field(default_factory=dict)
-    disturbances: tuple[tuple[float, float], ...] = ()
-    dropped_rows: int = 0
-    nan_counts: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,6 +72,12 @@ class Calibration:
         time_offset: of the last log [s].
         time_offset_std: its 1 sigma [s].
         payload_posterior: what the data say of each payload, by name; empty when payloads are taken as exact.
+        axes: which wrench axes may be used, by name; empty where the estimator does not say.
+        assumed: every alternative that the estimate needed beside the rig as stated.
+        quadratic: (n,) quadratic term of each channel at full scale, fraction of range; None where the
+            estimator has none. `gain` is the tangent at w = 0.
+        quadratic_std: (n,) its 1 sigma, likewise.
+        discrepancy: (n,) what of each channel follows neither wrench nor noise, 1 sigma, fraction of range.
         figures: what the estimator reports of its fit, by name.
         timings: seconds spent, by phase.
         version: of the package that made it.
@@ -161,6 +100,11 @@ class Calibration:
     time_offset: float = 0.0
     time_offset_std: float = 0.0
     payload_posterior: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    axes: Mapping[str, bool] = field(default_factory=dict)
+    assumed: tuple[Assumed, ...] = ()
+    quadratic: FloatArray | None = None
+    quadratic_std: FloatArray | None = None
+    discrepancy: FloatArray | None = None
     figures: Mapping[str, Any] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
     version: str = ""
@@ -201,7 +145,61 @@ class Calibration:
 
     def write_yaml(self, path: str | Path) -> None:
         """Write `calibration.yaml`, every number to its last bit; the file appears whole or not at all."""
-        write_yaml(path, _to_mapping(self))
+        write_yaml(path, self.to_mapping())
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Numbers, arrays and texts by the keys of `calibration.yaml`."""
+        return {
+            "format": FORMAT,
+            "verdict": {
+                "usable": self.verdict.usable,
+                "reasons": list(self.verdict.reasons),
+                "undetermined": [
+                    {"direction": u.direction, "words": u.words} for u in self.verdict.undetermined
+                ],
+                "blind_to": [asdict(blind) for blind in self.verdict.blind_to],
+            },
+            "axes": self.axes,
+            "assumed": [asdict(assumed) for assumed in self.assumed],
+            "gain": self.gain,
+            "gain_std": self.gain_std,
+            "gain_determined": self.gain_determined.tolist(),
+            "offset": self.offset,
+            "offset_std": self.offset_std,
+            "offset_temperature": self.offset_temperature,
+            "time_offset": self.time_offset,
+            "time_offset_std": self.time_offset_std,
+            "inverse": self.inverse,
+            "quadratic": self.quadratic,
+            "quadratic_std": self.quadratic_std,
+            "discrepancy": self.discrepancy,
+            "improvement": {"axes": {axis: asdict(judged) for axis, judged in self.improvement.items()}},
+            "bound": None if self.bound is None else asdict(self.bound),
+            "payload_posterior": self.payload_posterior,
+            "logs": [_of_log(log) for log in self.logs],
+            "figures": self.figures,
+            "timings": self.timings,
+            "estimator": self.estimator,
+            "version": self.version,
+            "created": self.created,
+            "rig": self.rig.to_mapping(),
+            "covariance": self.covariance,
+        }
+
+
+def _of_log(log: LogReport) -> dict[str, Any]:
+    return {
+        "path": None if log.path is None else str(log.path),
+        "sha256": log.sha256,
+        "payload": log.payload,
+        "offset": log.offset,
+        "offset_std": log.offset_std,
+        "time_offset": log.time_offset,
+        "samples": {"used": log.used, "masked": log.masked, "rejected": log.rejected},
+        "disturbances": [list(interval) for interval in log.disturbances],
+        "dropped_rows": log.dropped_rows,
+        "nan_counts": log.nan_counts,
+    }
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -212,53 +210,6 @@ def load_calibration(path: str | Path) -> Calibration:
     """
     data, locate = read_yaml(path)
     return _from_fields(Fields(data, path, locate))
-
-
-def _to_mapping(c: Calibration) -> dict[str, Any]:
-    verdict = {
-        "usable": c.verdict.usable,
-        "reasons": list(c.verdict.reasons),
-        "undetermined": [{"direction": u.direction, "words": u.words} for u in c.verdict.undetermined],
-    }
-    logs = [
-        {
-            "path": None if log.path is None else str(log.path),
-            "sha256": log.sha256,
-            "payload": log.payload,
-            "offset": log.offset,
-            "offset_std": log.offset_std,
-            "time_offset": log.time_offset,
-            "samples": {"used": log.used, "gated": log.gated, "rejected": log.rejected},
-            "disturbances": [list(interval) for interval in log.disturbances],
-            "dropped_rows": log.dropped_rows,
-            "nan_counts": log.nan_counts,
-        }
-        for log in c.logs
-    ]
-    return {
-        "format": FORMAT,
-        "verdict": verdict,
-        "gain": c.gain,
-        "gain_std": c.gain_std,
-        "gain_determined": c.gain_determined.tolist(),
-        "offset": c.offset,
-        "offset_std": c.offset_std,
-        "offset_temperature": c.offset_temperature,
-        "time_offset": c.time_offset,
-        "time_offset_std": c.time_offset_std,
-        "inverse": c.inverse,
-        "improvement": {"axes": {axis: asdict(judged) for axis, judged in c.improvement.items()}},
-        "bound": None if c.bound is None else asdict(c.bound),
-        "payload_posterior": c.payload_posterior,
-        "logs": logs,
-        "figures": c.figures,
-        "timings": c.timings,
-        "estimator": c.estimator,
-        "version": c.version,
-        "created": c.created,
-        "rig": c.rig.to_mapping(),
-        "covariance": c.covariance,
-    }
 
 
 def _from_fields(top: Fields) -> Calibration:
@@ -284,6 +235,7 @@ def _from_fields(top: Fields) -> Calibration:
                 Undetermined(direction=item.array("direction", (6 * n,)), words=item.text("words"))
                 for item in verdict.sections("undetermined")
             ),
+            blind_to=tuple(_blind_to(item) for item in _listed(verdict, "blind_to")),
         ),
         logs=tuple(_log_report(log, n) for log in top.sections("logs")),
         rig=rig,
@@ -301,6 +253,11 @@ def _from_fields(top: Fields) -> Calibration:
         time_offset=top.number("time_offset"),
         time_offset_std=top.number("time_offset_std"),
         payload_posterior=top.section("payload_posterior").data,
+        axes=_axes(top),
+        assumed=tuple(_assumed(item) for item in _listed(top, "assumed")),
+        quadratic=_per_channel(top, "quadratic", n),
+        quadratic_std=_per_channel(top, "quadratic_std", n, positive=True),
+        discrepancy=_per_channel(top, "discrepancy", n, positive=True),
         figures=top.section("figures").data if "figures" in top.data else {},
         timings=top.section("timings").data if "timings" in top.data else {},
         version=top.text("version"),
@@ -315,6 +272,55 @@ def _from_fields(top: Fields) -> Calibration:
         if not np.allclose(product, np.eye(6), atol=1e-6):
             raise top.error("inverse", "the generalised inverse of `gain`", "another matrix")
     return calibration
+
+
+def _listed(fields: Fields, key: str) -> list[Fields]:
+    """A list of mappings; empty in files from before there was one."""
+    return fields.sections(key) if key in fields.data else []
+
+
+def _per_channel(top: Fields, key: str, n: int, *, positive: bool = False) -> FloatArray | None:
+    """As many numbers as channels; None where there are none, as in files from before there were any."""
+    if top.data.get(key) is None:
+        return None
+    values = top.array(key, (n,))
+    if positive and (values < 0.0).any():
+        raise top.error(key, "numbers of at least 0", f"{values.min():g}")
+    return values
+
+
+def _axes(top: Fields) -> dict[str, bool]:
+    if not top.data.get("axes"):
+        return {}
+    axes = top.section("axes")
+    if set(axes.data) != set(AXES):
+        raise top.error("axes", f"each of {', '.join(AXES)}, or none", ", ".join(map(str, axes.data)))
+    return {axis: axes.flag(axis) for axis in AXES}
+
+
+def _assumed(item: Fields) -> Assumed:
+    sigma = None if item.data.get("sigma") is None else _size(item, "sigma")
+    return Assumed(
+        what=item.text("what"),
+        where=item.text("where"),
+        value=item.number("value"),
+        sigma=sigma,
+        evidence=item.text("evidence"),
+    )
+
+
+def _blind_to(item: Fields) -> BlindTo:
+    kind = item.text("kind")
+    if kind not in KINDS:
+        raise item.error("kind", f"one of {', '.join(KINDS)}")
+    return BlindTo(kind, _size(item, "size"), _size(item, "effect"), item.text("words"))
+
+
+def _size(item: Fields, key: str) -> float:
+    value = item.number(key)
+    if value < 0.0:
+        raise item.error(key, "a number of at least 0")
+    return value
 
 
 def _covariance(top: Fields, n: int) -> FloatArray:
@@ -340,7 +346,8 @@ def _log_report(log: Fields, n: int) -> LogReport:
         offset_std=log.array("offset_std", (n,)),
         time_offset=log.number("time_offset"),
         used=samples.count("used"),
-        gated=_counts(samples.section("gated")),
+        # `gated` until masks were called so
+        masked=_counts(samples.section("masked" if "masked" in samples.data else "gated")),
         rejected=_counts(samples.section("rejected")),
         disturbances=_intervals(log),
         dropped_rows=log.count("dropped_rows"),

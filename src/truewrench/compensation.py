@@ -55,7 +55,7 @@ def _with_weight(rig: Rig, log: Log) -> Log:
     if lost and lost == np.count_nonzero(sensed):
         expected = "gravity at the times of the sensor's samples, which `sensor.compensated` needs"
         raise InputError.at(log.path, "", "no direction of gravity at any of them", expected)
-    note = f"{lost} samples of the sensor left out: `sensor.compensated` needs gravity, which is not known then"
+    note = f"{lost} samples of the sensor left out: no gravity is known then (sensor.compensated needs it)"
     return replace(log, raw=raw, notes=(*log.notes, note) if lost else log.notes)
 
 

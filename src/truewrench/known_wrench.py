@@ -177,7 +177,7 @@ def known_wrench_reports(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstim
     """What each log contributed."""
     reports = []
     for k, log in enumerate(logs):
-        gated = {
+        masked = {
             "incomplete rows": int(estimate.incomplete[k]),
             "contradict the other rows": estimate.outliers[k].size,
         }
@@ -189,7 +189,7 @@ def known_wrench_reports(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstim
                 estimate.offsets[k],
                 estimate.offsets_std[k],
                 used=estimate.rows[k].size,
-                gated={reason: count for reason, count in gated.items() if count},
+                masked={reason: count for reason, count in masked.items() if count},
                 dropped_rows=log.dropped_rows,
                 nan_counts=log.nan_counts,
             )

@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 SHOWN = 10  # rows that are named one by one
+FEW = 5  # remarks, likewise
 
 _UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
 
@@ -54,6 +55,7 @@ def with_uncertainty(value: float, std: float) -> str:
 def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
     """The verdict first, then gain, offset, what they improve, and what they rest on."""
     yield _verdict(calibration)
+    yield from _beside_the_model(calibration)
     for axes in (AXES[:3], AXES[3:]):
         yield _gain(calibration, axes)
     if not calibration.gain_determined.all():
@@ -85,6 +87,9 @@ def _verdict(calibration: Calibration) -> RenderableType:
         text.append("NOT TO BE USED AS IT STANDS", style="bold red")
     for reason in verdict.reasons:
         text.append(f"\n  - {reason}")
+    unfit = [axis for axis, fit in calibration.axes.items() if not fit]
+    if unfit:
+        text.append(f"\nAxes that may not be used: {', '.join(unfit)}.")
     if verdict.undetermined:
         text.append("\nThe data do not determine:")
         for words, count in Counter(direction.words for direction in verdict.undetermined).items():
@@ -92,6 +97,28 @@ def _verdict(calibration: Calibration) -> RenderableType:
     for note in calibration.figures.get("notes", ()):
         text.append(f"\nNote: {note}")
     return text
+
+
+def _beside_the_model(calibration: Calibration) -> Iterator[RenderableType]:
+    """What was assumed beside the rig as stated, and what would have left no trace; a few lines, or none."""
+    lines = []
+    for assumed in calibration.assumed:
+        value = f"{assumed.value:.4g}"
+        if assumed.sigma is not None:
+            value = with_uncertainty(assumed.value, assumed.sigma)
+        evidence = f" ({assumed.evidence})" if assumed.evidence else ""
+        lines.append(f"{assumed.what}, {assumed.where}: {value}{evidence}")
+    if lines:
+        yield _items("Assumed beside the rig as stated:", lines)
+    if calibration.verdict.blind_to:
+        yield _items(
+            "What this record could not have shown:", [b.words for b in calibration.verdict.blind_to]
+        )
+
+
+def _items(title: str, lines: Sequence[str]) -> RenderableType:
+    more = [f"and {len(lines) - FEW} more, in calibration.yaml"] if len(lines) > FEW else []
+    return Text("\n  - ".join([title, *lines[:FEW], *more]))
 
 
 def _table(title: str, columns: Sequence[str]) -> Table:
@@ -160,7 +187,7 @@ def _limits(calibration: Calibration) -> RenderableType:
 def _logs(calibration: Calibration) -> RenderableType:
     table = _table("Logs", ["path", "payload", "samples used", "left out"])
     for log in calibration.logs:
-        reasons = {**log.gated, **log.rejected}
+        reasons = {**log.masked, **log.rejected}
         left_out = ", ".join(f"{count} ({reason})" for reason, count in reasons.items() if count) or "none"
         table.add_row(Text(str(log.path or "-")), Text(log.payload), str(log.used), Text(left_out))
     return table

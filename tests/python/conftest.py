@@ -15,7 +15,17 @@ import yaml
 from hypothesis import settings as hypothesis_settings
 
 from truewrench import robots
-from truewrench.calibration import AxisImprovement, Bound, Calibration, LogReport, Undetermined, Verdict
+from truewrench.calibration import (
+    AXES,
+    Assumed,
+    AxisImprovement,
+    BlindTo,
+    Bound,
+    Calibration,
+    LogReport,
+    Undetermined,
+    Verdict,
+)
 from truewrench.rig import Rig, load_rig
 
 # On a busy machine a slow example is no fault; in CI the same examples come again, new ones are found at
@@ -140,7 +150,7 @@ def calibration(rig: Rig) -> Calibration:
     offset = draw.normal(size=6)
     log = LogReport(
         path=Path("run.csv"), sha256="ab" * 32, payload="default", offset=offset, offset_std=std[36:],
-        time_offset=1e-3, used=990, gated={"contact": 4}, rejected={"no fit": 6},
+        time_offset=1e-3, used=990, masked={"contact": 4}, rejected={"no fit": 6},
         dropped_rows=2, nan_counts={"vx": 1},
     )  # fmt: skip
     unit = np.zeros(36)
@@ -148,11 +158,18 @@ def calibration(rig: Rig) -> Calibration:
     return Calibration(
         gain=gain, gain_std=std[:36].reshape(6, 6), offset=offset, offset_std=std[36:],
         inverse=np.linalg.inv(gain), covariance=covariance,
-        verdict=Verdict(usable=True, undetermined=(Undetermined(unit, "moment about z: gain of fz"),)),
+        verdict=Verdict(
+            usable=True, undetermined=(Undetermined(unit, "moment about z: gain of fz"),),
+            blind_to=(BlindTo("delay", 1e-3, 4e-3, "a delay of 1 ms would move a gain by 0.4 %"),),
+        ),
         logs=(log,), rig=rig, estimator="map",
         improvement={"fx": AxisImprovement(nominal=3.0, new=0.5, held_out=True, better=True),
                      "mz": AxisImprovement(nominal=0.1, new=0.1, held_out=True, better="unsure")},
         bound=Bound(oracle_rms=1e-3, rms=1.1e-3), offset_temperature=np.zeros(6), time_offset=1e-3,
         time_offset_std=1e-5, payload_posterior={"default": {"mass": 50.1}}, figures={"chi_square": 1.01},
+        axes=dict.fromkeys(AXES, True) | {"mz": False},
+        assumed=(Assumed("noise, factor on the stated", "all logs", 2.5, 0.1, "residuals"),
+                 Assumed("step of the offset, fraction of range", "run.csv, fx, 3.2 s", 0.01)),
+        quadratic=1e-3 * draw.normal(size=6), quadratic_std=np.full(6, 1e-4), discrepancy=np.full(6, 2e-4),
         timings={"estimate": 0.5}, version="0.1.0", created="2026-01-01T00:00:00+00:00",
     )  # fmt: skip

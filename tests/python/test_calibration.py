@@ -79,7 +79,13 @@ def test_other_programs_read_the_same_numbers(calibration: Calibration, tmp_path
     assert np.array(data["inverse"]).shape == (6, 6)
     assert data["verdict"]["usable"] is True
     assert data["improvement"]["axes"]["fx"] == {"nominal": 3.0, "new": 0.5, "held_out": True, "better": True}
-    assert data["logs"][0]["samples"] == {"used": 990, "gated": {"contact": 4}, "rejected": {"no fit": 6}}
+    assert data["axes"] == {"fx": True, "fy": True, "fz": True, "mx": True, "my": True, "mz": False}
+    noise = {"what": "noise, factor on the stated", "where": "all logs", "value": 2.5, "sigma": 0.1}
+    assert data["assumed"][0] == noise | {"evidence": "residuals"}
+    blind = {"kind": "delay", "size": 1e-3, "effect": 4e-3}
+    assert data["verdict"]["blind_to"] == [blind | {"words": "a delay of 1 ms would move a gain by 0.4 %"}]
+    assert np.array(data["quadratic"]).tobytes() == calibration.quadratic.tobytes()
+    assert data["logs"][0]["samples"] == {"used": 990, "masked": {"contact": 4}, "rejected": {"no fit": 6}}
 
 
 def edit(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
@@ -120,6 +126,25 @@ def edit(key: str, value: Any) -> Callable[[dict[str, Any]], None]:
             r"improvement\.axes\.fx\.better: found the text 'maybe', expected true, false",
         ),
         (edit("logs[0].samples.used", -1), r"logs\[0\]\.samples\.used: found -1, expected a whole number"),
+        (edit("axes.mz", "no"), r"axes\.mz: found the text 'no', expected true or false"),
+        (edit("axes.mz", None), r"axes: found fx, fy, fz, mx, my, expected each of fx, .*, or none"),
+        (edit("assumed", {}), r"assumed: found .*, expected a list"),
+        (edit("assumed[0].where", None), r"assumed\[0\]\.where: found nothing, expected this key"),
+        (edit("assumed[1].value", "much"), r"assumed\[1\]\.value: found the text 'much', expected a finite"),
+        (
+            edit("assumed[0].sigma", -0.1),
+            r"assumed\[0\]\.sigma: found -0\.1, expected a number of at least 0",
+        ),
+        (edit("quadratic", [0.0] * 7), r"quadratic: found 7 entries, expected a list of 6"),
+        (edit("discrepancy[2]", -1.0), r"discrepancy: found -1, expected numbers of at least 0"),
+        (
+            edit("verdict.blind_to[0].kind", "gremlins"),
+            r"verdict\.blind_to\[0\]\.kind: found .*, expected one of hysteresis, nonlinearity, cable",
+        ),
+        (
+            edit("verdict.blind_to[0].size", -1),
+            r"verdict\.blind_to\[0\]\.size: found -1, expected a number of",
+        ),
         (edit("rig.sensor.feels", "nothing"), r"sensor\.feels: found the text 'nothing', expected"),
         (edit("rig", "rig.yaml"), r"rig: found the text 'rig.yaml', expected a mapping"),
     ],
@@ -134,6 +159,26 @@ def test_file_that_cannot_be_right_is_refused_with_its_place(
     write_yaml(path, data)
     with pytest.raises(InputError, match=rf"calibration\.yaml.*: {message}"):
         load_calibration(path)
+
+
+def test_file_of_an_earlier_version_is_read_as_saying_nothing_of_what_came_later(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    path = tmp_path / "calibration.yaml"
+    calibration.write_yaml(path)
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    for key in ("axes", "assumed", "quadratic", "quadratic_std", "discrepancy"):
+        del data[key]
+    del data["verdict"]["blind_to"]
+    samples = data["logs"][0]["samples"]
+    samples["gated"] = samples.pop("masked")
+    write_yaml(path, data)
+    expected = replace(
+        calibration,
+        verdict=replace(calibration.verdict, blind_to=()),
+        axes={}, assumed=(), quadratic=None, quadratic_std=None, discrepancy=None,
+    )  # fmt: skip
+    assert same(load_calibration(path), expected)
 
 
 def test_gains_as_uncertain_as_before_are_marked_in_the_file(

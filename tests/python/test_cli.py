@@ -300,6 +300,22 @@ def test_json_is_one_object_on_standard_output(
     assert np.array(json.loads(out)["figures"]["gain"]).tobytes() == gain.tobytes()
 
 
+def test_json_says_what_was_assumed_and_what_the_record_is_blind_to(
+    run: Run, calibration: Calibration, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType,
+    rig_file: Path, tmp_path: Path,
+) -> None:  # fmt: skip
+    pipeline.verdict = calibration.verdict  # type: ignore[attr-defined]
+    log = csv_of(cells)
+    _, out, _ = run("calibrate", rig_file, log, "-o", tmp_path, "--no-report", "--json")
+    answer = json.loads(out)
+    assert answer["verdict"]["blind_to"][0]["kind"] == "delay"
+    assert answer["figures"]["assumed"][0]["value"] == 2.5
+    assert answer["figures"]["axes"]["mz"] is False
+    assert answer["figures"]["discrepancy"] == [2e-4] * 6
+    _, out, _ = run("apply", tmp_path / "calibration.yaml", log, "-o", tmp_path / "out.csv", "--json")
+    assert json.loads(out)["verdict"] == answer["verdict"]
+
+
 def test_internal_fault_gives_status_1_and_shows_its_place_on_request(
     run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
 ) -> None:

@@ -86,7 +86,7 @@ def test_a_contact_is_left_out_and_named_and_leaves_the_gain_honest(estimator: A
         left_out = np.zeros(len(log.time), dtype=bool)
         for begin, end in report.disturbances:
             left_out |= (log.time >= begin) & (log.time <= end)
-        assert left_out.sum() == report.gated.get("disturbance of the sensor", 0)
+        assert left_out.sum() == report.masked.get("disturbance of the sensor", 0)
         assert report.used + left_out.sum() + sum(report.rejected.values()) == len(log.time)
         found += bool(left_out[during].mean() > 0.5)
         clean.append(left_out[~during].mean())

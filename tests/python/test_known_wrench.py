@@ -115,7 +115,7 @@ def test_a_mis_noted_weight_is_left_out_and_named_to_the_user(
     (outlier,) = said["figures"]["fit"]["outliers"]
     assert outlier == {"log": 0, "row": 18, "time": pytest.approx(510.0)}
     calibration = load_calibration(tmp_path / "out" / "calibration.yaml")
-    assert calibration.logs[0].gated == {"contradict the other rows": 1}
+    assert calibration.logs[0].masked == {"contradict the other rows": 1}
     console = Console(file=io.StringIO(), width=200)
     show(console, calibration_summary(calibration))
     assert "row 18 (510 s) of" in console.file.getvalue()  # type: ignore[attr-defined]

@@ -18,7 +18,7 @@ PACKAGE = ROOT / "src" / "truewrench"
 FLOORS = [
     {"errors", "log", "motion", "figures", "_cpu"},
     {"_core", "files", "robots", "split"},
-    {"rig"},
+    {"calibration_parts", "rig"},
     {"arm", "attitude", "calibration", "motion_noise", "payload", "temperature"},
     {"compensation", "estimation", "exports", "inertial", "io"},
     {"apply", "estimate", "inspection"},

@@ -149,13 +149,13 @@ def test_every_sample_is_used_or_accounted_for(
     raw[first:last] += 40.0 * np.random.default_rng(0).normal(size=(last - first, 6))
     result = calibrate(rig, replace(run.log, raw=raw, twist=twist))
     (report,) = result.logs
-    assert report.used + sum(report.gated.values()) + sum(report.rejected.values()) == 1150
+    assert report.used + sum(report.masked.values()) + sum(report.rejected.values()) == 1150
     assert report.rejected["outside every window"] == pytest.approx(100, abs=2)
     if left_out is None:  # too long to be taken out of the windows that it lies in
         assert report.rejected["misfit"] > 0
         assert not result.verdict.usable
     else:
-        assert report.gated == {"disturbance of the sensor": left_out}
+        assert report.masked == {"disturbance of the sensor": left_out}
         assert set(report.rejected) == {"outside every window"}
         ((begin, end),) = report.disturbances
         assert (begin, end) == pytest.approx((run.log.time[first], run.log.time[last - 1]), abs=1e-9)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from truewrench.calibration import Calibration, Verdict
+from truewrench.calibration import Assumed, Calibration, Verdict
 from truewrench.summary import calibration_summary, show, with_uncertainty
 
 
@@ -61,6 +61,28 @@ def test_gain_that_the_data_do_not_determine_stands_in_brackets(calibration: Cal
     assert f"({with_uncertainty(calibration.gain[4, 2], 1e3)})" in text
     assert f"({with_uncertainty(calibration.gain[4, 1], std[4, 1])})" not in text
     assert "In brackets: not determined by the data" in text
+
+
+def test_what_was_assumed_and_what_could_not_be_seen_stand_below_the_verdict(
+    calibration: Calibration,
+) -> None:
+    text = printed(calibration, 120)
+    assert "Axes that may not be used: mz." in text
+    assert (
+        "Assumed beside the rig as stated:\n"
+        "  - noise, factor on the stated, all logs: 2.50 ± 0.10 (residuals)\n"
+        "  - step of the offset, fraction of range, run.csv, fx, 3.2 s: 0.01\n"
+    ) in text
+    assert "What this record could not have shown:\n  - a delay of 1 ms would move a gain by 0.4 %\n" in text
+    verdict = replace(calibration.verdict, blind_to=())
+    plain = printed(replace(calibration, verdict=verdict, assumed=(), axes={}), 120)
+    assert not any(words in plain for words in ("Assumed", "could not have shown", "may not be used"))
+
+
+def test_long_lists_of_assumptions_are_cut(calibration: Calibration) -> None:
+    many = tuple(Assumed("step", f"{k} s", 0.01) for k in range(9))
+    text = printed(replace(calibration, assumed=many))
+    assert "  - step, 4 s: 0.01\n  - and 4 more, in calibration.yaml\n" in text
 
 
 def test_notes_are_no_reasons(calibration: Calibration) -> None:

@@ -328,7 +328,7 @@ def _left_out(c: Calibration, record: Record) -> Section:
     lists = []
     total = 0
     for k, log in enumerate(c.logs):
-        total += sum(log.gated.values()) + sum(log.rejected.values())
+        total += sum(log.masked.values()) + sum(log.rejected.values())
         name = f"Log {k + 1}"
         lists += _listed(f"{name}: contacts and spikes, seconds from its first row", log.disturbances)
         if k < len(record.logs):

@@ -69,7 +69,7 @@ def helps(calibration: Calibration) -> Iterator[str]:
             "Much of the motion did not fit: move more smoothly or sample faster, fix what vibrates, and "
             "state the noise as it is."
         )
-    disturbed = sum(sum(log.gated.values()) for log in c.logs)
+    disturbed = sum(sum(log.masked.values()) for log in c.logs)
     if used and disturbed > 0.2 * (disturbed + used):
         yield (
             "Many samples were left out as contact or spikes: record again with nothing touching the payload."

@@ -264,7 +264,7 @@ def left_out_table(logs: tuple[LogReport, ...]) -> Table:
     """Samples used and left out of every log, by reason."""
     rows = []
     for k, log in enumerate(logs):
-        one_by_one = ", ".join(f"{n} ({why})" for why, n in log.gated.items() if n) or "none"
+        one_by_one = ", ".join(f"{n} ({why})" for why, n in log.masked.items() if n) or "none"
         by_window = ", ".join(f"{n} ({why})" for why, n in log.rejected.items() if n) or "none"
         nan = ", ".join(f"{n} ({column})" for column, n in log.nan_counts.items() if n) or "none"
         rows.append(

@@ -1,0 +1,156 @@
+"""What a calibration is made of besides its numbers: verdict, reports, and what the estimate assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "AXES",
+    "KINDS",
+    "Assumed",
+    "AxisImprovement",
+    "BlindTo",
+    "Bound",
+    "LogReport",
+    "Undetermined",
+    "Verdict",
+]
+
+AXES = ("fx", "fy", "fz", "mx", "my", "mz")
+"""The wrench axes, in order."""
+
+KINDS = (
+    *("hysteresis", "nonlinearity", "cable", "filter", "delay", "clock", "jitter", "vibration"),
+    *("gravity", "noise", "resolution", "drift", "step", "contact", "outliers"),
+)
+"""What a record may hold beside the model; whatever names it, names it by one of these."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Assumed:
+    """An alternative that the estimate needed beside the rig as stated.
+
+    Attributes:
+        what: it is, with the unit of its value; what a record holds beside the model by one of `KINDS`.
+        where: which log, channel, axis or time it concerns.
+        value: of the alternative.
+        sigma: its 1 sigma, None where none is known.
+        evidence: what spoke for it, in words.
+    """
+
+    what: str
+    where: str
+    value: float
+    sigma: float | None = None
+    evidence: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BlindTo:
+    """What the record could not have shown.
+
+    Attributes:
+        kind: one of `KINDS`.
+        size: of it: of a force that follows the pose a fraction of range, of a delay [s].
+        effect: by how much it would move some gain and leave no trace, normalised.
+        words: the same for a person.
+    """
+
+    kind: str
+    size: float
+    effect: float
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Undetermined:
+    """A direction of the gain that the data say nothing about.
+
+    Attributes:
+        direction: (6n,) unit vector over the normalised gains, row by row.
+        words: the same for a person, such as "moment about z: gains of all channels".
+    """
+
+    direction: FloatArray
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """Whether the result may be used as it stands.
+
+    Attributes:
+        usable: or not.
+        reasons: every one why not.
+        undetermined: directions that the data say nothing about.
+        blind_to: what the record could not have shown.
+    """
+
+    usable: bool
+    reasons: tuple[str, ...] = ()
+    undetermined: tuple[Undetermined, ...] = ()
+    blind_to: tuple[BlindTo, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AxisImprovement:
+    """RMS residual of one wrench axis with the nominal and with the new gain [N or N m]."""
+
+    nominal: float
+    new: float
+    held_out: bool
+    better: Literal[True, False, "unsure"]
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """What no estimator can beat, as RMS of sigma over the normalised gains.
+
+    Attributes:
+        oracle_rms: when the motion is known.
+        rms: when the motion has to be inferred from the log.
+    """
+
+    oracle_rms: float
+    rms: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogReport:
+    """What one log contributed.
+
+    Attributes:
+        path: as it was given, None for a log that was not read from a file.
+        sha256: of the file, empty likewise.
+        payload: which payload of the rig the arm carried.
+        offset: (n,) of this log [raw units].
+        offset_std: (n,) its 1 sigma.
+        time_offset: [s], t_motion = t_sensor + time_offset.
+        used: samples that the estimate rests on.
+        masked: samples left out one by one, by reason.
+        rejected: samples that the estimate could not use at all, by reason.
+        disturbances: (begin, end) of what was left out as contact or spike [s from the log's first row].
+        dropped_rows: rows of the log without any measurement.
+        nan_counts: cells that held NaN and were left out, by column.
+    """
+
+    path: Path | None
+    sha256: str
+    payload: str
+    offset: FloatArray
+    offset_std: FloatArray
+    time_offset: float = 0.0
+    used: int = 0
+    masked: Mapping[str, int] = field(default_factory=dict)
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    disturbances: tuple[tuple[float, float], ...] = ()
+    dropped_rows: int = 0
+    nan_counts: Mapping[str, int] = field(default_factory=dict)
