@@ -1,0 +1,236 @@
+// The estimator over whole records: include/truewrench/estimation/estimator.hpp.
+#include "bindings.hpp"
+
+#include "truewrench/estimation/estimator.hpp"
+
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <memory>
+#include <vector>
+
+namespace truewrench::python {
+namespace {
+
+// Rows of one log of a fit, in the order of time.
+nb::dict rows_of(const Fit& fit, std::size_t l) {
+  const LogFit& log = fit.logs().at(l);
+  Eigen::Index count = 0;
+  for (const Stretch& s : log.stretches) count += s.raw.size();
+  const int n = fit.channels();
+  Eigen::VectorXi source(count), stretch(count);
+  Eigen::VectorXd time(count), weight(count), masked(count);
+  RowMatrix residual(count, n), w(count, 6), cw(count, n), nu(count, 6), a(count, 6), g(count, 3), d = RowMatrix::Zero(count, n);
+  Eigen::Index at = 0;
+  for (std::size_t i = 0; i < log.stretches.size(); ++i) {
+    const Stretch& s = log.stretches[i];
+    for (Eigen::Index k = 0; k < s.raw.size(); ++k, ++at) {
+      source[at] = static_cast<int>(s.raw.source[static_cast<std::size_t>(k)]);
+      stretch[at] = static_cast<int>(i);
+      time[at] = s.raw.time[k];
+      weight[at] = s.raw.weight[k];
+      masked[at] = s.raw.masked[static_cast<std::size_t>(k)];
+      residual.row(at) = (s.raw.value.row(k).array().isFinite()).select(s.now.residual.row(k), std::nan(""));
+      w.row(at) = s.now.w.row(k);
+      cw.row(at) = s.now.cw.row(k);
+      nu.row(at) = s.now.nu.row(k);
+      a.row(at) = s.now.a.row(k);
+      g.row(at) = s.now.g.row(k);
+      if (log.sizes.form != Form::none) d.row(at) = s.value_at(k, 0, s.e);
+    }
+  }
+  nb::dict out;
+  out["source"] = source;
+  out["stretch"] = stretch;
+  out["time"] = time;
+  out["weight"] = weight;
+  out["masked"] = masked;
+  out["residual"] = residual;
+  out["w"] = w;
+  out["cw"] = cw;
+  out["nu"] = nu;
+  out["a"] = a;
+  out["g"] = g;
+  out["d"] = d;
+  return out;
+}
+
+RowMatrix motion_residual(const Fit& fit, std::size_t l, std::size_t stream) {
+  const LogFit& log = fit.logs().at(l);
+  std::vector<RowMatrix> parts;
+  Eigen::Index count = 0;
+  for (const Stretch& s : log.stretches) count += s.motion.at(stream).size();
+  RowMatrix out(count, log.log->components());
+  Eigen::Index at = 0;
+  for (const Stretch& s : log.stretches) {
+    const MotionRows& m = s.motion[stream];
+    out.middleRows(at, m.size()) = (m.value.array().isFinite()).select(m.residual, std::nan(""));
+    at += m.size();
+  }
+  return out;
+}
+
+}  // namespace
+
+void bind_fit(nb::module_& m) {
+  nb::enum_<Form>(m, "Form", "Where the discrepancy's process comes from.")
+      .value("none", Form::none)
+      .value("matern", Form::matern)
+      .value("walk", Form::walk);
+  nb::class_<Sizes>(m, "Sizes", "The sizes of one log's nuisances.")
+      .def_rw("raw_factor", &Sizes::raw_factor)
+      .def_rw("motion_factor", &Sizes::motion_factor)
+      .def_rw("q", &Sizes::q)
+      .def_rw("delta", &Sizes::delta)
+      .def_rw("cap", &Sizes::cap)
+      .def_rw("k", &Sizes::k)
+      .def_rw("form", &Sizes::form);
+  nb::class_<Columns>(m, "Columns", "Where the parameters of one log stand; -1: there is none.")
+      .def_ro("C", &Columns::C)
+      .def_ro("b", &Columns::b)
+      .def_ro("u", &Columns::u)
+      .def_ro("body", &Columns::body)
+      .def_ro("slope", &Columns::slope)
+      .def_ro("tilt", &Columns::tilt)
+      .def_ro("gamma", &Columns::gamma)
+      .def_ro("clock", &Columns::clock)
+      .def_ro("bias", &Columns::bias)
+      .def_ro("steps", &Columns::steps)
+      .def_ro("step_times", &Columns::step_times)
+      .def_prop_ro("at", [](const Columns& c) { return c.global; }, "Places in theta.");
+  nb::class_<Moment>(m, "Moment", "Size of a slow discrepancy by moments, of one group of channels.")
+      .def_ro("tau", &Moment::tau)
+      .def_ro("delta2", &Moment::delta2)
+      .def_ro("sd", &Moment::sd)
+      .def_ro("z", &Moment::z);
+  nb::class_<Agreement>(m, "Agreement", "Whether two parts of a record agree.")
+      .def_ro("p", &Agreement::p)
+      .def_ro("chi2", &Agreement::chi2)
+      .def_ro("freedom", &Agreement::freedom);
+  nb::class_<PoseShare>(m, "PoseShare", "How far a force that follows the pose can hide in the gain.")
+      .def_ro("A", &PoseShare::A)
+      .def_ro("ww", &PoseShare::ww)
+      .def_ro("period", &PoseShare::period)
+      .def_ro("moved", &PoseShare::moved);
+  nb::class_<Fit>(m, "Fit", "One fit of the model to one or several logs.")
+      .def_rw("theta", &Fit::theta)
+      .def_rw("prior", &Fit::prior)
+      .def_rw("robust", &Fit::robust)
+      .def_rw("lagged", &Fit::lagged)
+      .def_ro("deviance", &Fit::deviance)
+      .def_ro("iterations", &Fit::iterations)
+      .def_ro("converged", &Fit::converged)
+      .def_ro("failed", &Fit::failed)
+      .def_prop_ro("mean", [](const Fit& f) { return f.layout().mean(); })
+      .def_prop_ro("stated", [](const Fit& f) { return f.stated(); })
+      .def_prop_ro("active", [](const Fit& f) { return f.active_places(); })
+      .def_prop_ro("P", &Fit::P)
+      .def_prop_ro("S", &Fit::S)
+      .def_prop_ro("step", &Fit::step)
+      .def("columns", [](const Fit& f, std::size_t l) { return f.layout().log(l); })
+      .def("sizes", [](Fit& f, std::size_t l) -> Sizes& { return f.logs().at(l).sizes; }, nb::rv_policy::reference_internal)
+      .def("spacing", [](const Fit& f, std::size_t l) { return f.logs().at(l).stretches.front().spline.h(); })
+      .def("pieces",
+           [](const Fit& f, std::size_t l) {
+             std::vector<std::vector<double>> out;
+             for (const Stretch& s : f.logs().at(l).stretches) out.push_back({s.spline.begin(), s.spline.end()});
+             return out;
+           })
+      .def("motion", [](const Fit& f, std::size_t l, std::size_t s) { return f.logs().at(l).stretches.at(s).c; })
+      .def("set_motion", [](Fit& f, std::size_t l, std::size_t s, const RowMatrix& c) { f.logs().at(l).stretches.at(s).c = c; })
+      .def("discrepancy", [](const Fit& f, std::size_t l, std::size_t s) { return f.logs().at(l).stretches.at(s).e; })
+      .def("set_discrepancy",
+           [](Fit& f, std::size_t l, std::size_t s, const RowMatrix& e) { f.logs().at(l).stretches.at(s).e = e; })
+      .def("set_mask",
+           [](Fit& f, std::size_t l, const std::vector<char>& mask) {
+             std::size_t at = 0;
+             for (Stretch& s : f.logs().at(l).stretches)
+               for (char& x : s.raw.masked) x = mask.at(at++);
+           })
+      .def("predict", &Fit::predict)
+      .def("reweigh", &Fit::reweigh)
+      .def("linearise", &Fit::linearise)
+      .def("solve", &Fit::solve, nb::arg("frozen") = false)
+      .def("advance", &Fit::advance)
+      .def("resize", &Fit::resize)
+      .def("run", [](Fit& f) { f.run(); }, nb::call_guard<nb::gil_scoped_release>())
+      .def("objective", &Fit::objective)
+      .def("likelihood", &Fit::likelihood)
+      .def("log_determinant", &Fit::log_determinant)
+      .def("traces",
+           [](Fit& f, std::size_t l, std::size_t s) {
+             LogFit& log = f.logs().at(l);
+             const Eigen::MatrixXd P = Fit::gather(f.P(), f.layout().log(l).global);
+             const Traces t = log.sweeps.at(s).traces(log.stretches.at(s), f.layout().log(l), log.sizes, P);
+             nb::dict out;
+             out["raw"] = t.raw;
+             out["motion"] = t.motion;
+             out["motion_share"] = t.motion_share;
+             out["q"] = t.q;
+             return out;
+           })
+      .def("gradient",
+           [](const Fit& f) {
+             Eigen::VectorXd g = f.S() * f.step();
+             return g;
+           })
+      .def("rows", &rows_of)
+      .def("motion_residual", &motion_residual);
+  m.def(
+      "make_fit",
+      [](const Statement& rig, std::vector<const RecordedLog*> logs, const std::vector<double>& h,
+         const std::vector<std::vector<double>>& steps, Form form, bool cauchy) {
+        const auto shared = std::make_shared<const Statement>(rig);
+        std::vector<LogFit> fits;
+        for (std::size_t l = 0; l < logs.size(); ++l) {
+          LogFit log;
+          int dropped = 0;
+          log.log = logs[l];
+          log.h = h[l];
+          log.period = median_period(logs[l]->time);
+          for (const Piece& p : pieces_of(*logs[l], std::max(h[l], constants::knot_spacing), dropped))
+            log.stretches.emplace_back(*logs[l], *shared, p.begin, p.end, log.period, h[l]);
+          fits.push_back(std::move(log));
+        }
+        auto fit = std::make_shared<Fit>(shared, std::move(fits), steps, 1);
+        for (std::size_t l = 0; l < logs.size(); ++l) {
+          fit->logs()[l].sizes.form = form;
+          motion_alone(fit->logs()[l], fit->layout(), l);
+        }
+        if (form == Form::none) regress(*fit, cauchy);
+        return fit;
+      },
+      nb::arg("rig"), nb::arg("logs"), nb::arg("h"), nb::arg("steps"), nb::arg("form") = Form::none,
+      nb::arg("cauchy") = true, nb::keep_alive<0, 2>(),
+      "A fit of given knots that stands at START: for tests, stage by stage.");
+  nb::class_<Settings>(m, "Settings", "Of the estimator.")
+      .def(nb::init<>())
+      .def_rw("threads", &Settings::threads)
+      .def_rw("discrepancy", &Settings::discrepancy);
+  nb::class_<Estimate>(m, "Estimate", "What the estimator found.")
+      .def_ro("fit", &Estimate::fit)
+      .def_ro("status", &Estimate::status)
+      .def_ro("moments", &Estimate::moments)
+      .def_ro("covariance", &Estimate::covariance)
+      .def_ro("added", &Estimate::added)
+      .def_ro("gain_covariance", &Estimate::gain_covariance)
+      .def_ro("discrepancy2", &Estimate::discrepancy2)
+      .def_ro("pose", &Estimate::pose)
+      .def_ro("halves", &Estimate::halves)
+      .def_ro("quarters", &Estimate::quarters)
+      .def_prop_ro("unresolved", [](const Estimate& e) { return std::vector<bool>(e.unresolved.begin(), e.unresolved.end()); })
+      .def_ro("dropped", &Estimate::dropped)
+      .def_ro("fits", &Estimate::fits)
+      .def_ro("share", &Estimate::share);
+  m.def(
+      "estimate",
+      [](const Statement& rig, std::vector<const RecordedLog*> logs, const Settings& settings) {
+        return Estimator(std::make_shared<const Statement>(rig), std::move(logs), settings).run();
+      },
+      nb::arg("rig"), nb::arg("logs"), nb::arg("settings"), nb::keep_alive<0, 2>(),
+      nb::call_guard<nb::gil_scoped_release>());
+}
+
+}  // namespace truewrench::python

@@ -1,0 +1,440 @@
+// The estimator: START, ROBUST, MASK, FIT, how the discrepancy enters, steps of the offset and their repair (METHOD 10.3). It
+// returns the estimate, what it left out, the sizes it found and the findings that a judgement needs; it decides nothing.
+#pragma once
+
+#include "truewrench/estimation/hyperparameters.hpp"
+#include "truewrench/estimation/score.hpp"
+#include "truewrench/estimation/start.hpp"
+
+#include <cmath>
+#include <map>
+#include <memory>
+#include <vector>
+
+namespace truewrench {
+
+struct Settings {
+  int threads = 1;
+  double discrepancy = -1.0;  // stated: -1 auto, 0 none, else at least so much [fraction of range]
+};
+
+struct Estimate {
+  std::shared_ptr<Fit> fit;
+  Status status = Status::ok;
+  std::vector<std::vector<Moment>> moments;  // by log and group
+  Eigen::MatrixXd covariance;        // of theta, held parameters with their prior's width
+  Eigen::MatrixXd added;             // (10.9) (6n, 6n), 0 where d is in the fit
+  Eigen::MatrixXd gain_covariance;   // of C: with (10.9) and (10.10)
+  Eigen::VectorXd discrepancy2;      // (n) delta_i^2 for (10.10)
+  PoseShare pose;
+  Agreement halves, quarters;
+  std::vector<char> unresolved;      // by log: (10.7) still falls at one knot a sample
+  std::vector<int> dropped;          // by log: stretches too short
+  int fits = 0;
+  double share = 0.0;                // largest ratio of (10.9) to a gain's variance
+};
+
+// Where a record is cut: where all motion streams, or the sensor, are silent for five periods and six knots (METHOD 10.6).
+struct Piece {
+  double begin = 0.0, end = 0.0;
+};
+
+inline double median_period(const Eigen::VectorXd& time) {
+  if (time.size() < 2) return 0.0;
+  std::vector<double> d(static_cast<std::size_t>(time.size() - 1));
+  for (Eigen::Index k = 0; k + 1 < time.size(); ++k) d[static_cast<std::size_t>(k)] = time[k + 1] - time[k];
+  const auto middle = d.begin() + static_cast<std::ptrdiff_t>(d.size() / 2);
+  std::nth_element(d.begin(), middle, d.end());
+  return *middle;
+}
+
+// Of the fastest motion stream [s].
+inline double motion_period(const RecordedLog& log) {
+  double out = 0.0;
+  for (const MotionStream& m : log.motion) {
+    const double p = median_period(m.time);
+    if (p > 0.0 && (out == 0.0 || p < out)) out = p;
+  }
+  return out;
+}
+
+inline std::vector<Piece> pieces_of(const RecordedLog& log, double h, int& dropped) {
+  std::vector<double> sensor, motion;
+  for (Eigen::Index k = 0; k < log.time.size(); ++k)
+    if (log.raw.row(k).array().isFinite().any()) sensor.push_back(log.time[k]);
+  for (const MotionStream& m : log.motion)
+    for (Eigen::Index k = 0; k < m.time.size(); ++k)
+      if (m.value.row(k).array().isFinite().any()) motion.push_back(m.time[k]);
+  std::sort(motion.begin(), motion.end());
+  const auto covered = [h](const std::vector<double>& time, double period) {
+    std::vector<Piece> out;
+    for (std::size_t k = 0; k < time.size(); ++k) {
+      if (k == 0 || time[k] - time[k - 1] > std::max(5.0 * period, 6.0 * h)) out.push_back({time[k], time[k]});
+      out.back().end = time[k];
+    }
+    return out;
+  };
+  const std::vector<Piece> a = covered(sensor, median_period(log.time)), b = covered(motion, motion_period(log));
+  std::vector<Piece> out;
+  dropped = 0;
+  for (std::size_t i = 0, j = 0; i < a.size() && j < b.size();) {
+    const Piece both{std::max(a[i].begin, b[j].begin), std::min(a[i].end, b[j].end)};
+    if (both.end > both.begin) {
+      if (both.end - both.begin >= 12.0 * h) out.push_back(both);
+      else ++dropped;
+    }
+    (a[i].end < b[j].end ? i : j) += 1;
+  }
+  return out;
+}
+
+// The ladder of spacings: from max(0.05 s, 2.5 periods), halved down to one sample (10.2).
+inline std::vector<double> spacings(const RecordedLog& log) {
+  const double dt = motion_period(log);
+  std::vector<double> out{std::max(constants::knot_spacing, constants::periods_per_knot * dt)};
+  while (out.back() / 2.0 > 1.01 * dt) out.push_back(out.back() / 2.0);
+  out.push_back(dt);
+  return out;
+}
+
+class Estimator {
+ public:
+  Estimator(std::shared_ptr<const Statement> rig, std::vector<const RecordedLog*> logs, Settings settings)
+      : rig_(std::move(rig)), recorded_(std::move(logs)), settings_(settings) {}
+
+  Estimate run() {
+    Estimate out;
+    const std::size_t count = recorded_.size();
+    out.unresolved.assign(count, 0);
+    out.dropped.assign(count, 0);
+    for (std::size_t l = 0; l < count; ++l) {
+      const double coarsest = std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*recorded_[l]));
+      pieces_.push_back(pieces_of(*recorded_[l], coarsest, out.dropped[l]));
+      if (pieces_.back().empty()) {
+        out.status = Status::wrong_size;
+        return out;
+      }
+    }
+    // h, log by log
+    std::vector<double> h;
+    std::shared_ptr<Fit> robust;
+    for (std::size_t l = 0; l < count; ++l) {
+      bool unresolved = false;
+      robust = choose_spacing(l, h, unresolved, out);
+      if (!robust) {
+        out.status = Status::not_factorizable;
+        return out;
+      }
+      out.unresolved[l] = unresolved ? 1 : 0;
+    }
+    std::vector<std::vector<double>> steps(count);
+    if (count > 1) {
+      std::vector<LogFit> logs;
+      for (std::size_t l = 0; l < count; ++l) logs.push_back(log_fit(l, h[l]));
+      robust = started(std::move(logs), steps, true);
+      robust->run();
+      ++out.fits;
+    }
+    if (robust->failed) {
+      out.status = Status::not_factorizable;
+      return out;
+    }
+    seek_steps(robust, steps, out);
+    set_mask(*robust);
+    Rows best = fit_rows(*robust, steps, out, false);
+    repair(best, steps, out);
+    finish(best, out);
+    return out;
+  }
+
+ private:
+  // A fit of the masked rows, with (10.9).
+  struct Rows {
+    std::shared_ptr<Fit> fit;
+    std::vector<std::vector<Moment>> moments;
+    Eigen::MatrixXd added;
+  };
+
+  std::shared_ptr<const Statement> rig_;
+  std::vector<const RecordedLog*> recorded_;
+  Settings settings_;
+  std::vector<std::vector<Piece>> pieces_;
+
+  LogFit log_fit(std::size_t l, double h) const {
+    LogFit out;
+    out.log = recorded_[l];
+    out.h = h;
+    out.period = median_period(recorded_[l]->time);
+    for (const Piece& p : pieces_[l]) out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, out.period, h);
+    return out;
+  }
+
+  // The logs of a fit without its factorisation.
+  static std::vector<LogFit> bare(const Fit& fit) {
+    std::vector<LogFit> out;
+    for (const LogFit& l : fit.logs()) {
+      LogFit copy;
+      copy.log = l.log;
+      copy.h = l.h;
+      copy.period = l.period;
+      copy.stretches = l.stretches;
+      out.push_back(std::move(copy));
+    }
+    return out;
+  }
+
+  // START.
+  std::shared_ptr<Fit> started(std::vector<LogFit> logs, const std::vector<std::vector<double>>& steps, bool cauchy) const {
+    auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
+    fit->robust = true;
+    for (std::size_t l = 0; l < fit->logs().size(); ++l) motion_alone(fit->logs()[l], fit->layout(), l);
+    regress(*fit, cauchy);
+    return fit;
+  }
+
+  // h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving; again from there (10.2).
+  std::shared_ptr<Fit> choose_spacing(std::size_t l, std::vector<double>& chosen, bool& unresolved, Estimate& out) {
+    const std::vector<double> ladder = spacings(*recorded_[l]);
+    std::vector<double> alone;
+    for (std::size_t i = 0; i < ladder.size(); ++i) {
+      LogFit log = log_fit(l, ladder[i]);
+      std::vector<LogFit> one;
+      one.push_back(std::move(log));
+      Fit fit(rig_, std::move(one), {}, settings_.threads);
+      const double deviance = motion_alone(fit.logs()[0], fit.layout(), 0);
+      alone.push_back(std::isfinite(deviance) ? deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
+                                              : std::numeric_limits<double>::infinity());
+    }
+    const auto best_alone = static_cast<std::size_t>(std::min_element(alone.begin(), alone.end()) - alone.begin());
+    std::map<std::size_t, std::shared_ptr<Fit>> fits;
+    const auto fitted = [&](std::size_t i, bool finer) {
+      std::shared_ptr<Fit> lower;
+      for (const bool cauchy : {true, false}) {
+        if (!cauchy && !finer) break;
+        std::vector<LogFit> one;
+        one.push_back(log_fit(l, ladder[i]));
+        auto fit = started(std::move(one), {}, cauchy);
+        fit->run();
+        ++out.fits;
+        if (!fit->failed && std::isfinite(fit->deviance) && (!lower || fit->deviance < lower->deviance)) lower = fit;
+      }
+      return lower;
+    };
+    const auto cost = [&](std::size_t i) {
+      const auto& fit = fits[i];
+      return fit ? fit->deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
+                 : std::numeric_limits<double>::infinity();
+    };
+    std::size_t now = 0;
+    fits[0] = fitted(0, false);
+    for (;;) {
+      for (const std::size_t i : {now + 1, best_alone})
+        if (i > now && i < ladder.size() && fits.find(i) == fits.end()) fits[i] = fitted(i, true);
+      std::size_t best = now;
+      for (const auto& [i, fit] : fits)
+        if (cost(i) < cost(best)) best = i;
+      if (best <= now) break;
+      now = best;
+    }
+    unresolved = now + 1 == ladder.size();
+    chosen.push_back(ladder[now]);
+    return fits[now];
+  }
+
+  // MASK: w_t < 0.3; gaps of up to 30 ms closed; what then lasts 30 ms or more widened by 20 ms each side.
+  static void set_mask(Fit& fit) {
+    for (LogFit& log : fit.logs())
+      for (Stretch& s : log.stretches) {
+        const Eigen::Index n = s.raw.size();
+        std::vector<char> low(static_cast<std::size_t>(n), 0);
+        for (Eigen::Index k = 0; k < n; ++k) low[static_cast<std::size_t>(k)] = s.raw.weight[k] < constants::mask_weight;
+        Eigen::Index last = -1;
+        for (Eigen::Index k = 0; k < n; ++k) {
+          if (low[static_cast<std::size_t>(k)] == 0) continue;
+          if (last >= 0 && s.raw.time[k] - s.raw.time[last] - log.period <= constants::mask_join + 1e-9)
+            std::fill(low.begin() + last, low.begin() + k, char{1});
+          last = k;
+        }
+        std::vector<char> out = low;
+        for (Eigen::Index a = 0; a < n;) {
+          if (low[static_cast<std::size_t>(a)] == 0) {
+            ++a;
+            continue;
+          }
+          Eigen::Index b = a;
+          while (b < n && low[static_cast<std::size_t>(b)] != 0) ++b;
+          if (s.raw.time[b - 1] - s.raw.time[a] + log.period >= constants::mask_length - 1e-9)
+            for (Eigen::Index k = 0; k < n; ++k)
+              if (s.raw.time[k] >= s.raw.time[a] - constants::mask_margin - 1e-9 &&
+                  s.raw.time[k] <= s.raw.time[b - 1] + constants::mask_margin + 1e-9)
+                out[static_cast<std::size_t>(k)] = 1;
+          a = b;
+        }
+        s.raw.masked = std::move(out);
+      }
+  }
+
+  static double masked_share(const Fit& fit, std::size_t l) {
+    double masked = 0.0, all = 0.0;
+    for (const Stretch& s : fit.logs()[l].stretches) {
+      masked += static_cast<double>(std::count(s.raw.masked.begin(), s.raw.masked.end(), char{1}));
+      all += static_cast<double>(s.raw.size());
+    }
+    return masked / std::max(all, 1.0);
+  }
+
+  static void clear_mask(std::vector<LogFit>& logs) {
+    for (LogFit& log : logs)
+      for (Stretch& s : log.stretches) std::fill(s.raw.masked.begin(), s.raw.masked.end(), char{0});
+  }
+
+  std::shared_ptr<Fit> robust_from(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out) const {
+    std::vector<LogFit> logs = bare(like);
+    clear_mask(logs);
+    auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
+    fit->robust = true;
+    fit->start_from(like).run();
+    ++out.fits;
+    return fit;
+  }
+
+  // Steps of the offset, where the mask would hide more than 20 % of a log.
+  void seek_steps(std::shared_ptr<Fit>& robust, std::vector<std::vector<double>>& steps, Estimate& out) const {
+    for (std::size_t l = 0; l < steps.size(); ++l)
+      while (steps[l].size() < 2) {
+        Fit masked = *robust;
+        set_mask(masked);
+        if (masked_share(masked, l) <= constants::most_masked) break;
+        const auto t = best_step(*robust, l);
+        if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) break;
+        auto trial_steps = steps;
+        trial_steps[l].push_back(*t);
+        std::sort(trial_steps[l].begin(), trial_steps[l].end());
+        auto trial = robust_from(*robust, trial_steps, out);
+        if (trial->failed || !(trial->deviance <= robust->deviance - constants::step_gain)) break;
+        robust = trial;
+        steps = trial_steps;
+      }
+  }
+
+  // FIT on the unmasked rows: without d, then in both forms of d where (10.9), or `force`, asks for it.
+  Rows fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out, bool force) const {
+    auto plain = std::make_shared<Fit>(rig_, bare(like), steps, settings_.threads);
+    plain->start_from(like).run();
+    ++out.fits;
+    Rows rows{plain, {}, {}};
+    const int n = plain->channels();
+    if (plain->failed) return rows;
+    for (std::size_t l = 0; l < plain->logs().size(); ++l) rows.moments.push_back(moments(*plain, l));
+    rows.added = spread(*plain, rows.moments, unmasked(*plain));
+    const Eigen::MatrixXd P = plain->covariance();
+    out.share = 0.0;
+    for (int i = 0; i < 6 * n; ++i) out.share = std::max(out.share, rows.added(i, i) / P(i, i));
+    if (out.share <= 1.0 && !force) return rows;
+    for (const Form form : {Form::matern, Form::walk}) {
+      auto d = std::make_shared<Fit>(rig_, bare(*plain), steps, settings_.threads);
+      for (LogFit& log : d->logs()) log.sizes.form = form;
+      d->start_from(*plain);
+      for (std::size_t l = 0; l < d->logs().size(); ++l) {
+        Sizes& z = d->logs()[l].sizes;
+        double length = 0.0;
+        for (const Stretch& s : d->logs()[l].stretches) {
+          length = std::max(length, s.spline.end() - s.spline.begin());
+        }
+        for (Stretch& s : d->logs()[l].stretches) s.e.setZero();
+        z.k = form == Form::walk ? 1.0 / length : 1.0 / 0.3;
+        for (int r = 0; r < z.delta.size(); ++r) {
+          const double sigma = plain->group_sigma(l, r);
+          z.cap[r] = constants::discrepancy_cap * sigma;
+          z.delta[r] = std::clamp(std::sqrt(rows.moments[l][static_cast<std::size_t>(r)].delta2), 0.1 * sigma, sigma);
+        }
+      }
+      d->run();
+      ++out.fits;
+      const bool plain_stands = rows.fit == plain;
+      if (!d->failed && std::isfinite(d->deviance) && (plain_stands || d->deviance < rows.fit->deviance)) rows.fit = d;
+    }
+    if (rows.fit != plain) rows.added.setZero();
+    return rows;
+  }
+
+  // At most three times: where the scan finds something with d in V, its best suffix becomes a step.
+  void repair(Rows& best, std::vector<std::vector<double>>& steps, Estimate& out) const {
+    for (int round = 0; round < 3; ++round) {
+      std::size_t l = 0;
+      std::optional<double> t;
+      for (; l < steps.size(); ++l)
+        if ((t = best_step(*best.fit, l))) break;
+      if (t && best.fit->logs()[0].sizes.form == Form::none) {  // d must be in V before a step is sought
+        best = fit_rows(*best.fit, steps, out, true);
+        t = best_step(*best.fit, l);
+      }
+      if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) return;
+      auto trial_steps = steps;
+      trial_steps[l].push_back(*t);
+      std::sort(trial_steps[l].begin(), trial_steps[l].end());
+      auto robust = robust_from(*best.fit, trial_steps, out);
+      if (robust->failed) return;
+      set_mask(*robust);
+      const Rows trial = fit_rows(*robust, trial_steps, out, false);
+      const Rows bare_ = fit_rows(*robust, steps, out, true);
+      double blocks = 0.0;
+      for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
+      if (trial.fit->failed || !(trial.fit->deviance <= bare_.fit->deviance - 2.0 * std::log(blocks))) return;
+      best = trial;
+      steps = trial_steps;
+    }
+  }
+
+  void finish(Rows& best, Estimate& out) const {
+    Fit& fit = *best.fit;
+    out.fit = best.fit;
+    out.moments = best.moments;
+    if (fit.failed || !fit.linearise() || !fit.solve()) {
+      out.status = Status::not_factorizable;
+      return;
+    }
+    const int n = fit.channels();
+    out.covariance = fit.covariance();
+    out.added = best.added;
+    out.pose = pose_share(fit);
+    // delta_i^2 for (10.10): found, or its moment and 1 sd where d stayed out; of a walk over one period of the motion
+    out.discrepancy2 = Eigen::VectorXd::Zero(n);
+    double total = 0.0;
+    for (std::size_t l = 0; l < fit.logs().size(); ++l) {
+      double rows = 0.0;
+      for (const Stretch& s : fit.logs()[l].stretches) rows += static_cast<double>(s.raw.size());
+      const Sizes& z = fit.logs()[l].sizes;
+      for (int i = 0; i < n; ++i) {
+        const int r = raw_group(i, n);
+        const Moment& m = best.moments[l][static_cast<std::size_t>(r)];
+        double f2 = z.form == Form::none ? m.delta2 + m.sd : z.delta[r] * z.delta[r];
+        if (z.form == Form::walk) f2 *= 2.0 * (1.0 - std::exp(-z.k * out.pose.period));
+        out.discrepancy2[i] += rows * f2;
+      }
+      total += rows;
+    }
+    out.discrepancy2 /= total;
+    out.gain_covariance = out.covariance.topLeftCorner(6 * n, 6 * n) + out.added;
+    if (settings_.discrepancy != 0.0) {
+      Eigen::VectorXd f2 = out.discrepancy2;
+      if (settings_.discrepancy > 0.0) f2 = f2.cwiseMax(settings_.discrepancy * settings_.discrepancy);
+      out.gain_covariance = add_pose(out.gain_covariance, fit.prior.head(6 * n), f2, out.pose);
+    }
+    // the parts of the record
+    const std::vector<std::vector<Moment>> found = fit.logs()[0].sizes.form == Form::none ? best.moments : std::vector<std::vector<Moment>>{};
+    const auto place = [&fit](std::size_t l, std::size_t s, Eigen::Index k) {  // 0 ... 1 within the log
+      const auto& stretches = fit.logs()[l].stretches;
+      const double begin = stretches.front().spline.begin(), end = stretches.back().spline.end();
+      return (stretches[s].raw.time[k] - begin) / (end - begin);
+    };
+    out.halves = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) { return place(l, s, k) < 0.5; });
+    out.quarters = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
+      return static_cast<int>(std::floor(4.0 * place(l, s, k))) % 2 == 0;
+    });
+    fit.linearise();
+    fit.solve(true);
+  }
+};
+
+}  // namespace truewrench

@@ -1,0 +1,414 @@
+// One fit of the model to one or several logs (METHOD 10.1, 10.2): Gauss-Newton on the motion and theta together, the sizes by
+// (10.6), and the likelihood (10.7) that compares fits.
+#pragma once
+
+#include "truewrench/estimation/sweep.hpp"
+#include "truewrench/parallel.hpp"
+
+#include <limits>
+#include <memory>
+
+namespace truewrench {
+
+// One log within a fit.
+struct LogFit {
+  const RecordedLog* log = nullptr;
+  double h = constants::knot_spacing;
+  double period = 0.01;  // [s] of the sensor
+  std::vector<Stretch> stretches;
+  std::vector<Sweep> sweeps;
+  Sizes sizes;
+  double tau_step = 0.0, tau_limit = 0.7;  // of the last move of log k
+};
+
+class Fit {
+ public:
+  Fit() = default;
+  Fit(std::shared_ptr<const Statement> rig, std::vector<LogFit> logs, const std::vector<std::vector<double>>& steps,
+      int threads)
+      : rig_(std::move(rig)), logs_(std::move(logs)), steps_(steps), threads_(threads) {
+    std::vector<const RecordedLog*> recorded;
+    for (const LogFit& l : logs_) recorded.push_back(l.log);
+    layout_ = Layout(*rig_, recorded, steps_);
+    theta = layout_.mean();
+    stated_ = layout_.sigma().cwiseMax(1e-9).cwiseMin(1e30).cwiseAbs2();
+    prior = stated_;
+    active.assign(static_cast<std::size_t>(layout_.size()), 1);
+    n_ = static_cast<int>(rig_->noise.size());
+    lagged = rig_->nominal;
+    for (LogFit& l : logs_) {
+      l.sweeps.resize(l.stretches.size());
+      Sizes& z = l.sizes;
+      z.raw_factor = Eigen::VectorXd::Ones(raw_groups(n_));
+      z.q = Eigen::VectorXd::Constant(l.log->components(), constants::smoothness_start);
+      z.delta = Eigen::VectorXd::Zero(raw_groups(n_));
+      z.cap = Eigen::VectorXd::Constant(raw_groups(n_), std::numeric_limits<double>::infinity());
+      z.motion_factor.clear();
+      for (const MotionStream& m : l.log->motion) z.motion_factor.push_back(Eigen::VectorXd::Ones(m.group.maxCoeff() + 1));
+    }
+  }
+
+  Eigen::VectorXd theta, prior;  // prior: variances as the sizes have them
+  std::vector<char> active;      // kappa and gamma may be held (10.1)
+  RowMatrix lagged;              // C_0 of (10.3)
+  bool robust = false;
+  double deviance = std::numeric_limits<double>::quiet_NaN();  // -2 log L (10.7)
+  int iterations = 0;
+  bool converged = false;
+  bool failed = false;  // a factorisation: the record says nothing finite
+
+  const Statement& rig() const { return *rig_; }
+  std::shared_ptr<const Statement> shared_rig() const { return rig_; }
+  const Layout& layout() const { return layout_; }
+  std::vector<LogFit>& logs() { return logs_; }
+  const std::vector<LogFit>& logs() const { return logs_; }
+  const std::vector<std::vector<double>>& steps() const { return steps_; }
+  int channels() const { return n_; }
+  int threads() const { return threads_; }
+  const Eigen::MatrixXd& P() const { return P_; }
+  const Eigen::MatrixXd& S() const { return S_; }
+  const Eigen::VectorXd& step() const { return step_; }
+  const Eigen::VectorXd& stated() const { return stated_; }
+  double log_determinant() const { return logdet_x_ + logdet_s_; }
+
+  Eigen::VectorXd local(std::size_t l) const { return pick(theta, layout_.log(l)); }
+
+  // Standard deviation found of a channel's samples, fraction of range.
+  double sigma(std::size_t l, int channel) const {
+    return rig_->noise[channel] * logs_[l].sizes.raw_factor[raw_group(channel, n_)];
+  }
+  // RMS of sigma over the channels of a group.
+  double group_sigma(std::size_t l, int group) const {
+    double sum = 0.0;
+    int count = 0;
+    for (int i = 0; i < n_; ++i)
+      if (raw_group(i, n_) == group) {
+        sum += sigma(l, i) * sigma(l, i);
+        ++count;
+      }
+    return std::sqrt(sum / count);
+  }
+
+  void predict() {
+    each_stretch([this](std::size_t l, Stretch& s, Sweep&) {
+      s.predict(layout_.log(l), local(l), lagged, logs_[l].sizes.form != Form::none);
+    });
+  }
+
+  // w_t of 10.3 at the residuals and sizes as they stand.
+  void reweigh() {
+    for (std::size_t l = 0; l < logs_.size(); ++l)
+      for (Stretch& s : logs_[l].stretches)
+        for (Eigen::Index k = 0; k < s.raw.size(); ++k)
+          s.raw.weight[k] = s.raw.masked[static_cast<std::size_t>(k)] != 0 ? 0.0
+                            : robust ? (constants::freedom + s.raw.channels[k]) / (constants::freedom + chi2(l, s, k))
+                                     : 1.0;
+  }
+
+  // chi^2(t) of the channels of one sample.
+  double chi2(std::size_t l, const Stretch& s, Eigen::Index k) const {
+    double sum = 0.0;
+    for (int i = 0; i < n_; ++i) {
+      const double z = s.now.residual(k, i) / sigma(l, i);
+      sum += z * z;
+    }
+    return sum;
+  }
+
+  // Information and gradient of all rows, the motion eliminated; false where a factorisation fails.
+  bool linearise() {
+    std::vector<std::vector<Information>> parts(logs_.size());
+    for (std::size_t l = 0; l < logs_.size(); ++l) parts[l].resize(logs_[l].stretches.size());
+    each_stretch([this, &parts](std::size_t l, Stretch& s, Sweep& sweep) {
+      const auto i = static_cast<std::size_t>(&s - logs_[l].stretches.data());
+      parts[l][i] = sweep.forward(s, layout_.log(l), local(l), lagged, logs_[l].sizes);
+    });
+    const Eigen::Index nt = layout_.size();
+    data_ = Eigen::MatrixXd::Zero(nt, nt);
+    gradient_ = Eigen::VectorXd::Zero(nt);
+    logdet_x_ = 0.0;
+    log_data_.assign(logs_.size(), Eigen::MatrixXd());
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      const std::vector<int>& at = layout_.log(l).global;
+      log_data_[l] = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(at.size()), static_cast<Eigen::Index>(at.size()));
+      for (const Information& part : parts[l]) {
+        if (!std::isfinite(part.logdet)) {
+          failed = true;
+          return false;
+        }
+        logdet_x_ += part.logdet;
+        log_data_[l] += part.S;
+        for (std::size_t i = 0; i < at.size(); ++i) {
+          gradient_[at[i]] += part.g[static_cast<Eigen::Index>(i)];
+          for (std::size_t j = 0; j < at.size(); ++j)
+            data_(at[i], at[j]) += part.S(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+        }
+      }
+    }
+    return true;
+  }
+
+  // The step of theta from the last linearisation; `frozen`: with priors and held parameters as they stand.
+  bool solve(bool frozen = false) {
+    const Eigen::VectorXd pull = gradient_ - (theta - layout_.mean()).cwiseQuotient(prior);
+    if (!frozen) {
+      clock_prior(pull);
+      hold();
+    }
+    S_ = data_;
+    S_.diagonal() += prior.cwiseInverse();
+    const std::vector<int> use = active_places();
+    Eigen::LLT<Eigen::MatrixXd> llt(gather(S_, use));
+    if (llt.info() != Eigen::Success) return !(failed = true);
+    logdet_s_ = 2.0 * llt.matrixLLT().diagonal().array().log().sum();
+    const Eigen::MatrixXd inverse = llt.solve(Eigen::MatrixXd::Identity(llt.rows(), llt.cols()));
+    P_ = Eigen::MatrixXd::Zero(layout_.size(), layout_.size());
+    for (std::size_t i = 0; i < use.size(); ++i)
+      for (std::size_t j = 0; j < use.size(); ++j)
+        P_(use[i], use[j]) = inverse(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+    step_ = P_ * (gradient_ - (theta - layout_.mean()).cwiseQuotient(prior));
+    return true;
+  }
+
+  // Covariance of theta; what is held adds the width of its prior (10.1).
+  Eigen::MatrixXd covariance() const {
+    Eigen::MatrixXd out = P_;
+    for (Eigen::Index i = 0; i < layout_.size(); ++i) {
+      if (active[static_cast<std::size_t>(i)] != 0) continue;
+      Eigen::VectorXd L = -P_ * S_.col(i);
+      L[i] = 1.0;
+      out += prior[i] * L * L.transpose();
+    }
+    return out;
+  }
+
+  // What a step must lower at fixed sizes: the terms of (10.7) in x and theta.
+  double objective() const {
+    double sum = 0.0;
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      const Sizes& z = logs_[l].sizes;
+      for (const Stretch& s : logs_[l].stretches) {
+        for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
+          if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
+          const double x = chi2(l, s, k);
+          sum += robust ? (constants::freedom + s.raw.channels[k]) * std::log1p(x / constants::freedom) : x;
+        }
+        for (std::size_t i = 0; i < s.motion.size(); ++i) {
+          const MotionStream& stream = logs_[l].log->motion[i];
+          for (int j = 0; j < s.components(); ++j) {
+            const double sigma_j = stream.sigma[j] * z.motion_factor[i][stream.group[j]];
+            sum += s.motion[i].residual.col(j).squaredNorm() / (sigma_j * sigma_j);
+          }
+        }
+        for (int j = 0; j < s.components(); ++j)
+          sum += s.spline.smoothness(smoothness_order(logs_[l].log->source, j)).quadratic(s.c.col(j)) / z.q[j];
+        if (z.form != Form::none) {
+          const Penalty R = s.spline.discrepancy(z.k, z.form);
+          for (int i = 0; i < n_; ++i) {
+            const double delta = z.delta[raw_group(i, n_)];
+            sum += R.quadratic(s.e.col(i)) / (delta * delta);
+          }
+        }
+      }
+    }
+    for (Eigen::Index i = 0; i < layout_.size(); ++i)
+      if (active[static_cast<std::size_t>(i)] != 0) {
+        const double d = theta[i] - layout_.mean()[i];
+        sum += d * d / prior[i];
+      }
+    return sum;
+  }
+
+  // Take the step of the last solve, halved until the objective falls.
+  void advance() {
+    const double before = objective();
+    const Eigen::VectorXd from = theta;
+    std::vector<std::vector<std::array<RowMatrix, 4>>> x(logs_.size());  // c, e and their steps
+    for (std::size_t l = 0; l < logs_.size(); ++l) x[l].resize(logs_[l].stretches.size());
+    each_stretch([this, &x](std::size_t l, Stretch& s, Sweep& sweep) {
+      auto& [c, e, dc, de] = x[l][static_cast<std::size_t>(&s - logs_[l].stretches.data())];
+      c = s.c;
+      e = s.e;
+      dc = RowMatrix::Zero(c.rows(), c.cols());
+      de = RowMatrix::Zero(e.rows(), e.cols());
+      sweep.back(pick(step_, layout_.log(l)), dc, de);
+    });
+    double share = 1.0;
+    for (int halving = 0; halving <= constants::most_halvings; ++halving, share *= 0.5) {
+      theta = from + share * step_;
+      for (std::size_t l = 0; l < logs_.size(); ++l)
+        for (std::size_t i = 0; i < x[l].size(); ++i) {
+          const auto& [c, e, dc, de] = x[l][i];
+          logs_[l].stretches[i].c = c + share * dc;
+          if (logs_[l].sizes.form != Form::none) logs_[l].stretches[i].e = e + share * de;
+        }
+      predict();
+      if (objective() <= before + 1e-3 * share) return;
+    }
+  }
+
+  // Gauss-Newton and (10.6) until theta moves by less than 0.05 sigma (RMS) and the sizes by less than 5 %.
+  Fit& run() {
+    lagged = Eigen::Map<const RowMatrix>(theta.data() + layout_.C, n_, 6);
+    predict();
+    reweigh();
+    converged = false;
+    for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
+      if (!linearise() || !solve()) return *this;
+      advance();
+      const auto count = static_cast<double>(active_places().size());
+      const double move = std::sqrt(step_.dot(S_ * step_) / count);
+      if (resize() < constants::size_move && move < constants::theta_move && iterations > 2) {
+        converged = true;
+        break;
+      }
+    }
+    if (!linearise() || !solve()) return *this;
+    advance();
+    deviance = likelihood();
+    return *this;
+  }
+
+  // -2 log L (10.7), with the Student-t sum in place of the rows' r^2 / sigma^2 where robust.
+  double likelihood() const {
+    double sum = objective() + log_determinant();
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      const Sizes& z = logs_[l].sizes;
+      for (const Stretch& s : logs_[l].stretches) {
+        for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
+          if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
+          for (int i = 0; i < n_; ++i)
+            if (std::isfinite(s.raw.value(k, i))) sum += 2.0 * std::log(sigma(l, i));
+        }
+        for (std::size_t i = 0; i < s.motion.size(); ++i) {
+          const MotionStream& stream = logs_[l].log->motion[i];
+          for (int j = 0; j < s.components(); ++j)
+            sum += 2.0 * std::log(stream.sigma[j] * z.motion_factor[i][stream.group[j]]) *
+                   static_cast<double>(s.motion[i].value.col(j).array().isFinite().count());
+        }
+        const auto N = static_cast<double>(s.spline.size());
+        for (int j = 0; j < s.components(); ++j) {
+          const int p = smoothness_order(logs_[l].log->source, j);
+          sum += (N - p) * std::log(z.q[j]) - s.spline.smoothness_logdet(p);
+        }
+        if (z.form == Form::none) continue;
+        for (int i = 0; i < n_; ++i) sum += 2.0 * N * std::log(z.delta[raw_group(i, n_)]);
+        sum -= n_ * s.spline.logdet(s.spline.discrepancy(z.k, z.form));
+      }
+    }
+    for (const int i : active_places()) sum += std::log(prior[i]);
+    return sum;
+  }
+
+  // (10.6) once, at the state after the step, traces from the factor before it; the largest relative move.
+  double resize();
+
+  // State and sizes of another fit of the same logs at the same h.
+  Fit& start_from(const Fit& other) {
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      Sizes& z = logs_[l].sizes;
+      const Sizes& from = other.logs_[l].sizes;
+      z.q = from.q;
+      z.raw_factor = from.raw_factor;
+      z.motion_factor = from.motion_factor;
+      if (z.form != Form::none && z.form == from.form) {
+        z.delta = from.delta;
+        z.k = from.k;
+      }
+      for (std::size_t i = 0; i < logs_[l].stretches.size(); ++i) {
+        logs_[l].stretches[i].c = other.logs_[l].stretches[i].c;
+        if (z.form != Form::none && z.form == from.form) logs_[l].stretches[i].e = other.logs_[l].stretches[i].e;
+      }
+      const Columns &to = layout_.log(l), &has = other.layout_.log(l);
+      for (std::size_t i = 0; i < std::min(to.global.size(), has.global.size()); ++i) {  // steps come last
+        theta[to.global[i]] = other.theta[has.global[i]];
+        prior[to.global[i]] = other.prior[has.global[i]];
+      }
+    }
+    return *this;
+  }
+
+  std::vector<int> active_places() const {
+    std::vector<int> out;
+    for (std::size_t i = 0; i < active.size(); ++i)
+      if (active[i] != 0) out.push_back(static_cast<int>(i));
+    return out;
+  }
+
+  static Eigen::MatrixXd gather(const Eigen::MatrixXd& m, const std::vector<int>& at) {
+    Eigen::MatrixXd out(at.size(), at.size());
+    for (std::size_t i = 0; i < at.size(); ++i)
+      for (std::size_t j = 0; j < at.size(); ++j)
+        out(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) = m(at[i], at[j]);
+    return out;
+  }
+
+  static Eigen::VectorXd pick(const Eigen::VectorXd& v, const Columns& columns) {
+    Eigen::VectorXd out(columns.size());
+    for (int i = 0; i < columns.size(); ++i) out[i] = v[columns.global[static_cast<std::size_t>(i)]];
+    return out;
+  }
+
+ private:
+  std::shared_ptr<const Statement> rig_;
+  std::vector<LogFit> logs_;
+  std::vector<std::vector<double>> steps_;
+  int threads_ = 1, n_ = 6;
+  Layout layout_;
+  Eigen::VectorXd stated_, gradient_, step_;
+  Eigen::MatrixXd data_, S_, P_;
+  std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
+  double logdet_x_ = 0.0, logdet_s_ = 0.0;
+
+  template <typename Work>
+  void each_stretch(const Work& work) {
+    std::vector<std::pair<std::size_t, std::size_t>> all;
+    for (std::size_t l = 0; l < logs_.size(); ++l)
+      for (std::size_t i = 0; i < logs_[l].stretches.size(); ++i) all.emplace_back(l, i);
+    parallel_for(all.size(), threads_, [&](std::size_t k) {
+      const auto [l, i] = all[k];
+      work(l, logs_[l].stretches[i], logs_[l].sweeps[i]);
+    });
+  }
+
+  // s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2) (10.1).
+  void clock_prior(const Eigen::VectorXd& pull) {
+    const Eigen::MatrixXd P = inverse_with_prior();
+    const Eigen::VectorXd step = P * pull;
+    for (std::size_t l = 0; l < logs_.size(); ++l)
+      for (const int at : layout_.log(l).clock) {
+        const int i = layout_.log(l).global[static_cast<std::size_t>(at)];
+        const double s = theta[i] + step[i];
+        const double V = 1.0 / std::max(1.0 / P(i, i) - 1.0 / prior[i], 1e-12);
+        const double apart = (s - layout_.mean()[i]) * V / P(i, i);
+        prior[i] = stated_[i] + std::max(0.0, apart * apart - V - stated_[i]);
+      }
+  }
+
+  // kappa and gamma are held at their means unless the data's own variance is below 1/16 (10.1).
+  void hold() {
+    const Eigen::MatrixXd P = inverse_with_prior();
+    std::fill(active.begin(), active.end(), char{1});
+    const auto judge = [&](int i) {
+      const double own = std::max(1.0 / P(i, i) - 1.0 / prior[i], 0.0);
+      if (own > constants::filter_information) return;
+      active[static_cast<std::size_t>(i)] = 0;
+      theta[i] = layout_.mean()[i];
+    };
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      const Columns& c = layout_.log(l);
+      for (const int at : c.clock) judge(c.global[static_cast<std::size_t>(at + 1)]);
+      if (c.gamma >= 0) judge(c.global[static_cast<std::size_t>(c.gamma)]);
+    }
+  }
+
+  Eigen::MatrixXd inverse_with_prior() const {
+    Eigen::MatrixXd S = data_;
+    S.diagonal() += prior.cwiseInverse();
+    return S.llt().solve(Eigen::MatrixXd::Identity(S.rows(), S.cols()));
+  }
+
+  double resize_tau(LogFit& l, const std::vector<Traces>& traces);
+};
+
+}  // namespace truewrench

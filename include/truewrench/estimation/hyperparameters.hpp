@@ -1,0 +1,155 @@
+// The sizes by marginal likelihood: (10.6), tau, upsilon and alpha.
+#pragma once
+
+#include "truewrench/estimation/fit.hpp"
+
+namespace truewrench {
+
+inline double Fit::resize() {
+  reweigh();
+  double move = 0.0;
+  for (std::size_t l = 0; l < logs_.size(); ++l) {
+    LogFit& log = logs_[l];
+    Sizes& z = log.sizes;
+    const Columns& columns = layout_.log(l);
+    const Eigen::MatrixXd P = gather(P_, columns.global);
+    std::vector<Traces> traces(log.stretches.size());
+    parallel_for(traces.size(), threads_, [&](std::size_t i) {
+      traces[i] = log.sweeps[i].traces(log.stretches[i], columns, z, P);
+    });
+    // theta's share in the raw rows: what of tr P S is not in the motion's, by whose parameters it is
+    const Eigen::VectorXd share = (P * log_data_[l]).diagonal();
+    double motion_share = 0.0;
+    for (const Traces& t : traces) motion_share += t.motion_share;
+    Eigen::VectorXd of_group = Eigen::VectorXd::Zero(z.raw_factor.size());
+    for (int i = 0; i < n_; ++i)
+      of_group[raw_group(i, n_)] += share.segment(columns.C + 6 * i, 6).sum() + share[columns.b + i];
+    const double rest = std::max(0.0, share.sum() - motion_share);
+    of_group *= rest / std::max(of_group.sum(), 1e-300);
+
+    Eigen::VectorXd squares = Eigen::VectorXd::Zero(z.raw_factor.size()), count = squares, trace = of_group;
+    std::vector<Eigen::VectorXd> m_squares, m_count, m_trace;
+    for (const auto& f : z.motion_factor)
+      for (auto* v : {&m_squares, &m_count, &m_trace}) v->push_back(Eigen::VectorXd::Zero(f.size()));
+    Eigen::VectorXd energy = Eigen::VectorXd::Zero(z.q.size()), q_trace = energy, size = energy;
+    for (std::size_t s_ = 0; s_ < traces.size(); ++s_) {
+      const Stretch& s = log.stretches[s_];
+      const Traces& t = traces[s_];
+      trace += t.raw;
+      for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
+        if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
+        for (int i = 0; i < n_; ++i) {
+          if (!std::isfinite(s.raw.value(k, i))) continue;
+          const double r = s.now.residual(k, i) / rig_->noise[i];
+          squares[raw_group(i, n_)] += s.raw.weight[k] * r * r;
+          count[raw_group(i, n_)] += 1.0;
+        }
+      }
+      for (std::size_t i = 0; i < s.motion.size(); ++i) {
+        const MotionStream& stream = log.log->motion[i];
+        m_trace[i] += t.motion[i];
+        for (int j = 0; j < s.components(); ++j) {
+          const int r = stream.group[j];
+          m_squares[i][r] += s.motion[i].residual.col(j).squaredNorm() / (stream.sigma[j] * stream.sigma[j]);
+          m_count[i][r] += static_cast<double>(s.motion[i].value.col(j).array().isFinite().count());
+        }
+      }
+      for (int j = 0; j < s.components(); ++j) {
+        const int p = smoothness_order(log.log->source, j);
+        energy[j] += s.spline.smoothness(p).quadratic(s.c.col(j));
+        size[j] += static_cast<double>(s.spline.size() - p);
+      }
+      q_trace += t.q;
+    }
+    const auto resize_factor = [&move](double& factor, double rss, double rows, double used) {
+      const double to = std::sqrt(std::max(rss, 1e-300) / std::max(rows - used, 1e-3 * std::max(rows, 1.0)));
+      const double ratio = std::clamp(to / factor, 0.2, 5.0);
+      factor *= ratio;
+      move = std::max(move, std::abs(std::log(ratio)));
+    };
+    for (Eigen::Index r = 0; r < squares.size(); ++r)
+      if (count[r] > 0.0) resize_factor(z.raw_factor[r], squares[r], count[r], trace[r]);
+    for (std::size_t i = 0; i < m_squares.size(); ++i)
+      for (Eigen::Index r = 0; r < m_squares[i].size(); ++r)
+        if (m_count[i][r] > 0.0) resize_factor(z.motion_factor[i][r], m_squares[i][r], m_count[i][r], m_trace[i][r]);
+    for (Eigen::Index j = 0; j < z.q.size(); ++j) {
+      const double to = std::max(energy[j], 1e-16) / std::max(size[j] - q_trace[j] / z.q[j], 1.0);
+      const double ratio = std::clamp(to / z.q[j], 1e-3, 1e3);
+      z.q[j] *= ratio;
+      move = std::max(move, 0.5 * std::abs(std::log(ratio)));
+    }
+    if (z.form == Form::none) continue;
+    Eigen::VectorXd d_energy = Eigen::VectorXd::Zero(z.delta.size()), d_trace = d_energy, d_size = d_energy;
+    for (std::size_t s_ = 0; s_ < traces.size(); ++s_) {
+      const Stretch& s = log.stretches[s_];
+      const Penalty R = s.spline.discrepancy(z.k, z.form);
+      for (int i = 0; i < n_; ++i) {
+        const int r = raw_group(i, n_);
+        d_energy[r] += R.quadratic(s.e.col(i));
+        d_size[r] += static_cast<double>(s.spline.size());
+        d_trace[r] += R.inside.cwiseProduct(traces[s_].inside[static_cast<std::size_t>(i)]).sum() +
+                      R.start.cwiseProduct(traces[s_].start[static_cast<std::size_t>(i)]).sum();
+      }
+    }
+    for (Eigen::Index r = 0; r < z.delta.size(); ++r) {
+      const double variance = z.delta[r] * z.delta[r], sigma_r = group_sigma(l, static_cast<int>(r));
+      const double ratio = d_energy[r] / variance / std::max(d_size[r] - d_trace[r] / variance, 1e-6);
+      double to = z.delta[r] * std::sqrt(std::clamp(std::pow(ratio, constants::discrepancy_power), 0.01, 100.0));
+      to = std::min(std::max(to, constants::discrepancy_floor * sigma_r), z.cap[r]);
+      if (std::max(to, z.delta[r]) > 0.1 * sigma_r && to < z.cap[r])
+        move = std::max(move, std::abs(std::log(to / z.delta[r])));
+      z.delta[r] = to;
+    }
+    if (z.form == Form::matern) move = std::max(move, resize_tau(log, traces));
+  }
+  // upsilon and alpha: the same rule with R = E, exponent 1
+  const auto resize_block = [this](int at, double floor) {
+    double squares = 0.0, freedom = 0.0;
+    for (int i = at; i < at + n_; ++i) {
+      squares += theta[i] * theta[i];
+      freedom += 1.0 - P_(i, i) / prior[i];
+    }
+    prior.segment(at, n_).setConstant(std::max(squares / std::max(freedom, 0.05), floor * floor));
+  };
+  resize_block(layout_.u, constants::quadratic_floor);
+  for (std::size_t l = 0; l < logs_.size(); ++l)
+    for (const int step : layout_.log(l).steps)
+      resize_block(layout_.log(l).global[static_cast<std::size_t>(step)], constants::step_floor);
+  reweigh();
+  return move;
+}
+
+// k <- argmin sum_i [ S_i(k) / rho_i^2 - log |R(k)| ], rho_i^2 = 4 k^3 delta_i^2 held (10.3).
+inline double Fit::resize_tau(LogFit& log, const std::vector<Traces>& traces) {
+  Sizes& z = log.sizes;
+  const double k3 = 4.0 * z.k * z.k * z.k;
+  const auto objective_of = [&](double log_k) {
+    const double k = std::exp(log_k), scale = 4.0 * k * k * k;
+    double sum = 0.0;
+    for (std::size_t s_ = 0; s_ < traces.size(); ++s_) {
+      const Stretch& s = log.stretches[s_];
+      Penalty R = s.spline.discrepancy(k, Form::matern);
+      R.inside *= scale;
+      R.start *= scale;
+      for (int i = 0; i < n_; ++i) {
+        const double delta = z.delta[raw_group(i, n_)];
+        sum += (R.quadratic(s.e.col(i)) + R.inside.cwiseProduct(traces[s_].inside[static_cast<std::size_t>(i)]).sum() +
+                R.start.cwiseProduct(traces[s_].start[static_cast<std::size_t>(i)]).sum()) /
+               (k3 * delta * delta);
+      }
+      sum -= n_ * s.spline.logdet(R);
+    }
+    return sum;
+  };
+  const double now = std::log(z.k), d = 0.15;
+  const double before = objective_of(now - d), here = objective_of(now), after = objective_of(now + d);
+  const double bend = before - 2.0 * here + after;
+  const double step = bend > 0.0 ? 0.5 * d * (before - after) / bend : (before > after ? 0.7 : -0.7);
+  if (log.tau_step * step < 0.0) log.tau_limit *= 0.5;  // halved when it turns
+  const double to = std::min(now + std::clamp(step, -log.tau_limit, log.tau_limit), -std::log(2.0 * log.stretches.front().spline.h()));
+  log.tau_step = step;
+  z.k = std::exp(to);
+  return std::abs(to - now);
+}
+
+}  // namespace truewrench

@@ -1,0 +1,198 @@
+// Uniform quintic B-splines on the span of one stretch, their smoothness and their log determinants (METHOD 10.1).
+//
+// N = intervals + 5 coefficients a component. An interval carries 6 of them; 5 intervals make one block, so that a matrix
+// on the coefficients is block tridiagonal.
+#pragma once
+
+#include <Eigen/Core>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+namespace truewrench {
+
+inline constexpr int kDegree5 = 5;
+inline constexpr int kLocal = 6;  // coefficients under an interval
+inline constexpr int kBlock = 5;  // intervals of a block
+
+using Basis = Eigen::Matrix<double, kLocal, 1>;
+using Gram = Eigen::Matrix<double, kLocal, kLocal>;
+
+// Coefficients of u^p (column) of the uniform B-splines of a degree over an interval (row), u in [0, 1): Cox and de Boor.
+inline Eigen::MatrixXd spline_pieces(int degree) {
+  Eigen::MatrixXd pieces = Eigen::MatrixXd::Ones(1, 1);
+  for (int d = 1; d <= degree; ++d) {
+    Eigen::MatrixXd next = Eigen::MatrixXd::Zero(d + 1, d + 1);
+    for (int k = 0; k <= d; ++k) {
+      if (k > 0) {  // (u + d - k) / d times the function before
+        next.row(k).head(d) += (d - k) * pieces.row(k - 1) / d;
+        next.row(k).tail(d) += pieces.row(k - 1) / d;
+      }
+      if (k < d) {  // (k + 1 - u) / d times the one at its place
+        next.row(k).head(d) += (k + 1) * pieces.row(k) / d;
+        next.row(k).tail(d) -= pieces.row(k) / d;
+      }
+    }
+    pieces = next;
+  }
+  return pieces;
+}
+
+// int_0^1 of the products of functions whose polynomials are the rows of a and b.
+inline Eigen::MatrixXd piece_products(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
+  Eigen::MatrixXd power(a.cols(), b.cols());
+  for (int i = 0; i < power.rows(); ++i)
+    for (int j = 0; j < power.cols(); ++j) power(i, j) = 1.0 / (i + j + 1);
+  return a * power * b.transpose();
+}
+
+// The quintic pieces and their derivatives, once.
+struct SplineTable {
+  std::array<Gram, kLocal> derivative;             // [p]: polynomials of the p-th derivative
+  std::array<std::array<Gram, 4 + 1>, 4 + 1> gram;  // [p][q] int_0^1 B^(p) B^(q)^T du
+
+  SplineTable() {
+    derivative[0] = spline_pieces(kDegree5);
+    for (std::size_t p = 1; p < derivative.size(); ++p) {
+      derivative[p].setZero();
+      for (int k = 1; k < kLocal; ++k) derivative[p].col(k - 1) = k * derivative[p - 1].col(k);
+    }
+    for (std::size_t p = 0; p < gram.size(); ++p)
+      for (std::size_t q = 0; q < gram.size(); ++q) gram[p][q] = piece_products(derivative[p], derivative[q]);
+  }
+
+  static const SplineTable& get() {
+    static const SplineTable table;
+    return table;
+  }
+};
+
+// Twice the sum of the logarithms of the Cholesky factor of a symmetric band (lower form: row i holds the i-th
+// subdiagonal); NaN where it is not positive definite. The band is overwritten.
+inline double banded_logdet(Eigen::MatrixXd& band) {
+  const int width = static_cast<int>(band.rows()) - 1;
+  const Eigen::Index n = band.cols();
+  double sum = 0.0;
+  for (Eigen::Index j = 0; j < n; ++j) {
+    if (!(band(0, j) > 0.0)) return std::nan("");
+    const double root = std::sqrt(band(0, j));
+    sum += std::log(root);
+    const int below = static_cast<int>(std::min<Eigen::Index>(width, n - 1 - j));
+    for (int i = 1; i <= below; ++i) band(i, j) /= root;
+    for (int k = 1; k <= below; ++k)
+      for (int i = k; i <= below; ++i) band(i - k, j + k) -= band(i, j) * band(k, j);
+  }
+  return 2.0 * sum;
+}
+
+// A penalty that repeats on every interval, and what its start adds on the first.
+struct Penalty {
+  Gram inside = Gram::Zero();
+  Gram start = Gram::Zero();
+
+  // x^T R x for a component's coefficients.
+  template <typename Column>
+  double quadratic(const Column& x) const {
+    double sum = 0.0;
+    for (Eigen::Index i = 0; i + kLocal <= x.size(); ++i) {
+      const Basis local = x.segment(i, kLocal);
+      sum += local.dot(inside * local);
+    }
+    const Basis first = x.head(kLocal);
+    return sum + first.dot(start * first);
+  }
+};
+
+// Where the discrepancy's process comes from (METHOD 10.2, 10.3).
+enum class Form { none, matern, walk };
+
+class Spline {
+ public:
+  Spline() = default;
+  // Knots at a spacing of about h over [begin, begin + duration], reduced so that whole blocks fit.
+  Spline(double begin, double duration, double h) : begin_(begin) {
+    const double blocks = std::ceil(duration / (kBlock * h) - 1e-9);
+    blocks_ = std::max<Eigen::Index>(2, static_cast<Eigen::Index>(blocks));
+    h_ = duration / static_cast<double>(intervals());
+  }
+
+  double begin() const { return begin_; }
+  double h() const { return h_; }
+  Eigen::Index blocks() const { return blocks_; }
+  Eigen::Index intervals() const { return kBlock * blocks_; }
+  Eigen::Index size() const { return intervals() + kDegree5; }  // N
+  double end() const { return begin_ + h_ * static_cast<double>(intervals()); }
+
+  // The interval of a time and the place in it; times outside continue the last polynomial.
+  Eigen::Index locate(double t, double& u) const {
+    const double x = (t - begin_) / h_;
+    const auto i = static_cast<Eigen::Index>(
+        std::clamp(std::floor(x + 1e-9), 0.0, static_cast<double>(intervals() - 1)));
+    u = x - static_cast<double>(i);
+    return i;
+  }
+
+  // B^(p) at a place of an interval [1 / s^p].
+  Basis basis(double u, int p) const {
+    const Gram& polynomial = SplineTable::get().derivative[static_cast<std::size_t>(p)];
+    Basis value = polynomial.col(kLocal - 1);
+    for (int k = kLocal - 2; k >= 0; --k) value = value * u + polynomial.col(k);
+    return value * std::pow(h_, -p);
+  }
+
+  Gram gram(int p, int q) const {
+    const auto a = static_cast<std::size_t>(p);
+    const auto b = static_cast<std::size_t>(q);
+    return SplineTable::get().gram[a][b] * std::pow(h_, 1 - p - q);
+  }
+
+  // R_p (10.1) of one interval.
+  Penalty smoothness(int p) const { return {gram(p, p), Gram::Zero()}; }
+
+  // log |R_p + A^T A| with A the values of the first p derivatives at the beginning, in the coordinates (p coefficients,
+  // p-th differences) where it falls apart (10.2, below (10.7)): log |G| - ((2p - 1)(N - p) + p (p - 1)) log h.
+  double smoothness_logdet(int p) const {
+    const Eigen::MatrixXd pieces = spline_pieces(kDegree5 - p);
+    const Eigen::MatrixXd local = piece_products(pieces, pieces);
+    const Eigen::Index functions = size() - p;
+    const double scale = static_cast<double>((2 * p - 1) * functions + p * (p - 1));
+    return repeated_logdet(local, Eigen::MatrixXd::Zero(local.rows(), local.rows()), functions) -
+           scale * std::log(h_);
+  }
+
+  // R_M of (10.2), or that of a random walk (10.3), at k = 1 / tau.
+  Penalty discrepancy(double k, Form form) const {
+    const Basis d0 = basis(0.0, 0);
+    const Basis d1 = basis(0.0, 1);
+    if (form == Form::walk) {  // int (d' + k d)^2 / (2 k) + d(0)^2
+      const double scale = 1.0 / (2.0 * k);
+      return {scale * (gram(1, 1) + k * (gram(1, 0) + gram(0, 1)) + k * k * gram(0, 0)), d0 * d0.transpose()};
+    }
+    const double scale = 1.0 / (4.0 * k * k * k);
+    return {scale * (gram(2, 2) + 2.0 * k * (gram(2, 1) + gram(1, 2)) +
+                     k * k * (4.0 * gram(1, 1) + gram(2, 0) + gram(0, 2)) +
+                     2.0 * k * k * k * (gram(1, 0) + gram(0, 1)) + k * k * k * k * gram(0, 0)),
+            d0 * d0.transpose() + d1 * d1.transpose() / (k * k)};
+  }
+
+  double logdet(const Penalty& penalty) const { return repeated_logdet(penalty.inside, penalty.start, size()); }
+
+ private:
+  double begin_ = 0.0, h_ = 1.0;
+  Eigen::Index blocks_ = 2;
+
+  // log det of the matrix that repeats `inside` along the diagonal and adds `start` at its beginning.
+  static double repeated_logdet(const Eigen::MatrixXd& inside, const Eigen::MatrixXd& start, Eigen::Index size) {
+    const Eigen::Index width = inside.rows();
+    Eigen::MatrixXd band = Eigen::MatrixXd::Zero(width, size);
+    for (Eigen::Index i = 0; i < width; ++i)
+      for (Eigen::Index j = 0; j <= i; ++j) {
+        band.row(i - j).segment(j, size - width + 1).array() += inside(i, j);
+        band(i - j, j) += start(i, j);
+      }
+    return banded_logdet(band);
+  }
+};
+
+}  // namespace truewrench

@@ -1,0 +1,129 @@
+// theta: what is unknown beside the motion, its prior, and its place (METHOD 10.1).
+#pragma once
+
+#include "truewrench/estimation/constants.hpp"
+#include "truewrench/model/body.hpp"
+#include "truewrench/model/record.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+namespace truewrench {
+
+// Where the parameters of one log stand in a vector of its own, and in theta.
+struct Columns {
+  int n = 0;       // channels
+  int C = 0, b = 0, u = 0, body = 0, slope = -1, tilt = -1, gamma = -1;  // -1: there is none
+  std::vector<int> clock;  // of each motion stream: s, then kappa
+  std::vector<int> bias;   // of each motion stream, -1: none
+  std::vector<int> steps;
+  std::vector<double> step_times;  // [s]
+  std::vector<int> global;         // place in theta of each of them
+
+  int size() const { return static_cast<int>(global.size()); }
+};
+
+// theta of all logs: shared by all first, then log by log.
+class Layout {
+ public:
+  Layout() = default;
+  Layout(const Statement& rig, const std::vector<const RecordedLog*>& logs,
+         const std::vector<std::vector<double>>& steps) {
+    const int n = static_cast<int>(rig.noise.size());
+    const bool gravity = rig.gravity.squaredNorm() > 0.0;
+    const bool warm = rig.slope_prior > 0.0 && std::any_of(logs.begin(), logs.end(), [](const RecordedLog* log) {
+                        return log->temperature.size() > 0;
+                      });
+    C = add(6 * n, rig.gain_prior);
+    for (int i = 0; i < n; ++i) mean_.segment(C + 6 * i, 6) = rig.nominal.row(i);
+    u = add(n, constants::quadratic_start);
+    for (const auto& prior : rig.body_prior) {
+      bodies.push_back(add(kBodyParameters, 0.0));
+      sigma_.tail(kBodyParameters) = prior;
+    }
+    if (warm) slope = add(n, rig.slope_prior);
+    if (gravity) tilt = add(2, rig.tilt_prior);
+    int pooled = -1;
+    for (std::size_t l = 0; l < logs.size(); ++l) {
+      const RecordedLog& log = *logs[l];
+      Columns c;
+      c.n = n;
+      const auto take = [&c](int from, int count) {
+        const int at = c.size();
+        for (int i = 0; i < count; ++i) c.global.push_back(from + i);
+        return at;
+      };
+      c.C = take(C, 6 * n);
+      if (pooled < 0 || !rig.pool_offsets) {
+        pooled = add(n, 0.0);
+        sigma_.tail(n) = rig.offset_prior;
+      }
+      c.b = take(pooled, n);
+      c.u = take(u, n);
+      c.body = take(bodies[static_cast<std::size_t>(log.body)], kBodyParameters);
+      for (const MotionStream& stream : log.motion) {
+        c.clock.push_back(take(add(2, 0.0), 2));
+        mean_.tail(2) << stream.clock_mean, stream.kappa_mean;
+        sigma_.tail(2) << stream.time_offset_prior, constants::filter_prior;
+        if (stream.bias_prior.size() > 0) {
+          const int m = static_cast<int>(stream.bias_prior.size());
+          c.bias.push_back(take(add(m, 0.0), m));
+          sigma_.tail(m) = stream.bias_prior;
+        } else {
+          c.bias.push_back(-1);
+        }
+      }
+      if (gravity) c.tilt = take(tilt, 2);
+      if (gravity && log.source == Source::twist) {
+        c.gamma = take(add(1, constants::filter_prior), 1);
+        mean_.tail(1).setConstant(rig.gamma_mean);
+      }
+      if (warm) c.slope = take(slope, n);
+      if (l < steps.size()) {
+        c.step_times = steps[l];
+        for (std::size_t j = 0; j < steps[l].size(); ++j) c.steps.push_back(take(add(n, constants::step_start), n));
+      }
+      logs_.push_back(std::move(c));
+    }
+  }
+
+  int size() const { return static_cast<int>(mean_.size()); }
+  const Eigen::VectorXd& mean() const { return mean_; }
+  const Eigen::VectorXd& sigma() const { return sigma_; }
+  const Columns& log(std::size_t l) const { return logs_[l]; }
+  std::size_t logs() const { return logs_.size(); }
+
+  int C = 0, u = 0, slope = -1, tilt = -1;
+  std::vector<int> bodies;
+
+ private:
+  Eigen::VectorXd mean_, sigma_;  // theta_0 and the roots of diag Pi
+  std::vector<Columns> logs_;
+
+  int add(int count, double sigma) {
+    const int at = size();
+    mean_.conservativeResize(at + count);
+    sigma_.conservativeResize(at + count);
+    mean_.tail(count).setZero();
+    sigma_.tail(count).setConstant(sigma);
+    return at;
+  }
+};
+
+// Gravity in the root frame turned by two small angles about axes normal to it, and its derivative by them.
+inline Vector3 tilted(const Vector3& gravity, const Eigen::Vector2d& tilt, Eigen::Matrix<double, 3, 2>& by_tilt) {
+  const double size = gravity.norm();
+  Eigen::Index least = 0;
+  gravity.cwiseAbs().minCoeff(&least);
+  const Vector3 e1 = gravity.cross(Vector3::Unit(least)).normalized();
+  Eigen::Matrix<double, 3, 2> axes;
+  axes << e1.cross(gravity), gravity.cross(e1).cross(gravity) / size;
+  const Vector3 x = gravity + axes * tilt;
+  const double length = x.norm();
+  by_tilt = size / length * (axes - x * (x.transpose() * axes) / (length * length));
+  return size / length * x;
+}
+
+}  // namespace truewrench

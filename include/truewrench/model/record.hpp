@@ -1,0 +1,80 @@
+// A log as the estimator reads it: streams with stamps of their own, in seconds on one clock; NaN where a sample is missing.
+//
+// Channels are fractions of R_i = |nominal_i| @ range, the motion is in SI units (METHOD 10.1).
+#pragma once
+
+#include "truewrench/payload.hpp"
+#include "truewrench/types.hpp"
+
+#include <Eigen/Core>
+
+#include <functional>
+#include <vector>
+
+namespace truewrench {
+
+using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+// What the components of the motion spline are.
+enum class Source : std::uint8_t {
+  twist,   // v, Omega of the logged point
+  imu,     // specific force at the sensor origin, Omega
+  mapped,  // generalised positions: joints, through a MotionMap
+};
+
+// Measurements of a derivative of the motion spline.
+struct MotionStream {
+  int derivative = 0;
+  Eigen::VectorXd time;       // (K) [s]
+  RowMatrix value;            // (K, M)
+  Eigen::VectorXd sigma;      // (M) stated
+  Eigen::VectorXi group;      // (M) which components share one factor on their noise, counted from 0 within the stream
+  Eigen::VectorXd bias_prior;  // (M) 1 sigma of a constant bias, or empty
+  double time_offset_prior = 0.0;  // [s] 1 sigma of s, beside which the data may show more (10.1)
+  double clock_mean = 0.0;         // s_0 [s]
+  double kappa_mean = 0.5;
+};
+
+// What generalised positions and their derivatives mean for the sensor: a row a time.
+struct MappedMotion {
+  RowMatrix nu, a;          // (K, 6)
+  RowMatrix R_sensor_root;  // (K, 9) row by row; empty without gravity
+  RowMatrix jacobian;       // (K, 12 * 3M), row by row: of [nu, a] by (x, x', x'')
+};
+
+// From (K) times and (K, M) x, x', x'' to the motion of the sensor.
+using MotionMap = std::function<void(const Eigen::VectorXd&, const RowMatrix&, const RowMatrix&, const RowMatrix&,
+                                     MappedMotion&)>;
+
+struct RecordedLog {
+  Source source = Source::twist;
+  Payload payload;                   // as stated
+  Vector3 point = Vector3::Zero();   // that the twist belongs to, from the sensor origin
+  int body = 0;                      // which payload of theta it carries
+  Eigen::VectorXd time;              // (K) [s] of the sensor's samples
+  RowMatrix raw;                     // (K, n)
+  RowMatrix R_sensor_root;           // (K, 9) row by row, or empty: no gravity, or a mapped motion that brings its own
+  Eigen::VectorXd temperature;       // (K) above the reference [K], or empty
+  std::vector<MotionStream> motion;
+  MotionMap map;                     // of a mapped motion
+
+  int components() const { return motion.empty() ? 0 : static_cast<int>(motion.front().value.cols()); }
+};
+
+// What a rig states of the sensor and of what is not known, normalised; 0 holds a parameter at its mean.
+struct Statement {
+  Vector6 range = Vector6::Ones();  // [N, N m]
+  double sign = 1.0;                // of w: Feels
+  Eigen::VectorXd noise;            // (n) 1 sigma of a sample
+  RowMatrix nominal;                // (n, 6) normalised gain
+  double gain_prior = 0.3;
+  Eigen::VectorXd offset_prior;     // (n)
+  bool pool_offsets = false;
+  Vector3 gravity = Vector3::Zero();  // in the root frame
+  double tilt_prior = 0.0;            // [rad]
+  double gamma_mean = 0.5;
+  double slope_prior = 0.0;           // of the offset with temperature [1 / K]
+  std::vector<Eigen::Matrix<double, 10, 1>> body_prior;  // 1 sigma: of log mass, [m], [kg m^2]
+};
+
+}  // namespace truewrench
