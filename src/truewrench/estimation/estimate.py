@@ -1,0 +1,241 @@
+"""What the estimator of one spline and one likelihood found (METHOD 10): numbers and findings, no judgement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Clock", "Estimate", "Event", "FoundNoise", "LogRows", "PayloadDeparture", "Slow", "Step"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadDeparture:
+    """What the data say of a payload, as departures from what was stated.
+
+    Attributes:
+        mean: (10,) mass, relative; centre of mass [m]; xx yy zz xy xz yz of the inertia, relative to
+            sqrt(I_ii I_jj).
+        std: (10,) 1 sigma.
+    """
+
+    mean: Array
+    std: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """How late the sensor is against one motion stream, and what kind of lateness that is (10.1, 10.4, 10.5).
+
+    Attributes:
+        stream: `twist`, `positions`, `velocities`, `rate of turn`, `specific force` or `accelerations`.
+        late: s = -time_offset [s].
+        std: 1 sigma of it.
+        stated: 1 sigma that the rig states.
+        kappa: 1/2 for a clock, 0 for a filtered sensor, 1 for filtered velocities; None where it was held.
+        kappa_std: its 1 sigma, None where it was held.
+        gamma: 1 where gravity is late, too; None where it was held or does not act.
+        gamma_std: its 1 sigma.
+    """
+
+    stream: str
+    late: float
+    std: float
+    stated: float
+    kappa: float | None = None
+    kappa_std: float | None = None
+    gamma: float | None = None
+    gamma_std: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FoundNoise:
+    """Noise found, as a factor on the stated one.
+
+    Attributes:
+        what: `force`, `moment`, `channels`, or a motion stream and its part (`velocities v`, `positions`).
+        factor: found over stated.
+    """
+
+    what: str
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """A slow disturbance of one group of channels: (10.2) where it is in the fit, else (10.9).
+
+    Attributes:
+        what: `force`, `moment` or `channels`.
+        size: 1 sigma, fraction of range.
+        size_std: of the size, by moments; None where d is in the fit.
+        tau: correlation time [s].
+        z: standard normal deviate of its moment.
+        form: `none` (it stayed out of the fit), `matern` or `walk` (size: over the length of the stretch).
+        capped: the size ended at three sigma of a sample: as large as it may be.
+    """
+
+    what: str
+    size: float
+    size_std: float | None
+    tau: float
+    z: float
+    form: str
+    capped: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Consecutive samples of the sensor that were left out.
+
+    Attributes:
+        begin: [s] from the log's first stamp.
+        end: [s].
+        samples: how many.
+        lasting: 30 ms or more: a contact; else outliers.
+        size: (n,) largest departure of each channel from the model, fraction of range.
+    """
+
+    begin: float
+    end: float
+    samples: int
+    lasting: bool
+    size: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step of the offset.
+
+    Attributes:
+        time: [s] from the log's first stamp.
+        size: (n,) fraction of range.
+        std: (n,) 1 sigma.
+    """
+
+    time: float
+    size: Array
+    std: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogRows:
+    """The sensor's samples of one log that the fit holds, and what it says at them.
+
+    Attributes:
+        rows: (K,) of the log.
+        time: (K,) [s] from the log's first stamp.
+        masked: (K,) left out.
+        residual: (K, n) raw less the model, the discrepancy taken out, fraction of range; NaN where missing.
+        discrepancy: (K, n) d of (10.2), fraction of range; 0 where it stayed out.
+        wrench: (K, 6) of the payload, SI, with the rig's sign.
+        twist: (K, 6) of the logged point (joints: of the sensor).
+        acceleration: (K, 6) its component-wise derivative.
+        stretch: (K,) which gap-free stretch each belongs to.
+    """
+
+    rows: NDArray[np.int64]
+    time: Array
+    masked: NDArray[np.bool_]
+    residual: Array
+    discrepancy: Array
+    wrench: Array
+    twist: Array
+    acceleration: Array
+    stretch: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Gain, offsets and all that was estimated with them.
+
+    "Normalised": gain_ij range_j / R_i and offset_i / R_i, R_i = |nominal_i| @ range.
+
+    Attributes:
+        solved: whether the record could be solved at all; where not, everything else is the prior.
+        gain: (n, 6), SI and raw units.
+        covariance: (7n, 7n) of [gain row by row, offset of the last log at its end], (10.9) and (10.10) within.
+        normalised_covariance: the same, normalised.
+        before_pose: (6n, 6n) normalised covariance of the gain before (10.10).
+        gain_prior: (6n,) 1 sigma beforehand, normalised.
+        offsets: (L, n) raw units, at the end of each log.
+        offsets_std: (L, n).
+        clocks: per log, of each motion stream.
+        payloads: by name.
+        tilt: (2,) gravity's tilt [rad], None without gravity; tilt_std likewise.
+        tilt_std: its 1 sigma.
+        offset_temperature: (n,) raw units per K, None without a slope.
+        quadratic: (n,) u of (10.3), fraction of range; quadratic_std likewise.
+        quadratic_std: its 1 sigma.
+        discrepancy: (n,) 1 sigma of what (10.10) takes to follow the pose, fraction of range.
+        noise: per log.
+        slow: per log, of each group of channels.
+        events: per log.
+        steps: per log.
+        spacing: (L,) h [s].
+        unresolved: (L,) (10.7) still falls at one knot per sample.
+        dropped: (L,) stretches that were too short.
+        rows: per log.
+        A: of (10.10).
+        ww: (6, 6) E w w^T, fractions of range.
+        p_halves: of (10.11).
+        p_quarters: of (10.11).
+        converged: whether the last fit did.
+        iterations: of it.
+        fits: how many were made.
+        history_time: (B,) [s] of the blocks of `online`, empty for `map`; history_log, history_gain (B, n, 6), history_std.
+    """
+
+    solved: bool
+    gain: Array
+    covariance: Array
+    normalised_covariance: Array
+    before_pose: Array
+    gain_prior: Array
+    offsets: Array
+    offsets_std: Array
+    clocks: tuple[tuple[Clock, ...], ...]
+    payloads: dict[str, PayloadDeparture]
+    tilt: Array | None
+    tilt_std: Array | None
+    offset_temperature: Array | None
+    quadratic: Array
+    quadratic_std: Array
+    discrepancy: Array
+    noise: tuple[tuple[FoundNoise, ...], ...]
+    slow: tuple[tuple[Slow, ...], ...]
+    events: tuple[tuple[Event, ...], ...]
+    steps: tuple[tuple[Step, ...], ...]
+    spacing: Array
+    unresolved: NDArray[np.bool_]
+    dropped: NDArray[np.int64]
+    rows: tuple[LogRows, ...]
+    A: float
+    ww: Array
+    p_halves: float
+    p_quarters: float
+    converged: bool
+    iterations: int
+    fits: int
+    history_time: Array
+    history_log: NDArray[np.int64]
+    history_gain: Array
+    history_std: Array
+
+    @property
+    def time_offsets(self) -> Array:
+        """(L,) t_motion = t_sensor + time_offset [s], of the first motion stream."""
+        return np.array([-clocks[0].late if clocks else 0.0 for clocks in self.clocks])
+
+    @property
+    def time_offsets_std(self) -> Array:
+        """(L,) 1 sigma [s]."""
+        return np.array([clocks[0].std if clocks else 0.0 for clocks in self.clocks])
+
+    def masked_share(self) -> float:
+        """Share of the sensor's samples that were left out."""
+        total = sum(r.masked.size for r in self.rows)
+        return float(sum(r.masked.sum() for r in self.rows)) / max(total, 1)
