@@ -221,6 +221,8 @@ class Fit {
 
   // Take the step of the last solve, halved until the objective falls.
   void advance() {
+    if (moved_) predict();  // what is held was put to its mean after the last prediction
+    moved_ = false;
     const double before = objective();
     const Eigen::VectorXd from = theta;
     std::vector<std::vector<std::array<RowMatrix, 4>>> x(logs_.size());  // c, e and their steps
@@ -359,6 +361,7 @@ class Fit {
   Eigen::MatrixXd data_, S_, P_;
   std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
+  bool moved_ = false;
 
   template <typename Work>
   void each_stretch(const Work& work) {
@@ -393,6 +396,7 @@ class Fit {
       const double own = std::max(1.0 / P(i, i) - 1.0 / prior[i], 0.0);
       if (own > constants::filter_information) return;
       active[static_cast<std::size_t>(i)] = 0;
+      moved_ = moved_ || theta[i] != layout_.mean()[i];
       theta[i] = layout_.mean()[i];
     };
     for (std::size_t l = 0; l < logs_.size(); ++l) {
