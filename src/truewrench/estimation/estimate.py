@@ -1,4 +1,4 @@
-"""What the estimator of one spline and one likelihood found (METHOD 10): numbers and findings, no judgement."""
+"""What the estimator of one spline and one likelihood found: numbers and findings, no judgement."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class Estimate:
     Attributes:
         solved: whether the record could be solved at all; where not, everything else is the prior.
         gain: (n, 6), SI and raw units.
-        covariance: (7n, 7n) of [gain row by row, offset of the last log at its end], (10.9) and (10.10) within.
+        covariance: (7n, 7n) of [gain row by row, offset of the last log at its end], (10.9), (10.10) within.
         normalised_covariance: the same, normalised.
         before_pose: (6n, 6n) normalised covariance of the gain before (10.10).
         gain_prior: (6n,) 1 sigma beforehand, normalised.
@@ -179,6 +179,8 @@ class Estimate:
         unresolved: (L,) (10.7) still falls at one knot per sample.
         dropped: (L,) stretches that were too short.
         rows: per log.
+        sources: 1 sigma (n, 6) of the normalised gain that each source accounts for: `noise` (with priors), `mass`,
+            `center_of_mass`, `inertia`, `timing`, `gravity`, `slow` (10.9), `pose` (10.10).
         A: of (10.10).
         ww: (6, 6) E w w^T, fractions of range.
         p_halves: of (10.11).
@@ -186,7 +188,10 @@ class Estimate:
         converged: whether the last fit did.
         iterations: of it.
         fits: how many were made.
-        history_time: (B,) [s] of the blocks of `online`, empty for `map`; history_log, history_gain (B, n, 6), history_std.
+        history_time: (B,) [s] of the blocks of `online`; empty for `map`.
+        history_log: (B,) which log each belongs to.
+        history_gain: (B, n, 6) the gain after it.
+        history_std: (B, n, 6).
     """
 
     solved: bool
@@ -213,6 +218,7 @@ class Estimate:
     unresolved: NDArray[np.bool_]
     dropped: NDArray[np.int64]
     rows: tuple[LogRows, ...]
+    sources: dict[str, Array]
     A: float
     ww: Array
     p_halves: float

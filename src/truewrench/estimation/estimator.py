@@ -1,0 +1,354 @@
+"""From a rig and logs to an `Estimate`: the core's loop (METHOD 10.3), its numbers in SI and raw units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.estimation.assumptions import Assumptions
+from truewrench.estimation.estimate import (
+    Clock,
+    Estimate,
+    Event,
+    FoundNoise,
+    LogRows,
+    PayloadDeparture,
+    Slow,
+    Step,
+)
+from truewrench.estimation.record import recorded_logs
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = ["estimate"]
+
+Array = NDArray[np.float64]
+
+_LASTING = 0.030  # [s] as in the core's mask: from here on an event is a contact
+_NOTHING = np.zeros(0)
+_SOURCES = ("mass", "center_of_mass", "inertia", "timing", "gravity")
+
+
+def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = False) -> Estimate:
+    """Estimate gain, offsets and all that is unknown with them from logs of motion.
+
+    Args:
+        rig: sensor, payloads, motion; never altered.
+        logs: pooled into one gain.
+        threads: of the core, 0 for all; no effect on the result.
+        online: forward only, block by block (METHOD 10.6), and not the whole record at once.
+
+    Raises:
+        InputError: for logs that do not hold what the rig says.
+    """
+    assumed, statement, records = recorded_logs(rig, logs)
+    settings = _core.Settings()
+    settings.threads = threads
+    settings.discrepancy = assumed.discrepancy
+    run = _core.estimate_online if online else _core.estimate
+    found = run(statement, records, settings)
+    if found.status != _core.Status.ok:
+        return _unsolved(rig, assumed, logs, found)
+    return _solved(rig, assumed, logs, found, records)
+
+
+def _solved(
+    rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any, records: Sequence[Any]
+) -> Estimate:
+    fit, n = found.fit, rig.sensor.n
+    scale, span = assumed.channel_scale, rig.sensor.range_array
+    theta, covariance = np.asarray(fit.theta), np.asarray(found.covariance)
+    columns = [fit.columns(k) for k in range(len(logs))]
+    offsets, offsets_std = np.zeros((len(logs), n)), np.zeros((len(logs), n))
+    for k, c in enumerate(columns):
+        at = [np.array(c.at)[b : b + n] for b in (c.b, *c.steps)]
+        offsets[k] = sum(theta[places] for places in at) * scale
+        sum_of = np.zeros((n, theta.size))
+        for places in at:
+            sum_of[np.arange(n), places] += 1.0
+        offsets_std[k] = np.sqrt(np.diag(sum_of @ covariance @ sum_of.T)) * scale
+    # of [gain, offset of the last log]: (10.9) and (10.10) widen the gain's block
+    last = np.zeros((n, theta.size))
+    for b in (columns[-1].b, *columns[-1].steps):
+        last[np.arange(n), np.array(columns[-1].at)[b : b + n]] += 1.0
+    pick = np.vstack([np.eye(6 * n, theta.size), last])
+    normalised = pick @ covariance @ pick.T
+    before = covariance[: 6 * n, : 6 * n] + np.asarray(found.added)
+    normalised[: 6 * n, : 6 * n] = np.asarray(found.gain_covariance)
+    units = np.append((scale[:, None] / span).ravel(), scale)
+    u = np.array(columns[0].at)[columns[0].u : columns[0].u + n]
+    tilt = None
+    if columns[0].tilt >= 0:
+        tilt = np.array(columns[0].at)[columns[0].tilt : columns[0].tilt + 2]
+    slope = None
+    if columns[0].slope >= 0:
+        slope = np.array(columns[0].at)[columns[0].slope : columns[0].slope + n]
+    rows = tuple(_rows(rig, log, fit.rows(k)) for k, log in enumerate(logs))
+    history = getattr(found, "history", None)
+    return Estimate(
+        solved=True,
+        gain=theta[: 6 * n].reshape(n, 6) * scale[:, None] / span,
+        covariance=normalised * units[:, None] * units,
+        normalised_covariance=normalised,
+        before_pose=before,
+        gain_prior=np.sqrt(np.asarray(fit.prior)[: 6 * n]),
+        offsets=offsets,
+        offsets_std=offsets_std,
+        clocks=tuple(
+            _clocks(rig, c, record, fit, covariance) for c, record in zip(columns, records, strict=True)
+        ),
+        payloads=_payloads(rig, logs, columns, theta, covariance),
+        tilt=None if tilt is None else theta[tilt],
+        tilt_std=None if tilt is None else np.sqrt(np.diag(covariance)[tilt]),
+        offset_temperature=None if slope is None else theta[slope] * scale,
+        quadratic=theta[u],
+        quadratic_std=np.sqrt(np.diag(covariance)[u]),
+        discrepancy=np.sqrt(np.asarray(found.discrepancy2)),
+        noise=tuple(_noise(rig, fit, k) for k in range(len(logs))),
+        slow=tuple(_slow(rig, found, k) for k in range(len(logs))),
+        events=tuple(_events(r) for r in rows),
+        steps=tuple(_steps(c, theta, covariance, n) for c in columns),
+        spacing=np.array([fit.spacing(k) for k in range(len(logs))]),
+        unresolved=np.array(found.unresolved, dtype=bool),
+        dropped=np.array(found.dropped, dtype=np.int64),
+        rows=rows,
+        sources=_sources(columns, covariance, before, normalised, n),
+        A=float(found.pose.A),
+        ww=np.asarray(found.pose.ww),
+        p_halves=float(found.halves.p),
+        p_quarters=float(found.quarters.p),
+        converged=bool(fit.converged),
+        iterations=int(fit.iterations),
+        fits=int(found.fits),
+        history_time=_NOTHING if history is None else np.asarray(history.time),
+        history_log=np.zeros(0, np.int64) if history is None else np.asarray(history.log, np.int64),
+        history_gain=np.zeros((0, n, 6)) if history is None else np.asarray(history.gain),
+        history_std=np.zeros((0, n, 6)) if history is None else np.asarray(history.std),
+    )
+
+
+def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -> Estimate:
+    """The prior, where a record says nothing that could be solved."""
+    n, count = rig.sensor.n, len(logs)
+    scale, span = assumed.channel_scale, rig.sensor.range_array
+    prior = np.append(np.full(6 * n, min(rig.sensor.gain_prior, 1e30)), rig.sensor.offset_prior_array / scale)
+    normalised = np.diag(prior**2)
+    units = np.append((scale[:, None] / span).ravel(), scale)
+    offset_std = np.tile(rig.sensor.offset_prior_array, (count, 1))
+    nothing = LogRows(
+        np.zeros(0, np.int64),
+        _NOTHING,
+        np.zeros(0, bool),
+        np.zeros((0, n)),
+        np.zeros((0, n)),
+        np.zeros((0, 6)),
+        np.zeros((0, 6)),
+        np.zeros((0, 6)),
+        np.zeros(0, np.int64),
+    )
+    unresolved = np.zeros(count, dtype=bool)
+    unresolved[: len(found.unresolved)] = found.unresolved
+    dropped = np.zeros(count, dtype=np.int64)
+    dropped[: len(found.dropped)] = found.dropped
+    return Estimate(
+        solved=False,
+        gain=np.array(rig.sensor.nominal_gain_array),
+        covariance=normalised * units[:, None] * units,
+        normalised_covariance=normalised,
+        before_pose=normalised[: 6 * n, : 6 * n],
+        gain_prior=prior[: 6 * n],
+        offsets=np.zeros((count, n)),
+        offsets_std=offset_std,
+        clocks=((),) * count,
+        payloads={},
+        tilt=None,
+        tilt_std=None,
+        offset_temperature=None,
+        quadratic=np.zeros(n),
+        quadratic_std=np.zeros(n),
+        discrepancy=np.zeros(n),
+        noise=((),) * count,
+        slow=((),) * count,
+        events=((),) * count,
+        steps=((),) * count,
+        spacing=np.full(count, np.nan),
+        unresolved=unresolved,
+        dropped=dropped,
+        rows=(nothing,) * count,
+        sources={},
+        A=0.0,
+        ww=np.zeros((6, 6)),
+        p_halves=1.0,
+        p_quarters=1.0,
+        converged=False,
+        iterations=0,
+        fits=int(found.fits),
+        history_time=_NOTHING,
+        history_log=np.zeros(0, np.int64),
+        history_gain=np.zeros((0, n, 6)),
+        history_std=np.zeros((0, n, 6)),
+    )
+
+
+def _rows(rig: Rig, log: Log, of: Any) -> LogRows:
+    return LogRows(
+        rows=np.asarray(of["source"], np.int64),
+        time=np.asarray(of["time"]).ravel(),
+        masked=np.asarray(of["masked"]).ravel() > 0.0,
+        residual=np.asarray(of["residual"]),
+        discrepancy=np.asarray(of["d"]),
+        wrench=np.asarray(of["w"]) * rig.sensor.range_array,
+        twist=np.asarray(of["nu"]),
+        acceleration=np.asarray(of["a"]),
+        stretch=np.asarray(of["stretch"], np.int64),
+    )
+
+
+def _streams(rig: Rig, record: Any) -> list[str]:
+    if rig.motion.source == "joints":
+        return [("positions", "velocities", "accelerations")[m.derivative] for m in record.motion]
+    if rig.motion.source == "imu":
+        return ["specific force", "rate of turn"][: len(record.motion)]
+    return [("twist", "accelerations")[m.derivative] for m in record.motion]
+
+
+def _clocks(rig: Rig, columns: Any, record: Any, fit: Any, covariance: Array) -> tuple[Clock, ...]:
+    active, at, theta = set(fit.active), np.array(columns.at), np.asarray(fit.theta)
+    std = np.sqrt(np.diag(covariance))
+    gamma = at[columns.gamma] if columns.gamma >= 0 and at[columns.gamma] in active else None
+    out = []
+    for k, (place, stream) in enumerate(zip(columns.clock, _streams(rig, record), strict=True)):
+        s, kappa = at[place], at[place + 1]
+        free = kappa in active
+        gravity = gamma if k == 0 else None
+        out.append(
+            Clock(
+                stream,
+                float(theta[s]),
+                float(std[s]),
+                float(record.motion[k].time_offset_prior),
+                float(theta[kappa]) if free else None,
+                float(std[kappa]) if free else None,
+                None if gravity is None else float(theta[gravity]),
+                None if gravity is None else float(std[gravity]),
+            )
+        )
+    return tuple(out)
+
+
+def _payloads(
+    rig: Rig, logs: Sequence[Log], columns: Sequence[Any], theta: Array, covariance: Array
+) -> dict[str, PayloadDeparture]:
+    out = {}
+    for log, c in zip(logs, columns, strict=True):
+        spec = rig.payloads[log.payload]
+        if log.payload in out or spec.exact:
+            continue
+        at = np.array(c.at)[c.body : c.body + 10]
+        root = np.sqrt(np.diag(spec.inertia_matrix))
+        pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        unit = np.array([1.0] * 4 + [1.0 / (root[i] * root[j]) for i, j in pairs])
+        mean, std = theta[at] * unit, np.sqrt(np.diag(covariance)[at]) * unit
+        mean[0] = np.expm1(mean[0])
+        out[log.payload] = PayloadDeparture(mean, std)
+    return out
+
+
+def _sources(
+    columns: Sequence[Any], covariance: Array, before: Array, normalised: Array, n: int
+) -> dict[str, Array]:
+    """What the variance of the gain is made of: P_gg = (P_gg - K P_vv K^T) + K P_vv K^T, K = P_gv P_vv^-1."""
+    places: dict[str, set[int]] = {name: set() for name in _SOURCES}
+    for c in columns:
+        at = np.array(c.at)
+        places["mass"].add(int(at[c.body]))
+        places["center_of_mass"] |= set(at[c.body + 1 : c.body + 4].tolist())
+        places["inertia"] |= set(at[c.body + 4 : c.body + 10].tolist())
+        for clock in c.clock:
+            places["timing"] |= {int(at[clock]), int(at[clock + 1])}
+        if c.gamma >= 0:
+            places["timing"].add(int(at[c.gamma]))
+        if c.tilt >= 0:
+            places["gravity"] |= set(at[c.tilt : c.tilt + 2].tolist())
+    gains = np.diag(covariance)[: 6 * n]
+
+    def explained(at: set[int]) -> Array:
+        known = [k for k in sorted(at) if covariance[k, k] > 1e-17]  # what is exact explains nothing
+        if not known:
+            return np.zeros(6 * n)
+        inner, cross = covariance[np.ix_(known, known)], covariance[: 6 * n, known]
+        scale = np.sqrt(np.diag(inner))
+        K = np.linalg.lstsq(inner / scale / scale[:, None], (cross / scale).T, rcond=1e-12)[0].T
+        return np.asarray(np.einsum("ij,ij->i", K, cross / scale))
+
+    found = {name: explained(at) for name, at in places.items()}
+    every = explained(set().union(*places.values()))
+    found["noise"] = gains - every
+    found["slow"] = np.diag(before) - gains
+    found["pose"] = np.diag(normalised)[: 6 * n] - np.diag(before)
+    sigma = {name: np.sqrt(np.maximum(v, 0.0)).reshape(n, 6) for name, v in found.items()}
+    return {name: s for name, s in sigma.items() if name == "noise" or s.max() > 1e-9}
+
+
+def _groups(n: int) -> tuple[str, ...]:
+    return ("force", "moment") if n == 6 else ("channels",)
+
+
+def _noise(rig: Rig, fit: Any, k: int) -> tuple[FoundNoise, ...]:
+    sizes = fit.sizes(k)
+    out = [
+        FoundNoise(what, float(f)) for what, f in zip(_groups(rig.sensor.n), sizes.raw_factor, strict=True)
+    ]
+    names = {"twist": ("velocities v", "velocities Omega")}.get(rig.motion.source)
+    for i, factors in enumerate(sizes.motion_factor):
+        for g, factor in enumerate(np.asarray(factors)):
+            if names is not None and i == 0:
+                what = names[g]
+            elif rig.motion.source == "imu":
+                what = ("specific force", "rate of turn")[i]
+            else:
+                what = f"motion stream {i + 1}"
+            out.append(FoundNoise(what, float(factor)))
+    return tuple(out)
+
+
+def _slow(rig: Rig, found: Any, k: int) -> tuple[Slow, ...]:
+    sizes, out = found.fit.sizes(k), []
+    form = str(sizes.form).rsplit(".", 1)[-1]
+    for g, what in enumerate(_groups(rig.sensor.n)):
+        moment = found.moments[k][g] if k < len(found.moments) else None
+        if form == "none":
+            if moment is None:
+                continue
+            size = float(np.sqrt(moment.delta2))
+            std = float(moment.sd) / (2.0 * size) if size > 0.0 else float(np.sqrt(max(moment.sd, 0.0)))
+            out.append(Slow(what, size, std, float(moment.tau), float(moment.z), form))
+        else:
+            delta = float(sizes.delta[g])
+            z = float(moment.z) if moment is not None else np.nan
+            out.append(Slow(what, delta, None, 1.0 / sizes.k, z, form, delta >= 0.999 * float(sizes.cap[g])))
+    return tuple(out)
+
+
+def _events(rows: LogRows) -> tuple[Event, ...]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.masked.astype(int), [0]])))
+    period = float(np.median(np.diff(rows.time))) if rows.time.size > 1 else 0.0
+    out = []
+    for a, b in edges.reshape(-1, 2):
+        with np.errstate(invalid="ignore"):
+            size = np.nanmax(np.abs(np.nan_to_num(rows.residual[a:b])), axis=0)
+        lasting = rows.time[b - 1] - rows.time[a] + period >= _LASTING - 1e-9
+        out.append(Event(float(rows.time[a]), float(rows.time[b - 1]), int(b - a), bool(lasting), size))
+    return tuple(out)
+
+
+def _steps(columns: Any, theta: Array, covariance: Array, n: int) -> tuple[Step, ...]:
+    at, out = np.array(columns.at), []
+    for place, time in zip(columns.steps, columns.step_times, strict=True):
+        where = at[place : place + n]
+        out.append(Step(float(time), theta[where], np.sqrt(np.diag(covariance)[where])))
+    return tuple(out)
