@@ -16,10 +16,11 @@ from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
 from truewrench.estimate.fits import group_fits
 from truewrench.estimate.window_estimate import PayloadDeparture, WindowEstimate
 from truewrench.estimation.bound import oracle_rms
+from truewrench.estimation.estimate import Estimate
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
 
-__all__ = ["assemble", "assemble_windows", "window_figures"]
+__all__ = ["assemble", "assemble_motion", "assemble_windows", "motion_figures", "window_figures"]
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,79 @@ def assemble_windows(
             name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
         },
         bound=Bound(oracle_rms(rig, estimate.wrench), float(np.sqrt(stated.mean()))),
+    )
+
+
+def assemble_motion(
+    rig: Rig, logs: Sequence[Log], estimator: str, estimate: Estimate, verdict: Verdict, **rest: Any
+) -> Calibration:
+    """The calibration that an estimate from motion is; `rest` as for `assemble`."""
+    n = rig.sensor.n
+    stated = np.diag(estimate.normalised_covariance)[: 6 * n]
+    wrenches = [rows.wrench[~rows.masked] for rows in estimate.rows]
+    return assemble(
+        rig,
+        estimator,
+        estimate.gain,
+        estimate.covariance,
+        verdict,
+        [_motion_report(log, k, estimate) for k, log in enumerate(logs)],
+        offset_temperature=estimate.offset_temperature,
+        time_offset=float(estimate.time_offsets[-1]),
+        time_offset_std=float(estimate.time_offsets_std[-1]),
+        payload_posterior={
+            name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
+        },
+        quadratic=estimate.quadratic,
+        quadratic_std=estimate.quadratic_std,
+        discrepancy=estimate.discrepancy,
+        bound=Bound(oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
+        **rest,
+    )
+
+
+def motion_figures(rig: Rig, estimate: Estimate) -> dict[str, Any]:
+    """Figures of a calibration from motion, as calibration.yaml has them."""
+    sensor = rig.sensor
+    posed = _core.conditioning(
+        estimate.gain, sensor.noise_array, sensor.nominal_gain_array, sensor.range_array
+    )
+    return {
+        "knot_spacing": estimate.spacing.tolist(),
+        "fits": estimate.fits,
+        "iterations": estimate.iterations,
+        "noise_found": [{f.what: f.factor for f in found} for found in estimate.noise],
+        "pose_share": estimate.A,
+        "parts_agree": {"halves": estimate.p_halves, "quarters": estimate.p_quarters},
+        "condition_number": posed.condition_number,
+        "departure_norm": posed.departure_norm,
+        "limited_by": {
+            source: dict(zip(AXES, np.sqrt(np.mean(sigma**2, axis=0)).tolist(), strict=True))
+            for source, sigma in estimate.sources.items()
+        },
+    }
+
+
+def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
+    rows = estimate.rows[k]
+    masked = Counter[str]()
+    for event in estimate.events[k]:
+        masked["contact" if event.lasting else "outliers"] += event.samples
+    sensed = int(np.isfinite(log.raw).any(axis=1).sum())
+    outside = max(0, sensed - rows.rows.size)
+    return LogReport(
+        log.path,
+        log.sha256,
+        log.payload,
+        estimate.offsets[k],
+        estimate.offsets_std[k],
+        time_offset=float(estimate.time_offsets[k]),
+        used=int(np.count_nonzero(~rows.masked)),
+        masked=dict(masked),
+        rejected={"outside every stretch of motion": outside} if outside else {},
+        disturbances=tuple((e.begin, e.end) for e in estimate.events[k]),
+        dropped_rows=log.dropped_rows,
+        nan_counts=log.nan_counts,
     )
 
 

@@ -179,8 +179,8 @@ class Estimate:
         unresolved: (L,) (10.7) still falls at one knot per sample.
         dropped: (L,) stretches that were too short.
         rows: per log.
-        sources: 1 sigma (n, 6) of the normalised gain that each source accounts for: `noise` (with priors), `mass`,
-            `center_of_mass`, `inertia`, `timing`, `gravity`, `slow` (10.9), `pose` (10.10).
+        sources: 1 sigma (n, 6) of the normalised gain that each source accounts for: `noise` (with priors),
+            `mass`, `center_of_mass`, `inertia`, `timing`, `gravity`, `slow` (10.9), `pose` (10.10).
         A: of (10.10).
         ww: (6, 6) E w w^T, fractions of range.
         p_halves: of (10.11).
