@@ -210,7 +210,7 @@ def test_a_gain_that_walks_from_week_to_week_is_followed() -> None:
     rig = rig_of(gain_walk=walk)
     rng = np.random.default_rng(1)
     scores, still = [], []
-    for seed in range(2):
+    for seed in range(4):
         runs: list[SimulatedRun] = []
         logs: list[Log] = []
         change = np.zeros((6, 6))

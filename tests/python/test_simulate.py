@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from truewrench.errors import InputError, UnsupportedError
+from truewrench.estimation.pose import delay_share, pose_share
 from truewrench.motion.trajectory import Body, attitude
 from truewrench.rig import Rig
 from truewrench.simulation.free_body import SimulatedRun, default_trajectory, simulate, wrench_on_sensor
@@ -238,3 +239,28 @@ def test_rigs_that_cannot_be_simulated_are_refused() -> None:
         simulate(rig_of(), payload="hammer")
     with pytest.raises(InputError, match="wrench_fraction"):
         simulate(rig_of(gravity=[0, 0, -9.81], limits={"wrench_fraction": 0.1}))
+
+
+def test_default_motion_has_several_frequencies_on_every_axis() -> None:
+    """What one-frequency motion would hide, this one shows; and some gains would not be known without it."""
+    motion = default_trajectory(rig_of(plan={"duration": 20}))
+    time = np.arange(0.0, 100 / 3, 0.01)  # a period
+    power = np.abs(np.fft.rfft(motion.twist(time), axis=0)) ** 2
+    power /= power.sum(axis=0)
+    assert (np.sum(power > 0.05, axis=0) >= 6).all()
+    used = [set(np.flatnonzero(axis > 1e-3).tolist()) for axis in power.T]
+    assert not set.intersection(*used)
+    for duration in (6.0, 10.0, 20.0):
+        t = np.arange(0.0, duration, 0.01)
+        nu, a = motion.twist(t), motion.acceleration(t)
+        body = Body(50.0, np.array([0.2, 0, 0]), np.diag([1.5, 1.5, 0.4]))
+        wrench = wrench_on_sensor(body, body.center_of_mass, nu, a, np.zeros((t.size, 3)))
+        share = wrench / np.array([500.0] * 3 + [50.0] * 3)
+        assert pose_share(t, nu, share).share < 0.5
+        assert delay_share(t, share).share < 0.7
+
+
+def test_default_motion_is_the_same_every_time() -> None:
+    first, second = (default_trajectory(rig_of(plan={"duration": d})) for d in (4, 40))
+    t = np.linspace(0, 4, 100)
+    np.testing.assert_array_equal(first.twist(t), second.twist(t))

@@ -108,7 +108,7 @@ def test_right_gain_is_better_on_every_axis_and_its_sigma_honest(good: Validatio
     for axis in good.axes.values():
         assert axis.ratio_low < axis.ratio < axis.ratio_high < 0.9
         assert abs(axis.nis - 1.0) < 4.0 * axis.nis_std + 0.05
-        assert axis.coverage == pytest.approx(0.95, abs=0.07)
+        assert axis.coverage == pytest.approx(0.95, abs=0.1)  # one error of the gain for all samples
     assert good.held_out
     assert good.tared
 

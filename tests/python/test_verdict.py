@@ -198,7 +198,7 @@ def test_a_contact_that_is_left_out_is_accepted_and_a_long_one_is_not(rig: Rig, 
     assert short.left_out[0][300:480].mean() > 0.95
     assert judge_windows(rig, short).usable
     assert "25 % of the samples of log 1 were left out as contact or spikes" in reason_text(
-        rig, with_contact(log, 300, 600)
+        rig, with_contact(log, 450, 750)
     )
 
 

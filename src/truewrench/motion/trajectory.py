@@ -62,8 +62,8 @@ class HarmonicTwist:
         rate = 2.0 * np.pi * self.frequency
         return np.asarray((self.amplitude * rate * np.cos(self._angle(time))).sum(axis=1))
 
-    def scaled(self, factor: float) -> HarmonicTwist:
-        """The same motion with every amplitude times `factor`."""
+    def scaled(self, factor: float | Array) -> HarmonicTwist:
+        """The same motion with every amplitude times `factor`, of all axes or of each (6,)."""
         return HarmonicTwist(self.amplitude * factor, self.frequency, self.phase, self.duration)
 
     def _angle(self, time: Array) -> Array:

@@ -23,6 +23,25 @@ __all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on
 
 Array = NDArray[np.float64]
 
+_PERIOD = 100.0 / 3.0  # [s] after which the motion without a plan repeats itself
+_FIRST = 5  # harmonic, the slowest: 0.15 Hz
+_TURN = np.array([0, 2, 4, 1, 3, 5])  # neighbouring harmonics belong to forces and moments in turn
+# [30 deg], one column an axis: of 4,600 sets the one whose 3, 4, 6 and 10 s determine the least certain gain
+# of the payload of [A00] best. In a pattern, axes move together, and some gains are hardly determined.
+_PHASES = np.array(
+    [
+        [9, 4, 10, 4, 10, 9],
+        [9, 11, 11, 2, 7, 11],
+        [9, 9, 4, 6, 2, 5],
+        [9, 9, 5, 6, 9, 10],
+        [4, 2, 2, 0, 2, 5],
+        [5, 4, 4, 6, 5, 3],
+    ]
+)
+_SPEED = 0.4  # [m/s, rad/s] where nothing is said
+_LOOK = 2e-3  # [s] between the times at which limits are looked at
+_SPARE = 0.999  # of a limit, for what happens between them
+
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRun:
@@ -122,9 +141,11 @@ def wrench_on_sensor(body: Body, point: Array, twist: Array, acceleration: Array
 
 
 def default_trajectory(rig: Rig) -> HarmonicTwist:
-    """One sine per twist axis, of distinct frequencies, for ``rig.plan.duration`` and within ``rig.limits``.
+    """Six sines per twist axis, for ``rig.plan.duration`` and within ``rig.limits``.
 
-    0.3 to 0.9 Hz; 0.25 m/s and 0.25 rad/s where the rig does not limit the velocity.
+    0.15 to 1.2 Hz, no frequency twice; 0.4 m/s and 0.4 rad/s at most where the rig does not limit the
+    velocity. Where every axis moves at one frequency, its pose is minus its acceleration: what follows the
+    pose, a cable say, would pass for gain (docs/method.md, "What follows the pose").
 
     Raises:
         UnsupportedError: for a workspace, which only a planned motion can keep to.
@@ -135,22 +156,30 @@ def default_trajectory(rig: Rig) -> HarmonicTwist:
         raise UnsupportedError.at(
             rig.path, "limits.workspace", "a workspace", "a planned motion to simulate (PLAN)"
         )
-    frequency = np.array([0.30, 0.51, 0.69, 0.39, 0.60, 0.87])
-    rate = 2.0 * np.pi * frequency
-    amplitude = np.full(6, 0.25) if limits.velocity is None else np.array(limits.velocity)
-    # position: the integral from 0 swings by twice its amplitude at most
-    for limit, per_amplitude in (
-        (limits.acceleration, rate),
-        (limits.jerk, rate**2),
-        (limits.position, 2.0 / rate),
-    ):
-        if limit is not None:
-            amplitude = np.minimum(amplitude, np.array(limit) / per_amplitude)
-    phase = np.array([0.0, 1.0, 2.0, 0.5, 1.5, 2.5])
-    motion = HarmonicTwist(amplitude[None], frequency[None], phase[None], rig.plan.duration)
+    harmonic = _FIRST + 6 * np.arange(6)[:, None] + _TURN
+    frequency = harmonic / _PERIOD
+    unit = HarmonicTwist(frequency**0.25, frequency, np.pi / 6.0 * _PHASES, rig.plan.duration)
+    motion = unit.scaled(_amplitude(rig, unit))
     if limits.wrench_fraction is None:
         return motion
     return _within_wrench(rig, motion, limits.wrench_fraction)
+
+
+def _amplitude(rig: Rig, unit: HarmonicTwist) -> Array:
+    """(6,) factors by which a motion of whole harmonics reaches the first limit of each axis."""
+    limits, time = rig.limits, np.arange(0.0, _PERIOD, _LOOK)
+    velocity = unit.twist(time)
+    displacement = np.vstack([np.zeros(6), np.cumsum(velocity[1:] + velocity[:-1], axis=0) * 0.5 * _LOOK])
+    factor = np.full(6, np.inf)
+    for values, limit in (
+        (velocity, (_SPEED,) * 6 if limits.velocity is None else limits.velocity),
+        (unit.acceleration(time), limits.acceleration),
+        (np.gradient(unit.acceleration(time), _LOOK, axis=0), limits.jerk),
+        (displacement, limits.position),
+    ):
+        if limit is not None:
+            factor = np.minimum(factor, _SPARE * np.array(limit) / np.abs(values).max(axis=0))
+    return factor
 
 
 def _logged_point(rig: Rig, payload: str) -> Array:
