@@ -1,0 +1,219 @@
+"""What an estimate assumes, as numbers of its own: made once from a rig, which is neither copied nor altered.
+
+Channels are fractions of R_i = |nominal_i| @ range, wrench axes of range_j (docs/method.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.errors import InputError
+from truewrench.log import Log
+from truewrench.rig import PayloadSpec, Rig
+
+__all__ = ["FIRST_POSITION_NOISE", "INERTIA_ELEMENTS", "Assumption", "Assumptions", "statement"]
+
+Array = NDArray[np.float64]
+
+INERTIA_ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""xx yy zz xy xz yz: the order of a body's last six parameters."""
+
+FIRST_POSITION_NOISE = 1e-6
+"""[rad, m] 1 sigma of logged joint positions without a stated one, from which theirs is found."""
+
+_KAPPA_CLOCK, _GAMMA_CLOCK = 0.5, 0.5  # means of (10.4), (10.5) where nothing is known of a filter
+_KAPPA_FILTER, _GAMMA_FILTER = 0.0, 1.0  # of a first-order filter of the sensor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assumption:
+    """One line of what an estimate assumed, for people: `value` is a number, an array or text."""
+
+    name: str
+    value: Any
+    unit: str
+    meaning: str
+
+
+def _told(unit: str, meaning: str) -> dict[str, str]:
+    return {"unit": unit, "meaning": meaning}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assumptions:
+    """Numbers that an estimate of n channels assumes; a sigma of 0 holds a parameter at its mean."""
+
+    channel_scale: Array = field(
+        metadata=_told("raw units", "(n,) R_i = |nominal_i| @ range: full scale of a channel")
+    )
+    range: Array = field(metadata=_told("N, N m", "(6,) full scale of a wrench axis"))
+    sign: int = field(metadata=_told("1", "of the wrench: +1 where the sensor feels the payload's reaction"))
+    nominal: Array = field(metadata=_told("1", "(n, 6) nominal gain, nominal_ij range_j / R_i: mean of C"))
+    gain_prior: float = field(metadata=_told("1", "1 sigma of every gain's departure from nominal"))
+    noise: Array = field(
+        metadata=_told("fraction of range", "(n,) 1 sigma of a sample of a channel; a factor is found")
+    )
+    offset_prior: Array = field(metadata=_told("fraction of range", "(n,) 1 sigma of b"))
+    pool_offsets: bool = field(metadata=_told("", "one offset for all logs"))
+    slope_prior: float = field(
+        metadata=_told("fraction of range / K", "1 sigma of the offset's slope with temperature")
+    )
+    reference_temperature: float = field(metadata=_told("degC", "at which the offset is told"))
+    gravity: Array = field(metadata=_told("m/s^2", "(3,) free fall in the root frame"))
+    tilt_prior: float = field(metadata=_told("rad", "1 sigma of the direction of gravity about two axes"))
+    bodies: tuple[str, ...] = field(metadata=_told("", "names of the payloads, in the order of body_prior"))
+    body_prior: tuple[Array, ...] = field(
+        metadata=_told(
+            "1, m, kg m^2", "(10,) a payload: 1 sigma of log mass, centre of mass, inertia xx yy zz xy xz yz"
+        )
+    )
+    time_offset_prior: float = field(
+        metadata=_told("s", "1 sigma of s = -time_offset of a stream; data may show more")
+    )
+    clock_mean: float = field(metadata=_told("s", "s_0: how late the sensor is against the motion"))
+    kappa_mean: float = field(metadata=_told("1", "of (10.4): 1/2 a clock, 0 a filter of the sensor"))
+    gamma_mean: float = field(metadata=_told("1", "of (10.5): 1 where the sensor alone is late"))
+    motion_noise: Array | None = field(
+        metadata=_told(
+            "m/s, rad/s",
+            "1 sigma of a sample: (6,) of the twist, of a joint's velocity, (3,) of an IMU's Omega",
+        )
+    )
+    position_noise: Array | None = field(
+        metadata=_told("rad, m", "1 sigma of a joint's position; a factor is found")
+    )
+    position_noise_found: bool = field(
+        metadata=_told("", "position_noise is not stated, but where its search begins")
+    )
+    acceleration_noise: Array | None = field(
+        metadata=_told(
+            "m/s^2, rad/s^2", "1 sigma of a sample: (6,) of the twist's derivative, or (3,) of specific force"
+        )
+    )
+    accelerometer_bias_prior: float = field(metadata=_told("m/s^2", "1 sigma of each axis' constant error"))
+    gyro_bias_prior: float = field(metadata=_told("rad/s", "1 sigma of each axis' constant error"))
+    discrepancy: float = field(
+        metadata=_told("fraction of range", "-1: found; 0: none; f: at least so much (10.10)")
+    )
+
+    @classmethod
+    def of(cls, rig: Rig, logs: Sequence[Log]) -> Assumptions:
+        """What a rig states, normalised.
+
+        Args:
+            rig: the user's statement.
+            logs: that will be estimated together.
+
+        Raises:
+            InputError: for a log without temperatures where the offset follows them and others have some.
+        """
+        sensor, motion = rig.sensor, rig.motion
+        scale = sensor.channel_scale
+        clock, kappa, gamma = 0.0, _KAPPA_CLOCK, _GAMMA_CLOCK
+        if sensor.lowpass_hz is not None:
+            clock, kappa, gamma = 1.0 / (2.0 * np.pi * sensor.lowpass_hz), _KAPPA_FILTER, _GAMMA_FILTER
+        position, found = None, False
+        if motion.source == "joints":
+            found = motion.position_noise is None and any(log.position is not None for log in logs)
+            if motion.position_noise is not None:
+                position = np.array(motion.position_noise)
+            elif motion.noise is not None:
+                position = np.full(len(motion.noise), FIRST_POSITION_NOISE)
+        return cls(
+            channel_scale=scale,
+            range=sensor.range_array,
+            sign=sensor.sign,
+            nominal=sensor.nominal_gain_array * sensor.range_array / scale[:, None],
+            gain_prior=sensor.gain_prior,
+            noise=sensor.noise_array / scale,
+            offset_prior=sensor.offset_prior_array / scale,
+            pool_offsets=sensor.pool_offsets,
+            slope_prior=_slope_prior(rig, logs),
+            reference_temperature=rig.temperature.reference,
+            gravity=rig.gravity_array,
+            tilt_prior=rig.gravity_tilt_prior if rig.in_gravity and motion.source != "imu" else 0.0,
+            bodies=tuple(rig.payloads),
+            body_prior=tuple(_body_prior(spec) for spec in rig.payloads.values()),
+            time_offset_prior=sensor.time_offset_prior,
+            clock_mean=clock,
+            kappa_mean=kappa,
+            gamma_mean=gamma,
+            motion_noise=None if motion.noise is None else motion.noise_array,
+            position_noise=position,
+            position_noise_found=found,
+            acceleration_noise=_array(motion.acceleration_noise),
+            accelerometer_bias_prior=motion.accelerometer_bias_prior or 0.0,
+            gyro_bias_prior=motion.gyro_bias_prior or 0.0,
+            discrepancy=-1.0 if sensor.discrepancy == "auto" else float(sensor.discrepancy),
+        )
+
+    def body(self, payload: str) -> int:
+        """Where a payload stands in `body_prior`."""
+        return self.bodies.index(payload)
+
+    def lines(self) -> list[Assumption]:
+        """All of them, what is not assumed left out."""
+        values = [(f, getattr(self, f.name)) for f in fields(self)]
+        return [
+            Assumption(f.name, value, f.metadata["unit"], f.metadata["meaning"])
+            for f, value in values
+            if value is not None
+        ]
+
+    def to_mapping(self) -> Mapping[str, Any]:
+        """Plain numbers and lists by name."""
+        return {line.name: _plain(line.value) for line in self.lines()}
+
+
+def statement(assumptions: Assumptions) -> _core.Statement:
+    """The part that all logs share, as the core takes it."""
+    out = _core.Statement()
+    out.range = assumptions.range
+    out.sign = float(assumptions.sign)
+    out.noise = assumptions.noise
+    out.nominal = np.ascontiguousarray(assumptions.nominal)
+    out.gain_prior = assumptions.gain_prior
+    out.offset_prior = assumptions.offset_prior
+    out.pool_offsets = assumptions.pool_offsets
+    out.gravity = assumptions.gravity
+    out.tilt_prior = assumptions.tilt_prior
+    out.gamma_mean = assumptions.gamma_mean
+    out.slope_prior = assumptions.slope_prior
+    out.body_prior = list(assumptions.body_prior)
+    return out
+
+
+def _body_prior(spec: PayloadSpec) -> Array:
+    """1 sigma (10,) of log mass, centre of mass [m], inertia elements [kg m^2]."""
+    sigma = spec.uncertainty
+    moment = np.sqrt(np.diag(spec.inertia_matrix))
+    inertia = [sigma.inertia * moment[i] * moment[j] for i, j in INERTIA_ELEMENTS]
+    return np.array([sigma.mass, *[sigma.center_of_mass] * 3, *inertia])
+
+
+def _slope_prior(rig: Rig, logs: Sequence[Log]) -> float:
+    """1 sigma of the offset's slope; 0 where no log has a temperature."""
+    told = [log.temperature is not None and bool(np.isfinite(log.temperature).any()) for log in logs]
+    if not rig.temperature.prior > 0.0 or not any(told):
+        return 0.0
+    for log, known in zip(logs, told, strict=True):
+        if not known:
+            found = "no such column" if log.temperature is None else "a column without a reading"
+            raise InputError.at(log.path, "temperature", found, "one in every log, as in the others")
+    return rig.temperature.prior
+
+
+def _array(values: Sequence[float] | None) -> Array | None:
+    return None if values is None else np.array(values)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [_plain(one) for one in value] if isinstance(value, tuple) else value

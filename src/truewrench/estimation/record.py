@@ -1,0 +1,285 @@
+"""A log as the estimator reads it: every stream at its own stamps, nothing resampled (METHOD 10.1, 10.6).
+
+Times are seconds since the log's first stamp; channels are fractions of R_i; the motion is in SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from truewrench import _core
+from truewrench.attitude import attitude_of
+from truewrench.errors import InputError
+from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
+from truewrench.estimation.joint_map import JointMap, joint_map
+from truewrench.log import Log
+from truewrench.motion.smooth import segments
+from truewrench.rig import Rig
+from truewrench.temperature import temperature_at
+
+__all__ = ["Recorded", "recorded", "recorded_logs"]
+
+Array = NDArray[np.float64]
+
+_NO_BIAS = 1e-9  # 1 sigma that holds a constant at zero
+_SHORTEST_GAP = 0.05  # [s] that the attitude is not interpolated over, where it is more than 5 periods too
+_LINEAR, _ANGULAR = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """One log for the estimator.
+
+    Attributes:
+        streams: what the core reads; its samples of the sensor are the rows of the log, NaN where missing.
+        notes: what was left out, for people.
+    """
+
+    streams: _core.RecordedLog
+    notes: tuple[str, ...]
+
+
+def recorded_logs(
+    rig: Rig, logs: Sequence[Log]
+) -> tuple[Assumptions, _core.Statement, list[_core.RecordedLog]]:
+    """What is assumed of a rig and its logs, the same for the core, and the logs' streams.
+
+    Args:
+        rig: the user's statement.
+        logs: with a subtracted weight added back (`compensation.uncompensated`).
+
+    Raises:
+        InputError: for a log without motion, without samples of the sensor, or without gravity where it acts.
+    """
+    assumptions = Assumptions.of(rig, logs)
+    streams = [recorded(rig, assumptions, log).streams for log in logs]
+    return assumptions, statement(assumptions), streams
+
+
+def recorded(rig: Rig, assumptions: Assumptions, log: Log) -> Recorded:
+    """The streams of one log.
+
+    Samples of the sensor at which the attitude, or the motion of the base, is needed and not known are left
+    out. The temperature between two readings is interpolated; before the first and after the last, it holds.
+    A log may be too short to tell anything: that is for the estimator to say.
+
+    Args:
+        rig: source and point of the motion, payloads, robot.
+        assumptions: every number.
+        log: with a subtracted weight added back.
+
+    Raises:
+        InputError: as for `recorded_logs`.
+    """
+    spec = rig.payloads[log.payload]
+    out = _core.RecordedLog()
+    out.payload = _core.Payload(spec.mass, spec.center_of_mass_array, spec.inertia_matrix)
+    out.body = assumptions.body(log.payload)
+    out.point = spec.center_of_mass_array if rig.motion.of == "com" else np.zeros(3)
+    if not np.isfinite(log.raw).any():
+        raise InputError.at(log.path, "raw_*", "no samples of the sensor", "its channels")
+    notes: list[str] = []
+    known = np.ones(len(log.time_ns), dtype=np.bool_)
+    if rig.motion.source == "twist":
+        out.source = _core.Source.twist
+        out.motion = _twist_streams(assumptions, log, notes)
+        if rig.in_gravity:
+            R_sensor_root = _attitude(rig, log)
+            known = np.isfinite(R_sensor_root[:, 0])
+            _leave_out(
+                notes, log, known, "gx gy gz, qw qx qy qz", "the direction of gravity is not known then"
+            )
+            out.R_sensor_root = np.nan_to_num(R_sensor_root)
+    elif rig.motion.source == "imu":
+        out.source = _core.Source.imu
+        out.motion = _imu_streams(assumptions, log)
+    else:
+        out.source = _core.Source.mapped
+        mapped = joint_map(rig, log)
+        out.motion = _joint_streams(rig, assumptions, log, mapped, notes)
+        known = mapped.base.covers(log.time)
+        _leave_out(notes, log, known, "base_*", "the motion of the base is not known then")
+        out.set_map(mapped)
+    out.time = log.time
+    out.raw = np.where(known[:, None], log.raw / assumptions.channel_scale, np.nan)
+    warm = temperature_at(log, log.time_ns) if assumptions.slope_prior > 0.0 else None
+    if warm is not None:
+        out.temperature = warm - assumptions.reference_temperature
+    return Recorded(out, tuple(notes))
+
+
+def _stream(
+    assumptions: Assumptions,
+    log: Log,
+    values: Array,
+    sigma: Array,
+    group: Sequence[int],
+    *,
+    derivative: int = 0,
+) -> _core.MotionStream:
+    """Measurements (N, M) of the log's rows, those without any left out."""
+    rows = np.flatnonzero(np.isfinite(values).any(axis=1))
+    out = _core.MotionStream()
+    out.derivative = derivative
+    out.time = log.time[rows]
+    out.value = np.ascontiguousarray(values[rows])
+    out.sigma = sigma
+    out.group = np.array(group, dtype=np.int32)
+    out.time_offset_prior = assumptions.time_offset_prior
+    out.clock_mean = assumptions.clock_mean
+    out.kappa_mean = assumptions.kappa_mean
+    return out
+
+
+def _measured(log: Log, values: Array | None, expected: str) -> Array:
+    if values is None or not np.isfinite(values).any():
+        raise InputError.at(log.path, "", "no motion", expected)
+    return values
+
+
+def _twist_streams(assumptions: Assumptions, log: Log, notes: list[str]) -> list[_core.MotionStream]:
+    """Of the twist, and of its component-wise derivative where its noise is stated."""
+    twist = _measured(log, log.twist, "vx vy vz wx wy wz")
+    assert assumptions.motion_noise is not None
+    halves = (0, 0, 0, 1, 1, 1)
+    streams = [_stream(assumptions, log, twist, assumptions.motion_noise, halves)]
+    sigma, acceleration = assumptions.acceleration_noise, log.acceleration
+    if sigma is not None and sigma.size == 6 and acceleration is not None and np.isfinite(acceleration).any():
+        streams.append(_stream(assumptions, log, acceleration, sigma, halves, derivative=1))
+    _say_unused_accelerometer(assumptions, log, notes)
+    return streams
+
+
+def _imu_streams(assumptions: Assumptions, log: Log) -> list[_core.MotionStream]:
+    """[a_s, Omega] of the sensor's origin, each with a constant error of its own."""
+    force = _measured(log, log.specific_force, "accel_x accel_y accel_z")
+    omega = _measured(log, log.angular_velocity, "wx wy wz")
+    assert assumptions.motion_noise is not None
+    assert assumptions.acceleration_noise is not None
+    streams = []
+    for axes, values, sigma, bias in (
+        (_LINEAR, force, assumptions.acceleration_noise, assumptions.accelerometer_bias_prior),
+        (_ANGULAR, omega, assumptions.motion_noise, assumptions.gyro_bias_prior),
+    ):
+        six, sigmas, biases = np.full((len(values), 6), np.nan), np.ones(6), np.full(6, _NO_BIAS)
+        six[:, axes], sigmas[axes], biases[axes] = values, sigma, max(bias, _NO_BIAS)
+        stream = _stream(assumptions, log, six, sigmas, (0,) * 6)
+        stream.bias_prior = biases
+        streams.append(stream)
+    return streams
+
+
+def _joint_streams(
+    rig: Rig, assumptions: Assumptions, log: Log, mapped: JointMap, notes: list[str]
+) -> list[_core.MotionStream]:
+    """Encoders and tachometers as they are, each with its own clock; velocities alone from a known start."""
+    joints = len(mapped.screws.xi)
+    for name, values in (("q_*", log.position), ("dq_*", log.velocity)):
+        if values is not None and values.shape[1] != joints:
+            raise InputError.at(log.path, name, f"{values.shape[1]} joints", f"{joints}")
+    _say_unused_accelerometer(assumptions, log, notes)
+    together = (0,) * joints
+    position, velocity = log.position, log.velocity
+    told = position is not None and np.isfinite(position).any()
+    streams = []
+    if told:
+        assert position is not None
+        assert assumptions.position_noise is not None
+        streams.append(_stream(assumptions, log, position, assumptions.position_noise, together))
+    if velocity is not None and np.isfinite(velocity).any() and assumptions.motion_noise is not None:
+        sigma = assumptions.motion_noise
+        if not told:
+            velocity, start = _from_start(rig, log, velocity, sigma, notes)
+            streams.append(_stream(assumptions, log, start, np.full(joints, FIRST_POSITION_NOISE), together))
+        streams.append(_stream(assumptions, log, velocity, sigma, together, derivative=1))
+    if not streams:
+        _measured(log, None, "positions `q_*`, or velocities `dq_*` with `motion.noise`")
+    return streams
+
+
+def _from_start(rig: Rig, log: Log, velocity: Array, sigma: Array, notes: list[str]) -> tuple[Array, Array]:
+    """Velocities alone (N, M), as far as they go without a gap, and the position at their first row.
+
+    The spline carries it on. Across a gap nobody knows where the joints went: what follows is left out.
+    """
+    if rig.motion.initial_position is None:
+        expected = "joint positions: the log has none"
+        raise InputError.at(rig.path, "motion.initial_position", "nothing", expected)
+    rows = np.flatnonzero(np.isfinite(velocity).all(axis=1))
+    if not rows.size:
+        raise InputError.at(log.path, "dq_*", "no row with all joints", "velocities of all joints")
+    last = rows[segments(log.time[rows])[0]][-1]
+    known = velocity.copy()
+    known[last + 1 :] = np.nan
+    lost = int(np.count_nonzero(np.isfinite(velocity[last + 1 :]).any(axis=1)))
+    if lost:
+        notes.append(f"{lost} rows of dq_* left out: after a gap nothing tells the joints' positions")
+    start = np.full_like(velocity, np.nan)
+    start[rows[0]] = rig.motion.initial_position
+    return known, start
+
+
+def _attitude(rig: Rig, log: Log) -> Array:
+    """R_sensor_root (N, 9) of all rows, row by row, NaN where it is not known."""
+    told = attitude_of(rig, log)
+    if told is None or len(told[0]) < 2:
+        found = "no gravity" if told is None else "gravity in 1 row"
+        raise InputError.at(log.path, "", found, "gx gy gz or qw qx qy qz, which a twist in gravity needs")
+    return _between(*told, log.time)
+
+
+def _between(time: Array, R: Array, at: Array) -> Array:
+    """Rotations (M, 9) row by row at times (M,), cubic in the quaternions of (K, 3, 3) at times (K,).
+
+    NaN before the first, after the last, and in gaps.
+    """
+    quaternion = Rotation.from_matrix(R).as_quat()
+    turned = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
+    quaternion[1:] *= np.cumprod(np.where(turned, -1.0, 1.0))[:, None]
+    out: Array = np.full((at.size, 9), np.nan)
+    for piece in _pieces(time):
+        known = time[piece]
+        inside = (at >= known[0]) & (at <= known[-1])
+        if inside.any() and known.size > 1:
+            path = make_interp_spline(known, quaternion[piece], k=min(3, known.size - 1))
+            out[inside] = Rotation.from_quat(path(at[inside])).as_matrix().reshape(-1, 9)
+    return out
+
+
+def _pieces(time: Array) -> list[slice]:
+    """As `segments`, gaps of less than a knot not counted."""
+    found: list[slice] = []
+    for piece in segments(time):
+        if found and time[piece.start] - time[found[-1].stop - 1] < _SHORTEST_GAP:
+            found[-1] = slice(found[-1].start, piece.stop)
+        else:
+            found.append(piece)
+    return found
+
+
+def _leave_out(notes: list[str], log: Log, known: NDArray[np.bool_], columns: str, why: str) -> None:
+    """Say how many samples of the sensor are lost for want of something that these columns tell."""
+    sensed = np.isfinite(log.raw).any(axis=1)
+    lost = int(np.count_nonzero(sensed & ~known))
+    if lost == np.count_nonzero(sensed):
+        found = "no sample of the sensor while they are known"
+        raise InputError.at(log.path, columns, found, "some, or a reading around them")
+    if lost:
+        notes.append(f"{lost} samples of the sensor left out: {why}")
+
+
+def _say_unused_accelerometer(assumptions: Assumptions, log: Log, notes: list[str]) -> None:
+    """What a log tells of accelerations, and the estimator does not read beside this motion."""
+    sigma = assumptions.acceleration_noise
+    if sigma is None:
+        return
+    if sigma.size == 3 and log.specific_force is not None:
+        notes.append("accel_* not used: specific force is read only with `motion.source: imu`")
+    if sigma.size == 6 and log.twist is None and log.acceleration is not None:
+        notes.append("ax ... alz not used: they are read only with `motion.source: twist`")

@@ -1,0 +1,181 @@
+"""Logs of joints as the new estimator reads them; Pinocchio and simulated arms with truth judge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from record_cases import HONEST, Array, RigOf, arm_with, base_log, core, estimate, nees
+from scipy.spatial.transform import Rotation
+
+from truewrench.arm.robot import BaseMotion, Robot, robot_of
+from truewrench.arm.screws import Screws
+from truewrench.estimation import assumptions as assumptions_module
+from truewrench.estimation import record as record_module
+from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions
+from truewrench.estimation.joint_map import joint_map
+from truewrench.estimation.record import recorded, recorded_logs
+from truewrench.log import Log
+from truewrench.simulation.arm import simulate_arm
+from truewrench.simulation.free_body import wrench_on_sensor
+from truewrench.simulation.truth import Truth, stated
+
+
+@pytest.fixture(autouse=True)
+def with_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (record_module, assumptions_module):
+        monkeypatch.setattr(module, "_core", core())
+
+
+def states(robot: Robot, rows: int, seed: int) -> tuple[Array, Array, Array]:
+    rng = np.random.default_rng(seed)
+    q, qd, qdd = rng.normal(size=(3, rows, robot.n))
+    return q, qd, qdd
+
+
+def base_of(rows: int, moves: bool) -> BaseMotion | None:
+    rng = np.random.default_rng(7)
+    return BaseMotion(*rng.normal(size=(2, rows, 6))) if moves else None
+
+
+@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize("arm", ["panda_ground", "ssrms"])
+def test_screws_move_the_sensor_as_pinocchio_does(arm_rig: RigOf, arm: str, moves: bool) -> None:
+    robot = robot_of(arm_rig(arm))
+    q, qd, qdd = states(robot, 1500, 0)  # more than are done at once
+    base = base_of(1500, moves)
+    pinocchio = robot.motion(q, qd, qdd, base)
+    carried = () if base is None else (base.twist, base.acceleration)
+    found = Screws.of(robot).motion(q, qd, qdd, *carried)
+    size = np.abs(pinocchio.acceleration).max()
+    np.testing.assert_allclose(found.twist, pinocchio.twist, atol=1e-13 * size)
+    np.testing.assert_allclose(found.acceleration, pinocchio.acceleration, atol=1e-13 * size)
+    np.testing.assert_allclose(found.R_root_sensor, pinocchio.R_root_sensor, atol=1e-14)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize("arm", ["panda_ground", "ssrms"])
+def test_jacobian_is_what_differences_of_pinocchios_motion_are(arm_rig: RigOf, arm: str, moves: bool) -> None:
+    robot = robot_of(arm_rig(arm))
+    state, base = states(robot, 5, 1), base_of(5, moves)
+    carried = () if base is None else (base.twist, base.acceleration)
+    jacobian = Screws.of(robot).motion(*state, *carried).jacobian
+    step = 1e-6
+
+    def moved(order: int, joint: int, by: float) -> Array:
+        shifted = [x.copy() for x in state]
+        shifted[order][:, joint] += by
+        motion = robot.motion(*shifted, base)
+        return np.column_stack([motion.twist, motion.acceleration])
+
+    for order in range(3):
+        for joint in range(robot.n):
+            slope = (moved(order, joint, step) - moved(order, joint, -step)) / (2.0 * step)
+            column = jacobian[:, :, order * robot.n + joint]
+            np.testing.assert_allclose(column, slope, atol=1e-8 * np.abs(jacobian).max())
+
+
+def test_map_tells_gravity_in_the_inertial_frame(arm_rig: RigOf) -> None:
+    rig = arm_rig("panda_ground")
+    robot = robot_of(rig)
+    time = np.arange(0.0, 2.0, 0.01)
+    log = base_log(rig, time, robot.n)
+    at, (q, qd, qdd) = np.array([0.512, 1.3]), states(robot, 2, 3)
+    nu, a, R_sensor_inertial, jacobian = joint_map(rig, log)(at, q, qd, qdd)
+    assert jacobian.shape == (2, 12 * 3 * robot.n)
+    base = BaseMotion(
+        np.column_stack([0.3 * np.cos(0.9 * at + k) for k in range(6)]),
+        np.column_stack([-0.27 * np.sin(0.9 * at + k) for k in range(6)]),
+    )
+    pinocchio = robot.motion(q, qd, qdd, base)
+    np.testing.assert_allclose(nu, pinocchio.twist, atol=1e-7)
+    np.testing.assert_allclose(a, pinocchio.acceleration, atol=1e-5)
+    turn = Rotation.from_euler("xyz", np.column_stack([0.4 * np.sin(0.5 * at + k) for k in range(3)]))
+    expected = (turn.as_matrix() @ pinocchio.R_root_sensor).transpose(0, 2, 1)
+    np.testing.assert_allclose(R_sensor_inertial.reshape(-1, 3, 3), expected, atol=1e-8)
+
+
+def test_map_without_gravity_tells_no_attitude(arm_rig: RigOf) -> None:
+    rig = arm_rig("panda")
+    robot = robot_of(rig)
+    log = Log(None, "default", "", np.arange(3), np.zeros((3, 6)), position=np.zeros((3, robot.n)))
+    assert joint_map(rig, log)(np.zeros(2), *states(robot, 2, 0))[2].shape == (0, 9)
+
+
+@pytest.mark.parametrize(("arm", "without"), [("panda_ground", None), ("panda", "noise"), ("ssrms", None)])
+def test_joint_log_gives_the_gain_within_its_sigma(arm_rig: RigOf, arm: str, without: str | None) -> None:
+    rig = arm_with(arm_rig, arm, **({without: None} if without else {}))
+    run = simulate_arm(rig, seed=2)
+    found = estimate(rig, run.log)
+    assert nees(found, rig, run.truth) < HONEST
+    for factor in found.fit.sizes(0).motion_factor:
+        np.testing.assert_allclose(factor, 1.0, atol=0.05)
+
+
+def test_positions_without_a_stated_noise_begin_at_a_microradian(arm_rig: RigOf) -> None:
+    rig = arm_with(arm_rig, "panda", position_noise=None, initial_position=None)
+    log = simulate_arm(rig, seed=2).log
+    assumed, _, (streams,) = recorded_logs(rig, [log])
+    assert assumed.position_noise_found
+    np.testing.assert_array_equal(np.ravel(streams.motion[0].sigma), FIRST_POSITION_NOISE)
+    assert [m.derivative for m in streams.motion] == [0, 1]
+
+
+def test_velocities_alone_go_on_from_a_known_start_until_a_gap(arm_rig: RigOf) -> None:
+    rig = arm_with(arm_rig, "panda", position_noise=None)
+    log = simulate_arm(arm_with(arm_rig, "panda"), seed=2).log
+    assert log.velocity is not None
+    velocity = log.velocity.copy()
+    velocity[500:560] = np.nan
+    alone = replace(log, position=None, velocity=velocity, tracking=None)
+    found = recorded(rig, Assumptions.of(rig, [alone]), alone)
+    start, rates = found.streams.motion
+    assert (start.derivative, rates.derivative) == (0, 1)
+    np.testing.assert_array_equal(start.value, [rig.motion.initial_position])
+    assert rates.time[-1] < log.time[500]
+    (note,) = found.notes
+    assert "rows of dq_* left out: after a gap nothing tells the joints' positions" in note
+
+
+def test_arm_on_a_moving_base_gives_the_gain_within_its_sigma(arm_rig: RigOf) -> None:
+    rig = arm_with(arm_rig, "panda_ground")
+    robot = robot_of(rig)
+    time = np.arange(0.0, 8.0, 0.01)
+    start = np.array([0, -0.785, 0, -2.356, 0, 1.571, 0.785])
+    hz = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 0.95, 1.1])
+    w = 2.0 * np.pi * hz
+    phase = np.outer(time, w) + np.arange(7)
+    q, qd, qdd = start + 0.3 * np.sin(phase), 0.3 * w * np.cos(phase), -0.3 * w**2 * np.sin(phase)
+    log = base_log(rig, time, robot.n)
+    rate = np.column_stack([-0.27 * np.sin(0.9 * time + k) for k in range(6)])
+    assert log.base_twist is not None
+    assert log.base_attitude is not None
+    motion = robot.motion(q, qd, qdd, BaseMotion(log.base_twist, rate))
+    turn = Rotation.from_quat(log.base_attitude[:, [1, 2, 3, 0]]).as_matrix() @ motion.R_root_sensor
+    fall = np.einsum("kji,j->ki", turn, rig.gravity_array)
+    truth = stated(rig.payloads["default"])
+    wrench = wrench_on_sensor(truth, np.zeros(3), motion.twist, motion.acceleration, fall)
+    rng = np.random.default_rng(4)
+    gain = (
+        np.eye(6)
+        + 0.1 * rng.standard_normal((6, 6)) * rig.sensor.range_array[:, None] / rig.sensor.range_array
+    )
+    assert rig.motion.position_noise is not None
+    log = replace(
+        log,
+        raw=wrench @ gain.T + rig.sensor.noise_array * rng.standard_normal((time.size, 6)),
+        position=q + np.array(rig.motion.position_noise) * rng.standard_normal(q.shape),
+        velocity=qd + rig.motion.noise_array * rng.standard_normal(q.shape),
+    )
+    found = estimate(rig, log)
+    assert nees(found, rig, Truth(gain, np.zeros(6), 0.0, {}, 0)) < HONEST
+
+
+def test_samples_while_the_base_is_not_known_are_left_out(arm_rig: RigOf) -> None:
+    rig = arm_with(arm_rig, "panda_ground")
+    log = base_log(rig, np.arange(0.0, 2.0, 0.01), 7)
+    assert log.base_twist is not None
+    log.base_twist[:20], log.base_twist[100:130] = np.nan, np.nan
+    found = recorded(rig, Assumptions.of(rig, [log]), log)
+    assert found.notes == ("50 samples of the sensor left out: the motion of the base is not known then",)
