@@ -2,7 +2,7 @@
 // (10.6), and the likelihood (10.7) that compares fits.
 #pragma once
 
-#include "truewrench/estimation/sweep.hpp"
+#include "truewrench/estimation/traces.hpp"
 #include "truewrench/parallel.hpp"
 
 #include <limits>
@@ -150,34 +150,29 @@ class Fit {
 
   // The step of theta from the last linearisation; `frozen`: with priors and held parameters as they stand.
   bool solve(bool frozen = false) {
-    const Eigen::VectorXd pull = gradient_ - (theta - layout_.mean()).cwiseQuotient(prior);
-    if (!frozen) {
-      clock_prior(pull);
-      hold();
-    }
-    S_ = data_;
-    S_.diagonal() += prior.cwiseInverse();
+    if (!frozen && !(clock_prior() && hold())) return !(failed = true);
+    S_ = with_prior();
     const std::vector<int> use = active_places();
-    Eigen::LLT<Eigen::MatrixXd> llt(gather(S_, use));
-    if (llt.info() != Eigen::Success) return !(failed = true);
-    logdet_s_ = 2.0 * llt.matrixLLT().diagonal().array().log().sum();
-    const Eigen::MatrixXd inverse = llt.solve(Eigen::MatrixXd::Identity(llt.rows(), llt.cols()));
+    Eigen::MatrixXd inverse;
+    if (!dense::invert(gather(S_, use), inverse, logdet_s_)) return !(failed = true);
     P_ = Eigen::MatrixXd::Zero(layout_.size(), layout_.size());
     for (std::size_t i = 0; i < use.size(); ++i)
       for (std::size_t j = 0; j < use.size(); ++j)
         P_(use[i], use[j]) = inverse(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
-    step_ = P_ * (gradient_ - (theta - layout_.mean()).cwiseQuotient(prior));
+    step_ = dense::times(P_, pull());
     return true;
   }
 
   // Covariance of theta; what is held adds the width of its prior (10.1).
   Eigen::MatrixXd covariance() const {
     Eigen::MatrixXd out = P_;
-    for (Eigen::Index i = 0; i < layout_.size(); ++i) {
+    const Eigen::Index size = layout_.size();
+    for (Eigen::Index i = 0; i < size; ++i) {
       if (active[static_cast<std::size_t>(i)] != 0) continue;
-      Eigen::VectorXd L = -P_ * S_.col(i);
-      L[i] = 1.0;
-      out += prior[i] * L * L.transpose();
+      Eigen::VectorXd L = dense::times(P_, S_.col(i));
+      L[i] = -1.0;
+      for (Eigen::Index j = 0; j < size; ++j)
+        for (Eigen::Index k = 0; k < size; ++k) out(k, j) += prior[i] * L[j] * L[k];
     }
     return out;
   }
@@ -259,7 +254,7 @@ class Fit {
       if (!linearise() || !solve()) return *this;
       advance();
       const auto count = static_cast<double>(active_places().size());
-      const double move = std::sqrt(step_.dot(S_ * step_) / count);
+      const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
       if (resize() < constants::size_move && move < constants::theta_move && iterations > 2) {
         converged = true;
         break;
@@ -374,10 +369,25 @@ class Fit {
     });
   }
 
+  // - half the gradient of all terms in theta, the motion eliminated.
+  Eigen::VectorXd pull() const {
+    Eigen::VectorXd out(layout_.size());
+    for (Eigen::Index i = 0; i < out.size(); ++i) out[i] = gradient_[i] - (theta[i] - layout_.mean()[i]) / prior[i];
+    return out;
+  }
+
+  Eigen::MatrixXd with_prior() const {
+    Eigen::MatrixXd S = data_;
+    for (Eigen::Index i = 0; i < S.rows(); ++i) S(i, i) += 1.0 / prior[i];
+    return S;
+  }
+
   // s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2) (10.1).
-  void clock_prior(const Eigen::VectorXd& pull) {
-    const Eigen::MatrixXd P = inverse_with_prior();
-    const Eigen::VectorXd step = P * pull;
+  bool clock_prior() {
+    Eigen::MatrixXd P;
+    double logdet = 0.0;
+    if (!dense::invert(with_prior(), P, logdet)) return false;
+    const Eigen::VectorXd step = dense::times(P, pull());
     for (std::size_t l = 0; l < logs_.size(); ++l)
       for (const int at : layout_.log(l).clock) {
         const int i = layout_.log(l).global[static_cast<std::size_t>(at)];
@@ -386,11 +396,14 @@ class Fit {
         const double apart = (s - layout_.mean()[i]) * V / P(i, i);
         prior[i] = stated_[i] + std::max(0.0, apart * apart - V - stated_[i]);
       }
+    return true;
   }
 
   // kappa and gamma are held at their means unless the data's own variance is below 1/16 (10.1).
-  void hold() {
-    const Eigen::MatrixXd P = inverse_with_prior();
+  bool hold() {
+    Eigen::MatrixXd P;
+    double logdet = 0.0;
+    if (!dense::invert(with_prior(), P, logdet)) return false;
     std::fill(active.begin(), active.end(), char{1});
     const auto judge = [&](int i) {
       const double own = std::max(1.0 / P(i, i) - 1.0 / prior[i], 0.0);
@@ -404,12 +417,7 @@ class Fit {
       for (const int at : c.clock) judge(c.global[static_cast<std::size_t>(at + 1)]);
       if (c.gamma >= 0) judge(c.global[static_cast<std::size_t>(c.gamma)]);
     }
-  }
-
-  Eigen::MatrixXd inverse_with_prior() const {
-    Eigen::MatrixXd S = data_;
-    S.diagonal() += prior.cwiseInverse();
-    return S.llt().solve(Eigen::MatrixXd::Identity(S.rows(), S.cols()));
+    return true;
   }
 
   double resize_tau(LogFit& l, const std::vector<Traces>& traces);

@@ -18,7 +18,8 @@ inline double Fit::resize() {
       traces[i] = log.sweeps[i].traces(log.stretches[i], columns, z, P);
     });
     // theta's share in the raw rows: what of tr P S is not in the motion's, by whose parameters it is
-    const Eigen::VectorXd share = (P * log_data_[l]).diagonal();
+    Eigen::VectorXd share(P.rows());
+    for (Eigen::Index i = 0; i < P.rows(); ++i) share[i] = P.col(i).dot(log_data_[l].col(i));
     double motion_share = 0.0;
     for (const Traces& t : traces) motion_share += t.motion_share;
     Eigen::VectorXd of_group = Eigen::VectorXd::Zero(z.raw_factor.size());

@@ -15,61 +15,92 @@ struct ScoredBlock {
   Eigen::VectorXd z, information;                  // (n) D^T V^-1 r, diag D^T V^-1 D
   int samples = 0;
   Eigen::MatrixXd b;                               // (nt, n) D^T V^-1 J_theta with the motion eliminated, by the root of P
-  std::vector<std::pair<std::size_t, Eigen::MatrixXd>> y;  // by block from here on: L^-1 J_x^T V^-1 D, as far as it is felt
+  std::vector<std::pair<std::size_t, Eigen::MatrixXd>> y;  // by block from here on: R^-T J_x^T V^-1 D, as far as it is felt
 };
+
+// J_x^T V^-1 D (rows of two blocks) and J_theta^T V^-1 D of a constant wrench D on one block, `columns` a row.
+inline void constant_wrench(const Stretch& s, const Sweep& sweep, const Columns& columns, bool d, int g, int width,
+                            double* J, double* T, ScoredBlock& out) {
+  const Intervals& of = sweep.intervals();
+  const int n = s.channels(), M = s.components(), OM = of.orders * M;
+  for (int o = 0; o < kBlock; ++o) {
+    const auto [first, end] = sweep.of_interval(kBlock * g + o);
+    for (std::size_t at = first; at < end; ++at) {
+      const RawSums& sums = sweep.pool()[at];
+      out.samples += sums.samples;
+      for (int i = 0; i < n; ++i) {
+        const double v = sums.v[static_cast<std::size_t>(i)], *phi = sums.phi.data(), *X = phi + of.nf + n;
+        out.z[i] += sums.z[static_cast<std::size_t>(i)];
+        out.information[i] += sums.weight * v;
+        for (int x = 0; x < of.nf; ++x) T[of.feature[static_cast<std::size_t>(i * of.nf + x)] * width + i] += v * phi[x];
+        T[(columns.u + i) * width + i] += v * phi[of.nf + i];
+        for (int c = 0; c < 6; ++c)
+          for (int y = 0; y < of.nd; ++y)
+            T[of.dense_columns[static_cast<std::size_t>(y)] * width + i] += sums.SV[static_cast<std::size_t>(c * n + i)] * X[c * of.nd + y];
+        for (int k = 0; k < kLocal; ++k) {
+          for (int p = 0; p < of.orders; ++p)
+            for (int j = 0; j < M; ++j)
+              J[sweep.place(o + k, j) * width + i] +=
+                  v * sums.basis[static_cast<std::size_t>(kLocal * p + k)] * sums.J[static_cast<std::size_t>(i * OM + p * M + j)];
+          if (d) J[sweep.place_d(o + k, i) * width + i] += v * sums.basis[static_cast<std::size_t>(k)];
+        }
+      }
+    }
+  }
+}
 
 // What a constant wrench on each block alone does, from the factorisation that stands.
 inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
   const LogFit& log = fit.logs()[l];
-  const int n = fit.channels();
+  const int n = fit.channels(), width = dense::padded(n);
   const Columns& columns = fit.layout().log(l);
-  Eigen::MatrixXd root = Fit::gather(fit.P(), columns.global);
-  root.diagonal().array() += 1e-300;
-  root = Eigen::MatrixXd(root.llt().matrixL());
+  const std::vector<double> root = dense::root(Fit::gather(fit.P(), columns.global));
   std::vector<ScoredBlock> out;
   std::size_t before = 0;  // blocks of the stretches before
   for (std::size_t s_ = 0; s_ < log.stretches.size(); ++s_) {
     const Stretch& s = log.stretches[s_];
     const Sweep& sweep = log.sweeps[s_];
-    const int W = sweep.width(), M = s.components(), nt = sweep.parameters();
-    const bool d = log.sizes.form != Form::none;
-    for (Eigen::Index g = 0; g < s.spline.blocks(); ++g) {
+    const int W = sweep.width(), nt = sweep.parameters(), ldr = dense::padded(nt);
+    std::vector<double> J, T;
+    for (int g = 0; g + 1 < sweep.blocks(); ++g) {
       ScoredBlock block;
       block.begin = s.spline.begin() + kBlock * s.spline.h() * static_cast<double>(g);
       block.z = block.information = Eigen::VectorXd::Zero(n);
-      Eigen::MatrixXd J = Eigen::MatrixXd::Zero(2 * W, n), T = Eigen::MatrixXd::Zero(nt, n);
-      for (int o = 0; o < kBlock; ++o)
-        for (const auto& sums : sweep.raw_sums()[static_cast<std::size_t>(kBlock * g + o)]) {
-          block.z += sums.z;
-          block.information += sums.weight * sums.v;
-          block.samples += sums.samples;
-          T += sums.T;
-          for (int k = 0; k < kLocal; ++k) {
-            for (Eigen::Index p = 0; p < sums.basis.cols(); ++p)
-              J.middleRows(sweep.place(o + k, 0), M) +=
-                  sums.basis(k, p) * sums.J.middleCols(p * M, M).transpose() * sums.v.asDiagonal();
-            if (d)
-              for (int i = 0; i < n; ++i) J(sweep.place_d(o + k, i), i) += sums.basis(k, 0) * sums.v[i];
-          }
-        }
-      Eigen::MatrixXd rest = J.topRows(W), after = J.bottomRows(W);
+      J.assign(static_cast<std::size_t>(2 * W * width + 8), 0.0);
+      T.assign(static_cast<std::size_t>(nt * width + 8), 0.0);
+      constant_wrench(s, sweep, columns, log.sizes.form != Form::none, g, width, J.data(), T.data(), block);
       double largest = 0.0;
-      for (std::size_t at = static_cast<std::size_t>(g); at < sweep.blocks().size(); ++at) {
-        const auto& factor = sweep.blocks()[at];
-        factor.L.triangularView<Eigen::Lower>().solveInPlace(rest);
-        largest = std::max(largest, rest.cwiseAbs().maxCoeff());
-        T.noalias() -= factor.Y.leftCols(nt).transpose() * rest;
-        block.y.emplace_back(before + at, rest);
-        if (at + 1 == sweep.blocks().size()) break;
-        if (at > static_cast<std::size_t>(g) && rest.cwiseAbs().maxCoeff() < 1e-7 * largest) break;
-        rest = -factor.B * rest;
-        if (at == static_cast<std::size_t>(g)) rest += after;
+      for (int at = g; at < sweep.blocks(); ++at) {
+        double *here = J.data(), *next = here + W * width;
+        sweep.descend(at, here, at + 1 < sweep.blocks() ? next : nullptr, T.data(), width);
+        Eigen::MatrixXd rest(W, n);
+        double most = 0.0;
+        for (int r = 0; r < W; ++r)
+          for (int i = 0; i < n; ++i) {
+            rest(r, i) = here[r * width + i];
+            most = std::max(most, std::abs(here[r * width + i]));
+          }
+        largest = std::max(largest, most);
+        block.y.emplace_back(before + static_cast<std::size_t>(at), std::move(rest));
+        if (at > g && most < 1e-7 * largest) break;
+        std::copy_n(next, W * width, here);
+        std::fill_n(next, W * width, 0.0);
       }
-      block.b = root.transpose() * T;
+      block.b = Eigen::MatrixXd::Zero(nt, n);
+      for (int k = 0; k < nt; ++k)
+        for (int x = 0; x <= k; ++x)
+          for (int i = 0; i < n; ++i) block.b(x, i) += root[static_cast<std::size_t>(k * ldr + x)] * T[static_cast<std::size_t>(k * width + i)];
       out.push_back(std::move(block));
     }
-    before += static_cast<std::size_t>(s.spline.blocks() + 1);
+    before += static_cast<std::size_t>(sweep.blocks());
   }
+  return out;
+}
+
+inline Eigen::MatrixXd symmetric_sum(const Eigen::MatrixXd& c) {
+  Eigen::MatrixXd out = c;
+  for (Eigen::Index i = 0; i < c.rows(); ++i)
+    for (Eigen::Index j = 0; j < c.cols(); ++j) out(i, j) += c(j, i);
   return out;
 }
 
@@ -93,7 +124,7 @@ inline Scan scan(const Fit& fit, std::size_t l) {
     while (i < x.size() && j < y.size()) {
       if (x[i].first < y[j].first) ++i;
       else if (y[j].first < x[i].first) ++j;
-      else sum.noalias() += x[i++].second.transpose() * y[j++].second;
+      else sum += dense::transposed_times(x[i++].second, y[j++].second);
     }
     return sum;
   };
@@ -103,14 +134,16 @@ inline Scan scan(const Fit& fit, std::size_t l) {
     const std::size_t last = blocks[static_cast<std::size_t>(a)].y.back().first;
     for (int b = a; b < G && blocks[static_cast<std::size_t>(b)].y.front().first <= last; ++b) {
       const Eigen::MatrixXd c = cross(a, b);
-      with[static_cast<std::size_t>(a)].push_back(a == b ? c : Eigen::MatrixXd(c + c.transpose()));
+      with[static_cast<std::size_t>(a)].push_back(a == b ? c : symmetric_sum(c));
     }
   }
   const double length = kBlock * fit.logs()[l].stretches.front().spline.h();
   const int longest = std::max(1, static_cast<int>(std::lround(constants::scan_longest / length)));
   const auto nt = blocks.front().b.rows();
   const auto suffix_info = [&](const Eigen::VectorXd& information, const Eigen::MatrixXd& R, const Eigen::MatrixXd& b) {
-    return Eigen::MatrixXd(Eigen::MatrixXd(information.asDiagonal()) - R - b.transpose() * b);
+    Eigen::MatrixXd out_ = -R - dense::transposed_times(b, b);
+    for (int i = 0; i < n; ++i) out_(i, i) += information[i];
+    return out_;
   };
   std::vector<Eigen::MatrixXd> suffixes(static_cast<std::size_t>(G + 1), Eigen::MatrixXd::Zero(n, n));
   std::vector<Eigen::VectorXd> suffix_z(suffixes.size(), Eigen::VectorXd::Zero(n));
@@ -135,7 +168,7 @@ inline Scan scan(const Fit& fit, std::size_t l) {
   const auto score = [&](const Eigen::VectorXd& z, Eigen::MatrixXd I, int i, int j) {
     I.diagonal() += 1e-3 * v;  // an interval that tells nothing: I = 0
     I += 1e-5 * (suffixes[static_cast<std::size_t>(i)] + suffixes[static_cast<std::size_t>(j)]);
-    return z.dot(I.ldlt().solve(z));
+    return dense::quadratic_inverse(I, z);
   };
   for (int i = 1; i < G; ++i) {
     if (suffix_samples[static_cast<std::size_t>(i)] < 3) break;
@@ -223,16 +256,22 @@ inline Agreement agreement(Fit& fit, const std::vector<std::vector<Moment>>& fou
   Eigen::VectorXd prior(use.size());
   for (std::size_t i = 0; i < use.size(); ++i) prior[static_cast<Eigen::Index>(i)] = fit.prior[use[i]];
   const Eigen::VectorXd information = prior.cwiseInverse();
-  // V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a                                                                  (10.11)
-  const Eigen::MatrixXd both = P[0] * information.asDiagonal() * P[1];
-  const Eigen::MatrixXd V = (P[0] + P[1] - both - both.transpose()).topLeftCorner(6 * n, 6 * n) + added[0] + added[1];
-  const Eigen::VectorXd delta = (mean[0] - mean[1]).head(6 * n), scale = prior.head(6 * n).cwiseSqrt();
-  const Eigen::MatrixXd normal = scale.cwiseInverse().asDiagonal() * V * scale.cwiseInverse().asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(normal);
-  const Eigen::VectorXd projected = eigen.eigenvectors().transpose() * delta.cwiseQuotient(scale);
+  // V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a, in units of the prior's sigma                                    (10.11)
+  Eigen::MatrixXd scaled = P[1];
+  for (Eigen::Index i = 0; i < scaled.rows(); ++i) scaled.row(i) *= information[i];
+  const Eigen::MatrixXd both = dense::transposed_times(P[0], scaled);
+  Eigen::MatrixXd V(6 * n, 6 * n);
+  Eigen::VectorXd delta(6 * n);
   for (int i = 0; i < 6 * n; ++i) {
-    if (eigen.eigenvalues()[i] <= 1e-9) continue;
-    out.chi2 += projected[i] * projected[i] / eigen.eigenvalues()[i];
+    delta[i] = (mean[0][i] - mean[1][i]) / std::sqrt(prior[i]);
+    for (int j = 0; j < 6 * n; ++j)
+      V(i, j) = (P[0](i, j) + P[1](i, j) - both(i, j) - both(j, i) + added[0](i, j) + added[1](i, j)) / std::sqrt(prior[i] * prior[j]);
+  }
+  const dense::Spectrum spectrum = dense::eigen(V);
+  for (int i = 0; i < 6 * n; ++i) {
+    if (spectrum.values[i] <= 1e-9) continue;
+    const double projected = spectrum.vectors.col(i).dot(delta);
+    out.chi2 += projected * projected / spectrum.values[i];
     ++out.freedom;
   }
   out.p = out.freedom > 0 ? std::exp(chi_square_log_tail(out.chi2, out.freedom)) : 1.0;

@@ -1,0 +1,349 @@
+// Samples -> sums over one interval of knots (METHOD 9): of a sample only its residual, its gradient and its features are
+// formed; an interval has one Jacobian, the mean of its samples', for H and F alike: the gradient stays exact, so the fixed
+// point does not move.
+#pragma once
+
+#include "truewrench/estimation/stretch.hpp"
+#include "truewrench/math/dense.hpp"
+
+#include <utility>
+#include <vector>
+
+namespace truewrench {
+
+// The sizes of one log's nuisances (METHOD 10.2), and which rows share one.
+struct Sizes {
+  Eigen::VectorXd raw_factor;                   // on the stated noise: force and moment channels, else all together
+  std::vector<Eigen::VectorXd> motion_factor;   // of each stream's groups
+  Eigen::VectorXd q;                            // (M) of (10.1)
+  Eigen::VectorXd delta;                        // as raw_factor: of (10.2)
+  double k = 1.0;                               // 1 / tau
+  Form form = Form::none;
+  Eigen::VectorXd cap;                          // of delta
+};
+
+inline int raw_groups(int channels) { return channels == 6 ? 2 : 1; }
+inline int raw_group(int channel, int channels) { return channels == 6 && channel >= 3 ? 1 : 0; }
+
+// p of (10.1) for a component of the motion spline (METHOD 10.1, 10.6).
+inline int smoothness_order(Source source, int component) {
+  if (source == Source::mapped) return 4;
+  return source == Source::imu && component < 3 ? 2 : 3;
+}
+
+// Places of p <= q among the products of up to three derivatives.
+inline constexpr std::size_t order_pair[3][3] = {{0, 1, 3}, {1, 2, 4}, {3, 4, 5}};
+
+// Samples of one interval with the same channels.
+struct RawSums {
+  Gram m[6];              // [order_pair] sum of weighted products B^(p)_k B^(q)_l, row k, p <= q
+  std::vector<double> J;  // (n, orders M) their mean d raw / d (x, x', x'')
+  std::vector<double> v;  // (n) 1 / sigma^2, 0 where a channel is missing
+  std::vector<double> SV;  // (6, n) (d raw / d w)^T V^-1
+  // of a constant wrench in every channel, for scores (10.8)
+  std::vector<double> basis;  // (orders, 6) sums of weighted bases
+  std::vector<double> phi;    // sum of weighted features
+  std::vector<double> z;      // (n) V^-1 r
+  double weight = 0.0;
+  int samples = 0;
+};
+
+// Sums over the samples of the sensor and of the motion, interval by interval.
+class Intervals {
+ public:
+  int M = 6, n = 6, nt = 0, orders = 2;
+  // features of a sample, phi: f = [w, 1, temperature, steps] (nf), which every channel has for itself; (C_0 w)_i^2 (n);
+  // d w / d (dense parameters) (6, nd)
+  int nf = 7, nd = 10, features = 0, ld = 0;
+  std::vector<int> feature;  // (n, nf): columns of f
+  std::vector<int> dense_columns;  // (nd)
+
+  // of the last call of sum_raw
+  std::vector<double> G;      // (ld a row) [B, B', (B'') ; f ; (C_0 w)^2]^T phi, weighted: rows 6 orders + nf + n
+  std::vector<double> XX;     // (nd, 16 a row ...) sum of X^T Q X
+  std::vector<double> left;   // (orders M, 6) J_w^T Q
+  std::vector<double> gx;     // (6, M) gradient of the motion
+  std::vector<double> gd;     // (6, n) and of the discrepancy
+  std::vector<double> gt;     // (nt) and of theta
+  int ldx = 16;               // a row of XX
+
+  void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged, const Sizes& sizes) {
+    M = s.components();
+    n = s.channels();
+    nt = columns.size();
+    orders = s.log().source == Source::mapped ? 3 : 2;
+    feature.clear();
+    for (int i = 0; i < n; ++i) {
+      for (int k = 0; k < 6; ++k) feature.push_back(columns.C + 6 * i + k);
+      feature.push_back(columns.b + i);
+      if (columns.slope >= 0) feature.push_back(columns.slope + i);
+      for (const int at : columns.steps) feature.push_back(at + i);
+    }
+    nf = static_cast<int>(feature.size()) / n;
+    dense_columns.clear();
+    for (int k = 0; k < kBodyParameters; ++k) dense_columns.push_back(columns.body + k);
+    if (columns.gamma >= 0) dense_columns.insert(dense_columns.end(), {columns.clock[0], columns.clock[0] + 1, columns.gamma});
+    if (columns.tilt >= 0 && s.gravity()) dense_columns.insert(dense_columns.end(), {columns.tilt, columns.tilt + 1});
+    nd = static_cast<int>(dense_columns.size());
+    features = nf + n + 6 * nd;
+    ld = dense::padded(features);
+    ldx = dense::padded(nd);
+    information_.resize(static_cast<std::size_t>(n));
+    for (int i = 0; i < n; ++i) {
+      const double sigma = s.rig().noise[i] * sizes.raw_factor[raw_group(i, n)];
+      information_[static_cast<std::size_t>(i)] = 1.0 / (sigma * sigma);
+    }
+    body_ = departed(s.log().payload, theta.segment<kBodyParameters>(columns.body));
+    by_tilt_.setZero();
+    root_ = s.gravity() ? tilted(s.rig().gravity, theta.segment<2>(columns.tilt), by_tilt_) : Vector3(Vector3::Zero());
+    C_ = theta.data() + columns.C;
+    u_ = theta.data() + columns.u;
+    lagged_ = lagged.data();
+    next_ = 0;
+    G.resize(static_cast<std::size_t>((6 * orders + nf + n) * ld + 8));
+    XX.resize(static_cast<std::size_t>(nd * ldx + 8));
+    left.resize(static_cast<std::size_t>(6 * orders * M));
+    gx.resize(static_cast<std::size_t>(kLocal * M));
+    gd.resize(static_cast<std::size_t>(kLocal * n));
+    gt.assign(static_cast<std::size_t>(nt), 0.0);
+    mean_.resize(static_cast<std::size_t>(6 * orders * M));
+    slope_.resize(static_cast<std::size_t>(6 * n));
+  }
+
+  // Calls take(sums) for every set of samples of an interval that have the same channels; intervals in their order.
+  template <typename Take>
+  void raw(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, Eigen::Index interval,
+           std::vector<RawSums>& pool, std::size_t& used, const Take& take) {
+    const auto& at = s.raw.interval;
+    const Eigen::Index begin = next_;
+    while (next_ < s.raw.size() && at[static_cast<std::size_t>(next_)] == interval) ++next_;
+    done_.assign(static_cast<std::size_t>(next_ - begin), 0);
+    for (Eigen::Index k = begin; k < next_; ++k) {
+      if (done_[static_cast<std::size_t>(k - begin)] || s.raw.weight[k] <= 0.0) continue;
+      rows_.clear();
+      for (Eigen::Index l = k; l < next_; ++l) {
+        if (done_[static_cast<std::size_t>(l - begin)] || s.raw.weight[l] <= 0.0 || !same_channels(s, k, l)) continue;
+        done_[static_cast<std::size_t>(l - begin)] = 1;
+        rows_.push_back(l);
+      }
+      if (used == pool.size()) pool.emplace_back();
+      RawSums& sums = pool[used++];
+      sum_raw(s, columns, theta, sums);
+      take(sums);
+    }
+  }
+
+ private:
+  std::vector<double> information_, mean_, slope_, phi_, weights_, jacobian_, q_;
+  Payload body_;
+  Vector3 root_ = Vector3::Zero();
+  Eigen::Matrix<double, 3, 2> by_tilt_;
+  const double *C_ = nullptr, *u_ = nullptr, *lagged_ = nullptr;  // (n, 6), (n), (n, 6)
+  Eigen::Index next_ = 0;
+  std::vector<Eigen::Index> rows_;
+  std::vector<char> done_;
+
+  bool same_channels(const Stretch& s, Eigen::Index k, Eigen::Index l) const {
+    if (s.raw.channels[k] != s.raw.channels[l]) return false;
+    if (s.raw.channels[k] == n) return true;
+    for (int i = 0; i < n; ++i)
+      if (std::isfinite(s.raw.value(k, i)) != std::isfinite(s.raw.value(l, i))) return false;
+    return true;
+  }
+
+  // d w (fractions of range) by [x, x', x''] (6, orders M) and by the dense parameters (6, nd), row by row, at one sample.
+  void sample_jacobians(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, Eigen::Index k, double* J,
+                        double* X) const {
+    const RecordedLog& log = s.log();
+    const Eigen::Map<const Vector6> nu(s.now.nu.row(k).data()), a(s.now.a.row(k).data());
+    double scale[6];
+    Vector6 w;
+    for (int r = 0; r < 6; ++r) {
+      scale[r] = s.rig().sign / s.rig().range[r];
+      w[r] = s.now.w(k, r) / scale[r];
+    }
+    MotionJacobian j = motion_jacobian(body_, log.point, nu);
+    const auto put = [&](int column, const Vector6& x) {
+      for (int r = 0; r < 6; ++r) X[r * nd + column] = scale[r] * x[r];
+    };
+    const BodyJacobian by_body = body_jacobian(body_, nu, a, w);
+    for (int c = 0; c < kBodyParameters; ++c)
+      for (int r = 0; r < 6; ++r) X[r * nd + c] = scale[r] * by_body(r, c);
+    int at = kBodyParameters;
+    Vector3 g = Vector3::Zero();
+    if (s.gravity()) {
+      g = s.gravity_at(k, root_);
+      const Vector3 omega = nu.tail<3>(), alpha = a.tail<3>();
+      Eigen::Matrix<double, 3, 2> by_tilt = s.rotation_at(k) * by_tilt_;
+      if (columns.gamma >= 0) {  // of (10.5)
+        const double t = theta[columns.clock[0]], kappa = theta[columns.clock[0] + 1], gamma = theta[columns.gamma];
+        const Vector3 first = omega.cross(g), turn = omega.cross(first), spin = alpha.cross(g);
+        const Vector3 second = (1.0 - kappa) * turn + kappa * spin;
+        put(at, j.g * Vector3(gamma * (first + 2.0 * t * second)));
+        put(at + 1, j.g * Vector3(gamma * t * t * (spin - turn)));
+        put(at + 2, j.g * Vector3(t * first + t * t * second));
+        at += 3;
+        for (int c = 0; c < 2; ++c) {
+          const Vector3 x = by_tilt.col(c), o = omega.cross(x);
+          by_tilt.col(c) = x + gamma * (t * o + t * t * ((1.0 - kappa) * omega.cross(o) + kappa * alpha.cross(x)));
+        }
+        j.nu.rightCols<3>() -= gamma * t * (j.g * cross_matrix(g));  // to first order in s
+      }
+      for (int c = 0; c < 2; ++c) put(at + c, j.g * Vector3(by_tilt.col(c)));
+    }
+    const int columns_of = orders * M;
+    if (log.source == Source::mapped) {
+      const double* by = s.mapped.jacobian.row(k).data();  // (12, 3M)
+      const Eigen::Matrix<double, 6, 3> turn = j.g * cross_matrix(g);  // dR g = [g x] (angular part of d nu / d x') dx
+      for (int r = 0; r < 6; ++r)
+        for (int c = 0; c < columns_of; ++c) {
+          double sum = 0.0;
+          for (int i = 0; i < 6; ++i) sum += j.nu(r, i) * by[i * columns_of + c] + j.a(r, i) * by[(6 + i) * columns_of + c];
+          if (c < M && s.gravity())
+            for (int i = 0; i < 3; ++i) sum += turn(r, i) * by[(3 + i) * columns_of + M + c];
+          J[r * columns_of + c] = scale[r] * sum;
+        }
+      return;
+    }
+    for (int r = 0; r < 6; ++r)
+      for (int c = 0; c < 6; ++c) {
+        const bool imu = log.source == Source::imu;  // the specific force in place of v, and no derivative of it
+        J[r * 12 + c] = scale[r] * (imu && c < 3 ? j.a(r, c) : j.nu(r, c));
+        J[r * 12 + 6 + c] = imu && c < 3 ? 0.0 : scale[r] * j.a(r, c);
+      }
+  }
+
+  // Rows of (10.3) at `rows_`.
+  void sum_raw(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, RawSums& out) {
+    const int OM = orders * M, left_rows = kLocal * orders + nf + n, ldw = dense::padded(left_rows);
+    const auto count = static_cast<int>(rows_.size());
+    out.v = information_;
+    for (int i = 0; i < n; ++i)
+      if (!std::isfinite(s.raw.value(rows_[0], i))) out.v[static_cast<std::size_t>(i)] = 0.0;
+    const double* v = out.v.data();
+    phi_.assign(static_cast<std::size_t>(count * ld + 8), 0.0);
+    weights_.assign(static_cast<std::size_t>(count * ldw + 8), 0.0);
+    jacobian_.resize(static_cast<std::size_t>(6 * OM));
+    std::fill(mean_.begin(), mean_.end(), 0.0);
+    std::fill(gx.begin(), gx.end(), 0.0);
+    std::fill(gd.begin(), gd.end(), 0.0);
+    out.z.assign(static_cast<std::size_t>(n), 0.0);
+    double cw_mean[max_components] = {}, vr[max_components] = {}, z[3 * max_components];
+    double total = 0.0;
+    for (int r = 0; r < count; ++r) {
+      const Eigen::Index k = rows_[static_cast<std::size_t>(r)];
+      const double weight = s.raw.weight[k];
+      total += weight;
+      double* phi = phi_.data() + r * ld;
+      double* X = phi + nf + n;
+      double* J = jacobian_.data();
+      sample_jacobians(s, columns, theta, k, J, X);
+      for (int i = 0; i < 6 * OM; ++i) mean_[static_cast<std::size_t>(i)] += weight * J[i];
+      const double *w = s.now.w.row(k).data(), *cw = s.now.cw.row(k).data(), *residual = s.now.residual.row(k).data();
+      std::copy_n(w, 6, phi);
+      phi[6] = 1.0;
+      int at = 7;
+      if (columns.slope >= 0) phi[at++] = s.warmth(k);
+      for (const double begin : columns.step_times) phi[at++] = s.raw.time[k] >= begin ? 1.0 : 0.0;
+      for (int i = 0; i < n; ++i) phi[nf + i] = cw[i] * cw[i];
+      // the exact gradient: J^T V^-1 r
+      double y[6] = {};
+      for (int i = 0; i < n; ++i) {
+        cw_mean[i] += weight * cw[i];
+        vr[i] = weight * v[i] * residual[i];
+        out.z[static_cast<std::size_t>(i)] += vr[i];
+        const double twice = 2.0 * u_[i] * cw[i];
+        for (int c = 0; c < 6; ++c) y[c] += vr[i] * (C_[6 * i + c] + twice * lagged_[6 * i + c]);
+        const int* at_f = feature.data() + i * nf;
+        for (int x = 0; x < nf; ++x) gt[static_cast<std::size_t>(at_f[x])] += vr[i] * phi[x];
+        gt[static_cast<std::size_t>(columns.u + i)] += vr[i] * phi[nf + i];
+      }
+      for (int x = 0; x < nd; ++x) {
+        double sum = 0.0;
+        for (int c = 0; c < 6; ++c) sum += X[c * nd + x] * y[c];
+        gt[static_cast<std::size_t>(dense_columns[static_cast<std::size_t>(x)])] += sum;
+      }
+      std::fill_n(z, OM, 0.0);
+      for (int c = 0; c < 6; ++c)
+        for (int j = 0; j < OM; ++j) z[j] += J[c * OM + j] * y[c];
+      double* left_row = weights_.data() + r * ldw;  // less what they weigh: products below are subtracted
+      for (int p = 0; p < orders; ++p) {
+        const Basis& b = s.raw.basis[static_cast<std::size_t>(k)][static_cast<std::size_t>(p)];
+        for (int l = 0; l < kLocal; ++l) {
+          left_row[kLocal * p + l] = -weight * b[l];
+          for (int j = 0; j < M; ++j) gx[static_cast<std::size_t>(l * M + j)] += b[l] * z[p * M + j];
+          if (p == 0)
+            for (int i = 0; i < n; ++i) gd[static_cast<std::size_t>(l * n + i)] += b[l] * vr[i];
+        }
+      }
+      for (int x = 0; x < nf + n; ++x) left_row[kLocal * orders + x] = -weight * phi[x];
+    }
+    for (double& x : mean_) x /= total;
+    for (int i = 0; i < n; ++i)  // d raw / d w
+      for (int c = 0; c < 6; ++c)
+        slope_[static_cast<std::size_t>(6 * i + c)] = C_[6 * i + c] + 2.0 * u_[i] * (cw_mean[i] / total) * lagged_[6 * i + c];
+    std::fill(G.begin(), G.end(), 0.0);
+    dense::subtract(G.data(), ld, weights_.data(), 1, ldw, phi_.data(), ld, left_rows, ld, count);
+    sum_bases(s, out);
+    finish_raw(s, out, count);
+    out.weight = total;
+    out.samples = count;
+  }
+
+  void sum_bases(const Stretch& s, RawSums& out) const {
+    for (int p = 0; p < orders; ++p)
+      for (int q = p; q < orders; ++q) {
+        double* m = out.m[order_pair[p][q]].data();  // column by column
+        std::fill_n(m, kLocal * kLocal, 0.0);
+        for (const Eigen::Index k : rows_) {
+          const auto& basis = s.raw.basis[static_cast<std::size_t>(k)];
+          const double *a = basis[static_cast<std::size_t>(p)].data(), *b = basis[static_cast<std::size_t>(q)].data();
+          for (int l = 0; l < kLocal; ++l) {
+            const double y = s.raw.weight[k] * b[l];
+            for (int h = 0; h < kLocal; ++h) m[kLocal * l + h] += a[h] * y;
+          }
+        }
+      }
+  }
+
+  // What needs the interval's own d raw / d w.
+  void finish_raw(const Stretch& s, RawSums& out, int count) {
+    const int OM = orders * M;
+    out.J.assign(static_cast<std::size_t>(n * OM), 0.0);
+    out.SV.resize(static_cast<std::size_t>(6 * n));
+    double Q[36] = {};  // less (d raw / d w)^T V^-1 (d raw / d w)
+    for (int i = 0; i < n; ++i)
+      for (int c = 0; c < 6; ++c) {
+        const double x = slope_[static_cast<std::size_t>(6 * i + c)], y = x * out.v[static_cast<std::size_t>(i)];
+        out.SV[static_cast<std::size_t>(c * n + i)] = y;
+        for (int h = 0; h < 6; ++h) Q[6 * c + h] -= y * slope_[static_cast<std::size_t>(6 * i + h)];
+        for (int j = 0; j < OM; ++j) out.J[static_cast<std::size_t>(i * OM + j)] += x * mean_[static_cast<std::size_t>(c * OM + j)];
+      }
+    std::fill(left.begin(), left.end(), 0.0);
+    for (int j = 0; j < OM; ++j)
+      for (int c = 0; c < 6; ++c)
+        for (int h = 0; h < 6; ++h)
+          left[static_cast<std::size_t>(6 * j + h)] -= mean_[static_cast<std::size_t>(c * OM + j)] * Q[6 * c + h];
+    std::fill(XX.begin(), XX.end(), 0.0);
+    q_.resize(static_cast<std::size_t>(6 * ldx));
+    for (int r = 0; r < count; ++r) {
+      const double* X = phi_.data() + r * ld + nf + n;
+      const double weight = s.raw.weight[rows_[static_cast<std::size_t>(r)]];
+      std::fill(q_.begin(), q_.end(), 0.0);
+      for (int c = 0; c < 6; ++c)
+        for (int h = 0; h < 6; ++h) {
+          const double y = weight * Q[6 * c + h];
+          for (int x = 0; x < nd; ++x) q_[static_cast<std::size_t>(c * ldx + x)] += y * X[h * nd + x];
+        }
+      dense::subtract(XX.data(), ldx, X, 1, nd, q_.data(), ldx, nd, ldx, 6);
+    }
+    out.basis.resize(static_cast<std::size_t>(kLocal * orders));
+    for (int p = 0; p < orders; ++p)
+      for (int l = 0; l < kLocal; ++l)
+        out.basis[static_cast<std::size_t>(kLocal * p + l)] = G[static_cast<std::size_t>((kLocal * p + l) * ld + 6)];
+    const double* ones = G.data() + (kLocal * orders + 6) * ld;  // the row of the feature 1
+    out.phi.assign(ones, ones + features);
+  }
+};
+
+}  // namespace truewrench
