@@ -331,5 +331,5 @@ def test_bound_of_joints_agrees_with_a_dense_one_in_joint_space(
     )
     expected, log = dense_bound_of_joints(rig, np.arange(300) / 50, positions, velocities)
     found = bound(rig, [log], np.eye(6))
-    assert found.rms == pytest.approx(expected, rel=0.04)
+    assert found.rms == pytest.approx(expected, rel=0.05)  # not on the same knots
     assert found.rms > (1.3 if accurate else 1.0) * found.oracle_rms  # it is the motion that counts

@@ -1,4 +1,4 @@
-"""A joint motion for rigs without a plan: slow sines about a posture in the middle, from rest to rest."""
+"""A joint motion for rigs without a plan: sines about a posture in the middle, from rest to rest."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ __all__ = ["default_motion"]
 Array = NDArray[np.float64]
 
 _RATE = 100.0  # [Hz] of the spline's knots
-_LOWEST, _HIGHEST = 0.15, 0.6  # [Hz]
+_LOWEST, _HIGHEST = 0.15, 0.8  # [Hz]
+_SINES = 4  # per joint: with one, what follows the pose (a cable) passes for gain
 _SWING = 0.4  # [rad, m] at most
 _SHARE = 0.8  # of every limit
 _WRENCH_SHARE = 0.9  # of the sensor's range, where the rig states no limit
@@ -27,7 +28,7 @@ _BEND = 0.35  # [rad] off the middle, every other joint to the other side: stret
 
 
 def default_motion(rig: Rig, robot: Robot, arms: Mapping[str, Arm]) -> SplineJoints:
-    """One sine per joint, of distinct frequencies, for ``rig.plan.duration`` and within the limits.
+    """Four sines per joint, of distinct frequencies, for ``rig.plan.duration`` and within the limits.
 
     Args:
         rig: its ``limits``, those of the URDF and the sensor's range are kept to.
@@ -94,12 +95,17 @@ def _posture(rig: Rig, robot: Robot) -> Array:
 
 def _sines(rig: Rig, robot: Robot, time: Array, center: Array) -> Array:
     """Departures (N, n) from the centre, as large as the limits of the joints allow."""
-    duration = time[-1]
-    frequency = np.geomspace(_LOWEST, _HIGHEST, robot.n)[np.argsort(np.arange(robot.n) * 5 % robot.n)]
+    duration, joints = time[-1], np.arange(robot.n)
+    frequency = np.geomspace(_LOWEST, _HIGHEST, _SINES * robot.n).reshape(_SINES, robot.n)
+    frequency = frequency[:, np.argsort(joints * 5 % robot.n)]  # neighbours do not swing alike
     frequency = np.maximum(1.0, np.round(frequency * duration)) / duration
     ramp = np.clip(np.minimum(time, duration - time) / (_RAMP * duration), 0.0, 1.0)
     ramp = ramp**4 * (35.0 - 84.0 * ramp + 70.0 * ramp**2 - 20.0 * ramp**3)  # three derivatives vanish
-    shape = ramp[:, None] * np.sin(2.0 * np.pi * frequency * time[:, None] + 0.7 * np.arange(robot.n))
+    k = np.arange(_SINES)[:, None]
+    phase = 0.7 * joints + k * (k + 1.0) + 2.1 * k * joints
+    sines = np.sin(2.0 * np.pi * frequency * time[:, None, None] + phase) / np.sqrt(frequency)
+    shape = ramp[:, None] * sines.sum(axis=1)
+    shape /= np.abs(shape).max(axis=0)
     unit = SplineJoints.through(time, shape)
     lower, upper = _range(rig, robot)
     amplitude = np.minimum(_SWING, _SHARE * np.minimum(upper - center, center - lower))
