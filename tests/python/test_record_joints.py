@@ -134,8 +134,37 @@ def test_velocities_alone_go_on_from_a_known_start_until_a_gap(arm_rig: RigOf) -
     assert (start.derivative, rates.derivative) == (0, 1)
     np.testing.assert_array_equal(start.value, [rig.motion.initial_position])
     assert rates.time[-1] < log.time[500]
+    np.testing.assert_array_equal(np.ravel(start.sigma), FIRST_POSITION_NOISE)
     (note,) = found.notes
     assert "rows of dq_* left out: after a gap nothing tells the joints' positions" in note
+
+
+def test_position_begins_anew_where_the_sensor_was_silent(arm_rig: RigOf) -> None:
+    rig = arm_with(arm_rig, "panda", position_noise=None)
+    log = simulate_arm(arm_with(arm_rig, "panda"), seed=2).log
+    assert log.position is not None
+    raw = log.raw.copy()
+    raw[:200], raw[400:450] = np.nan, np.nan
+    alone = replace(log, raw=raw, position=None, tracking=None)
+    _, _, (streams,) = recorded_logs(rig, [alone])
+    *starts, _ = streams.motion
+    assert len(starts) == 2
+    period, sigma = 0.01, rig.motion.noise_array
+    for start in starts:
+        row = int(np.searchsorted(log.time, start.time[0]))
+        assert np.isfinite(raw[row]).all()
+        walked = sigma * np.sqrt(period * (log.time[row] - log.time[0]))
+        np.testing.assert_allclose(np.ravel(start.sigma), walked, rtol=1e-3)
+        np.testing.assert_array_less(np.abs(start.value[0] - log.position[row]), 5.0 * walked)
+
+
+@pytest.mark.xfail(
+    reason="(10.6) finds a factor for the one row that tells a position, and has nothing to do so"
+)
+def test_velocities_alone_give_the_gain_within_its_sigma(arm_rig: RigOf) -> None:
+    rig = arm_with(arm_rig, "panda_ground", position_noise=None)
+    run = simulate_arm(rig, seed=2)
+    assert nees(estimate(rig, run.log), rig, run.truth) < HONEST
 
 
 def test_arm_on_a_moving_base_gives_the_gain_within_its_sigma(arm_rig: RigOf) -> None:

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 _NO_BIAS = 1e-9  # 1 sigma that holds a constant at zero
 _SHORTEST_GAP = 0.05  # [s] that the attitude is not interpolated over, where it is more than 5 periods too
+_SILENT = 0.3  # [s] six knots: shorter silences do not cut a record
 _LINEAR, _ANGULAR = slice(0, 3), slice(3, 6)
 
 
@@ -195,18 +196,25 @@ def _joint_streams(
     if velocity is not None and np.isfinite(velocity).any() and assumptions.motion_noise is not None:
         sigma = assumptions.motion_noise
         if not told:
-            velocity, start = _from_start(rig, log, velocity, sigma, notes)
-            streams.append(_stream(assumptions, log, start, np.full(joints, FIRST_POSITION_NOISE), together))
+            velocity, starts = _from_start(rig, log, velocity, sigma, notes)
+            streams += [_stream(assumptions, log, at, of, together) for at, of in starts]
         streams.append(_stream(assumptions, log, velocity, sigma, together, derivative=1))
     if not streams:
         _measured(log, None, "positions `q_*`, or velocities `dq_*` with `motion.noise`")
     return streams
 
 
-def _from_start(rig: Rig, log: Log, velocity: Array, sigma: Array, notes: list[str]) -> tuple[Array, Array]:
-    """Velocities alone (N, M), as far as they go without a gap, and the position at their first row.
+def _from_start(
+    rig: Rig, log: Log, velocity: Array, sigma: Array, notes: list[str]
+) -> tuple[Array, list[tuple[Array, Array]]]:
+    """Velocities alone (N, M), as far as they go without a gap, and one position for each stretch.
 
-    The spline carries it on. Across a gap nobody knows where the joints went: what follows is left out.
+    The spline carries a position on. It begins where the sensor does, and anew where that was silent; there
+    the position is the integral of the velocities, which walks away with their noise by sigma sqrt(t dt).
+    Across a gap of the velocities nobody knows where the joints went: what follows is left out.
+
+    Returns:
+        The velocities, and of each stretch positions (N, M) in one row and their 1 sigma (M,).
     """
     if rig.motion.initial_position is None:
         expected = "joint positions: the log has none"
@@ -214,15 +222,33 @@ def _from_start(rig: Rig, log: Log, velocity: Array, sigma: Array, notes: list[s
     rows = np.flatnonzero(np.isfinite(velocity).all(axis=1))
     if not rows.size:
         raise InputError.at(log.path, "dq_*", "no row with all joints", "velocities of all joints")
-    last = rows[segments(log.time[rows])[0]][-1]
+    rows = rows[_stretches(log.time[rows])[0]]
     known = velocity.copy()
-    known[last + 1 :] = np.nan
-    lost = int(np.count_nonzero(np.isfinite(velocity[last + 1 :]).any(axis=1)))
+    known[rows[-1] + 1 :] = np.nan
+    lost = int(np.count_nonzero(np.isfinite(velocity[rows[-1] + 1 :]).any(axis=1)))
     if lost:
         notes.append(f"{lost} rows of dq_* left out: after a gap nothing tells the joints' positions")
-    start = np.full_like(velocity, np.nan)
-    start[rows[0]] = rig.motion.initial_position
-    return known, start
+    time = log.time[rows]
+    moved = np.zeros((1, velocity.shape[1]))
+    if rows.size > 1:
+        moved = make_interp_spline(time, velocity[rows], k=min(3, rows.size - 1)).antiderivative()(time)
+    period = float(np.median(np.diff(time))) if rows.size > 1 else 0.0
+    sensed = log.time[np.isfinite(log.raw).any(axis=1)]
+    starts = []
+    for piece in _stretches(sensed):
+        first = int(np.searchsorted(time, sensed[piece][0]))
+        if first == rows.size:
+            break
+        position = np.full_like(velocity, np.nan)
+        position[rows[first]] = rig.motion.initial_position + moved[first] - moved[0]
+        walked = sigma * np.sqrt(period * (time[first] - time[0]))
+        starts.append((position, np.hypot(FIRST_POSITION_NOISE, walked)))
+    return known, starts
+
+
+def _stretches(time: Array) -> list[slice]:
+    """As `segments`, by the estimator's own rule: silent for five periods and for six knots."""
+    return _pieces(time, _SILENT)
 
 
 def _attitude(rig: Rig, log: Log) -> Array:
@@ -243,7 +269,7 @@ def _between(time: Array, R: Array, at: Array) -> Array:
     turned = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
     quaternion[1:] *= np.cumprod(np.where(turned, -1.0, 1.0))[:, None]
     out: Array = np.full((at.size, 9), np.nan)
-    for piece in _pieces(time):
+    for piece in _pieces(time, _SHORTEST_GAP):
         known = time[piece]
         inside = (at >= known[0]) & (at <= known[-1])
         if inside.any() and known.size > 1:
@@ -252,11 +278,11 @@ def _between(time: Array, R: Array, at: Array) -> Array:
     return out
 
 
-def _pieces(time: Array) -> list[slice]:
-    """As `segments`, gaps of less than a knot not counted."""
+def _pieces(time: Array, shortest: float) -> list[slice]:
+    """As `segments`, gaps shorter than this not counted [s]."""
     found: list[slice] = []
     for piece in segments(time):
-        if found and time[piece.start] - time[found[-1].stop - 1] < _SHORTEST_GAP:
+        if found and time[piece.start] - time[found[-1].stop - 1] < shortest:
             found[-1] = slice(found[-1].start, piece.stop)
         else:
             found.append(piece)
