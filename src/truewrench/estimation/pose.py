@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from truewrench.calibration_parts import BlindTo
+
 __all__ = [
-    "Blind",
     "DelayShare",
     "PoseShare",
     "blind_to",
@@ -78,27 +78,6 @@ class DelayShare:
 
     share: float
     slope: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Blind:
-    """What a record could not have shown.
-
-    Attributes:
-        kind: `cable`, a force that follows the pose, or `delay`.
-        size: of the force, fraction of range, or of the delay [s].
-        effect: what it would move some gain by, normalised.
-        words: the same for a person.
-    """
-
-    kind: str
-    size: float
-    effect: float
-    words: str
-
-    def to_mapping(self) -> dict[str, Any]:
-        """As files hold it."""
-        return {"kind": self.kind, "size": self.size, "effect": self.effect, "words": self.words}
 
 
 def pose_share(time: Array, twist: Array, wrench: Array, mask: NDArray[np.bool_] | None = None) -> PoseShare:
@@ -184,7 +163,7 @@ def blind_to(
     ceiling: float = np.inf,
     force: float = FORCE,
     seconds: float = DELAY,
-) -> tuple[Blind, ...]:
+) -> tuple[BlindTo, ...]:
     """What would move some gain and leave no trace.
 
     Args:
@@ -198,7 +177,7 @@ def blind_to(
     # (10.10): f sqrt( largest diagonal of A / (1 - A) (E w w^T)^-1 / 6 )
     effect = min(force * float(np.sqrt(np.diag(pose.unit_covariance).max())), ceiling)
     found = [
-        Blind(
+        BlindTo(
             "cable",
             force,
             effect,
@@ -211,7 +190,7 @@ def blind_to(
         moved = delay.slope if gain is None else gain @ delay.slope
         effect = min(seconds * float(np.abs(moved).max()), ceiling)
         found.append(
-            Blind(
+            BlindTo(
                 "delay",
                 seconds,
                 effect,
