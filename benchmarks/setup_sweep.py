@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
-from truewrench.verdict.setup_errors import suspected_setup_errors
+from truewrench.judging.setup_errors import suspected_setup_errors
 
 Array = NDArray[np.float64]
 

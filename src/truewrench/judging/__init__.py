@@ -1,0 +1,225 @@
+"""Judgement, apart from the estimate (METHOD 10.7): one function decides whether it may be used."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.calibration_parts import AXES, Undetermined, Verdict
+from truewrench.estimation.estimate import Estimate
+from truewrench.judging.advice import advice
+from truewrench.judging.blind import blind_to
+from truewrench.judging.channels import channel_faults, still_motion
+from truewrench.judging.comparisons import Comparisons
+from truewrench.judging.departure import largest_departure
+from truewrench.judging.setup_errors import Suspicion, setup_errors
+from truewrench.judging.undetermined import undetermined_directions
+from truewrench.judging.words import (
+    findings,
+    kinds_of_disturbances,
+    listed,
+    log_name,
+    looks_fast,
+    looks_slow,
+)
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = ["Comparisons", "Judgement", "Suspicion", "blind_to", "findings", "judge", "setup_errors"]
+
+Array = NDArray[np.float64]
+
+MASKED = 0.2  # share of the samples, beyond which too few are left to trust: 9 of 476 imperfect records
+DISAGREE = 5e-4  # p of (10.11), of each of the two: clean records refused 0 of 104
+CONDITION = 100.0  # of the normalised gain, beyond which it is told: words only
+SINGULAR = 1e12  # that only rounding keeps from infinity: tolerance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """What is decided on an estimate.
+
+    Attributes:
+        verdict: usable, reasons, undetermined directions, and what the record could not have shown.
+        axes: which wrench axes may be used: the gains of all channels to it are as accurate as `required`,
+            and nothing but the accuracy of other axes speaks against the result. An axis that is not asked
+            for is not vouched for.
+        notes: what decides nothing and has to be said.
+    """
+
+    verdict: Verdict
+    axes: Mapping[str, bool]
+    notes: tuple[str, ...] = ()
+
+
+def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log]) -> Judgement:
+    """Whether an estimate may be used, on which axes, and every reason why not.
+
+    Usable: solved, resolved, something learnt; every required gain as accurate as `required`, (10.9) and
+    (10.10) within; no set-up test fails, no channel is dead or at a rail; at most 20% masked; the parts of
+    the record agree, and data that were held out do not say that the nominal gain is better.
+
+    Args:
+        estimate: what was found.
+        comparisons: `setup_errors` of it, and what data that were held out say.
+        rig: `required`, and what was stated.
+        logs: those of the estimate.
+    """
+    n = rig.sensor.n
+    required = _required(rig)
+    faults = channel_faults(rig, logs)
+    silent = sorted({fault.channel for fault in faults if fault.silent})
+    undetermined = _undetermined(estimate, rig, silent)
+    reasons = [fault.words for fault in faults]
+    if not estimate.solved:
+        reasons += _unsolved(estimate, logs)
+    else:
+        reasons += _of_record(estimate, rig, logs)
+        if len(undetermined) == 6 * n:
+            reasons += still_motion(logs) or [_nothing_learnt(estimate)]
+        if not silent:  # whose gains look like any mistake
+            reasons += [suspicion.words for suspicion in comparisons.setup]
+    reasons += comparisons.worse
+    std = _std(estimate, n)
+    std[silent] = 0.0  # no further reason is needed
+    accurate = np.array([bool(np.all(std[:, j] <= required[j])) for j in range(6)])
+    axes = dict(zip(AXES, (accurate & np.isfinite(required) & (not reasons)).tolist(), strict=True))
+    if not accurate.all() and estimate.solved and len(undetermined) < 6 * n:
+        reasons.append(_accuracy(estimate, rig, logs, std, required, accurate))
+    verdict = Verdict(not reasons, tuple(reasons), undetermined, blind_to(estimate, rig))
+    return Judgement(verdict, axes, tuple(_notes(estimate, comparisons, rig, logs)))
+
+
+def _required(rig: Rig) -> Array:
+    """(6,) sigma that is acceptable of the gains to each wrench axis; infinite where it is not asked for."""
+    stated: Any = rig.required
+    each = stated if isinstance(stated, Sequence) else [stated] * 6
+    return np.array([np.inf if value is None else float(value) for value in each])
+
+
+def _std(estimate: Estimate, n: int) -> Array:
+    """(n, 6) 1 sigma of the normalised gain; what is not a number is not known."""
+    variance = np.diag(estimate.normalised_covariance)[: 6 * n]
+    known = np.where(np.isfinite(variance) & (variance >= 0.0), variance, np.inf)
+    return np.asarray(np.sqrt(known)).reshape(n, 6)
+
+
+def _undetermined(estimate: Estimate, rig: Rig, silent: Sequence[int]) -> tuple[Undetermined, ...]:
+    """The directions, those of channels with a signal first."""
+    n = rig.sensor.n
+    heard, dead = [], []
+    for u in undetermined_directions(estimate.before_pose, estimate.gain_prior, rig.sensor.channels):
+        size = np.abs(u.direction.reshape(n, 6)).max(axis=1)
+        if np.delete(size, silent).max(initial=0.0) > 0.1:
+            heard.append(u)
+        else:
+            name = rig.sensor.channels[int(np.argmax(size))]
+            dead.append(replace(u, words=f"gains of {name}, which has no signal"))
+    return (*heard, *dead)
+
+
+def _unsolved(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
+    """Why nothing could be solved."""
+    if still := still_motion(logs):
+        return still
+    dropped = [
+        f"{log_name(logs, k)} has no stretch that tells a motion ({count} are shorter than 12 knots)"
+        for k, count in enumerate(estimate.dropped)
+        if count
+    ]
+    return dropped or [
+        "the record could not be solved: it holds no stretch in which the sensor and its motion were both "
+        "logged long enough"
+    ]
+
+
+def _nothing_learnt(estimate: Estimate) -> str:
+    swing = 0.0
+    if np.isfinite(estimate.ww).all():
+        swing = float(np.sqrt(np.maximum(np.diag(estimate.ww), 0.0)).max(initial=0.0))
+    return (
+        "nothing was learnt: no direction of the gain is known better than before; the payload's wrench is "
+        f"{100 * swing:.2g}% of range (RMS of its largest axis)"
+    )
+
+
+def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
+    """What of the record speaks against the result: unresolved, masked, in disagreement; a singular gain."""
+    reasons = []
+    for k in np.flatnonzero(estimate.unresolved):
+        reasons.append(
+            f"the motion of {log_name(logs, int(k))} is not resolved: a knot a sample still fits better "
+            f"({listed(looks_fast(estimate, rig, logs))}); {largest_departure(estimate, rig, logs)}"
+        )
+    share = estimate.masked_share()
+    if share > MASKED:
+        kinds = listed(kinds_of_disturbances(estimate, rig, logs))
+        reasons.append(
+            f"{100 * share:.0f}% of the sensor's samples were left out as {kinds}: too many to trust it;"
+            f" {largest_departure(estimate, rig, logs)}"
+        )
+    p = {"halves": estimate.p_halves, "quarters 1 + 3 and 2 + 4": estimate.p_quarters}
+    parts = [f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= DISAGREE]  # NaN, too
+    if parts:
+        reasons.append(
+            f"parts of the record disagree on the gain ({'; '.join(parts)}): something does not fit the "
+            f"model ({listed(looks_slow(estimate, rig, logs))}); {largest_departure(estimate, rig, logs)}"
+        )
+    if not _condition(estimate, rig) < SINGULAR:
+        reasons.append("the gain is singular: some wrench leaves no trace in the channels")
+    return reasons
+
+
+def _condition(estimate: Estimate, rig: Rig) -> float:
+    sensor = rig.sensor
+    if not np.isfinite(estimate.gain).all():
+        return float("inf")
+    gain = np.ascontiguousarray(estimate.gain)
+    posed = _core.conditioning(gain, sensor.noise_array, sensor.nominal_gain_array, sensor.range_array)
+    return float(posed.condition_number)
+
+
+def _accuracy(
+    estimate: Estimate,
+    rig: Rig,
+    logs: Sequence[Log],
+    std: Array,
+    required: Array,
+    accurate: NDArray[np.bool_],
+) -> str:
+    i, j = np.unravel_index(int(np.argmax(std / required)), std.shape)
+    failed = [axis for axis, fine in zip(AXES, accurate, strict=True) if not fine]
+    others = f" (of {', '.join(failed)}, this is the worst)" if len(failed) > 1 else ""
+    slow = listed(looks_slow(estimate, rig, logs))
+    return (
+        f"accuracy: the gain of {rig.sensor.channels[i]} on {AXES[j]} has a sigma of {std[i, j]:.3g} of "
+        f"range, more than the required {required[j]:.3g}{others}; "
+        f"{advice(estimate, rig, required, logs[-1].payload if logs else None, slow)}"
+    )
+
+
+def _notes(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log]) -> list[str]:
+    notes = []
+    if comparisons.not_held_out:
+        notes.append(f"not compared on data held out: {comparisons.not_held_out}")
+    if estimate.solved and not estimate.converged:
+        notes.append(f"the last fit still moved a little after {estimate.iterations} steps")
+    condition = _condition(estimate, rig)
+    if CONDITION < condition < SINGULAR:
+        notes.append(f"the gain is ill-conditioned: {condition:.3g} in units of range")
+    for k, count in enumerate(estimate.dropped):
+        if count and estimate.solved:
+            notes.append(f"{count} stretches of {log_name(logs, k)}, shorter than 12 knots, were dropped")
+    words = Counter(u.words for u in _undetermined(estimate, rig, ()))
+    if words and estimate.solved:
+        named = "; ".join(word if count == 1 else f"{word} ({count})" for word, count in words.items())
+        notes.append(
+            f"{words.total()} of {6 * rig.sensor.n} directions of the gain are not determined: {named}"
+        )
+    return notes

@@ -1,0 +1,124 @@
+"""What would make a calibration accurate enough, in numbers a person can act on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.estimation.estimate import Estimate
+from truewrench.rig import Rig
+
+__all__ = ["advice"]
+
+Array = NDArray[np.float64]
+
+_GENERAL = "a longer, faster or heavier motion of that axis helps"
+_UNSEEN = "a motion, or a second payload, that loads that axis by itself helps"
+_UNSEEN_SHARE = 0.5  # of the prior's sigma: words only
+_BISECTIONS = 60  # tolerance
+
+
+def advice(estimate: Estimate, rig: Rig, required: Array, payload: str | None, slow: str) -> str:
+    """What takes the gains of an estimate to what is required of them, where they are not there yet.
+
+    The largest contributions to sigma are cut down to one level at which the worst gain is accurate enough;
+    that they are independent makes of it a good guess and no promise.
+
+    Args:
+        estimate: gain and what its uncertainty is made of.
+        rig: what it states of payload and clocks.
+        required: (6,) sigma of each wrench axis' gains.
+        payload: of the last log.
+        slow: kinds of what disturbs it slowly.
+    """
+    n = rig.sensor.n
+    std = np.sqrt(np.maximum(np.diag(estimate.normalised_covariance)[: 6 * n], 0.0)).reshape(n, 6)
+    prior = estimate.gain_prior.reshape(n, 6)
+    worst = np.unravel_index(int(np.argmax(std / required)), std.shape)
+    if std[worst] > _UNSEEN_SHARE * prior[worst]:
+        return _UNSEEN
+    parts = {name: float(sigma[worst]) for name, sigma in estimate.sources.items()}
+    parts = {name: s for name, s in parts.items() if np.isfinite(s) and s > 0.0}
+    if not parts:
+        return _GENERAL
+    low, high = 0.0, max(parts.values())
+    for _ in range(_BISECTIONS):
+        level = 0.5 * (low + high)
+        if sum(min(s, level) ** 2 for s in parts.values()) > required[worst[1]] ** 2:
+            high = level
+        else:
+            low = level
+    factors = {name: low / s for name, s in sorted(parts.items(), key=lambda p: -p[1]) if s > low}
+    return _words(estimate, rig, factors, payload, slow) if factors and low > 0.0 else _GENERAL
+
+
+def _words(estimate: Estimate, rig: Rig, factors: dict[str, float], payload: str | None, slow: str) -> str:
+    stated = rig.payloads.get(payload or next(iter(rig.payloads)))
+    causes, cures = [], []
+    for source, factor in factors.items():
+        times, longer = _up(1.0 / factor), _up(factor**-2.0)
+        if source == "noise":
+            causes.append("the scatter of the samples")
+            cures.append(f"a record {longer} times as long, or wrenches {times} times as large")
+        elif source == "timing":
+            causes.append("timing")
+            cures.append(f"streams synchronised {times} times better, or more frequencies an axis")
+        elif source == "gravity":
+            causes.append("the direction of free fall")
+            known = _stated(rig.gravity_tilt_prior, factor, 1e3, "mrad")
+            cures.append(f"its tilt known to {known}, or more rotation")
+        elif source == "slow":
+            causes.append(f"what disturbs it slowly ({slow})")
+            cures.append(f"{times} times less of it, or a record {longer} times as long")
+        elif source == "pose":
+            causes.append("what may follow the pose unseen")
+            hidden = f"this one hides {100 * estimate.A:.0f} % of its pose"
+            cures.append(
+                f"a motion of several frequencies an axis ({hidden}), or `discrepancy: 0` where nothing but "
+                "the payload pulls on the sensor"
+            )
+        elif stated is not None and source in _PAYLOAD:
+            name, unit, size = _PAYLOAD[source]
+            of = "" if payload is None else f" of payload `{payload}`"
+            causes.append(f"the {name}{of}")
+            cures.append(
+                f"the {name} known to {_stated(getattr(stated.uncertainty, source), factor, size, unit)}"
+            )
+    if not causes:
+        return _GENERAL
+    return f"limited by {_listed(causes)}: {_listed(cures)} would do"
+
+
+_PAYLOAD = {
+    "mass": ("mass", "%", 1e2),
+    "center_of_mass": ("centre of mass", "mm", 1e3),
+    "inertia": ("inertia", "%", 1e2),
+}
+
+
+def _stated(value: float, factor: float, size: float, unit: str) -> str:
+    return f"{_down(size * value * factor)} {unit} (stated: {size * value:.3g} {unit})"
+
+
+def _up(value: float) -> str:
+    return _two_digits(value, up=True)
+
+
+def _down(value: float) -> str:
+    return _two_digits(value, up=False)
+
+
+def _two_digits(value: float, *, up: bool) -> str:
+    """Rounded to the side on which it still suffices."""
+    if not 0.0 < value < math.inf:
+        return f"{value:g}"
+    digits = 1 - math.floor(math.log10(value))
+    scaled = value * 10.0**digits
+    rounded = (math.ceil(scaled * (1.0 - 1e-9)) if up else math.floor(scaled * (1.0 + 1e-9))) / 10.0**digits
+    return f"{rounded:.{max(digits, 0)}f}".rstrip("0").rstrip(".") if digits > 0 else f"{rounded:.0f}"
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

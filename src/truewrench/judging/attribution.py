@@ -1,0 +1,248 @@
+"""What departures from the model look like: regressors, scored in one currency (METHOD 10.7).
+
+Time, pose, products of the wrench, the sign of its rate and a friction's state, its rates, g and Omega x g,
+and what is fast. All are projected off (w, 1), which gain and offset have taken already. The currency is by
+how much chi-square falls beyond what as many regressors take of chance. It changes no estimate, no verdict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from truewrench.estimation.estimate import Estimate, LogRows
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = ["Looks", "fast_looks", "slow_looks"]
+
+Array = NDArray[np.float64]
+
+BIN = 0.05  # [s] slow departures are averaged over: tolerance
+COSINES = 4  # over the length of a record, that a drifting offset is made of
+FRICTION = 0.03  # fraction of range over which friction saturates (METHOD 10.8)
+FEWEST = 24  # bins, or samples, from which on a record is asked: tolerance
+PENALTY = 2.0  # sigma of what chance takes of chi-square, a channel: clean records then score below 10
+CROWDED = 0.8  # regressors per independent value, from which on they explain anything: tolerance
+WALK = 30.0  # chi-square for drift where a random walk fits best: it is first in 6 of 6 walks, 0 of 6 cables
+FAST = 10.0  # [Hz] vibration is sought above
+PEAK = 5.0  # half of chi-square above the largest of white noise: 1 record in 150
+GROWS = 4.0  # sigma beyond which noise is said to grow with a rate: none of 96 records without jitter
+STEPS = 3.0  # sigma: a motion that is logged in larger steps is coarse
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """One kind of departure that the record looks like.
+
+    Attributes:
+        kind: one of `KINDS`.
+        score: fall of chi-square less the penalty, over all channels and logs.
+        words: what was seen, for a person.
+        value: how large it is: fraction of range, of jitter [s], of a step of the motion SI.
+    """
+
+    kind: str
+    score: float
+    words: str = ""
+    value: float = 0.0
+
+
+def slow_looks(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Looks, ...]:
+    """What the slow departures look like, likeliest first; empty where they look like nothing."""
+    scores: dict[str, float] = {}
+    for rows, log in zip(estimate.rows, logs, strict=True):
+        for binned in _binned(rows, estimate, rig, log):
+            for kind, score in _scores(*binned).items():
+                scores[kind] = scores.get(kind, 0.0) + score
+    found = [Looks(kind, score) for kind, score in scores.items() if score > 0.0]
+    return tuple(sorted(found, key=lambda looks: -looks.score))
+
+
+def _binned(
+    rows: LogRows, estimate: Estimate, rig: Rig, log: Log
+) -> Iterator[tuple[Array, Array, Mapping[str, Array]]]:
+    """Departure (M, n), w with 1 (M, 7), and regressors (M, p) or (M, n, p), of every stretch."""
+    span, scale = rig.sensor.range_array, rig.sensor.channel_scale
+    normalised = estimate.gain * span / scale[:, None]
+    for stretch in np.unique(rows.stretch):
+        at = np.flatnonzero(rows.stretch == stretch)
+        t, w = rows.time[at], rows.wrench[at] / span
+        if t.size < FEWEST or not np.isfinite(w).all():
+            continue
+        felt = w @ normalised.T
+        rate = np.gradient(felt, t, axis=0)
+        pose = np.concatenate([np.zeros((1, 6)), np.cumsum(_steps(t, rows.twist[at]), axis=0)])
+        pose -= pose.mean(axis=0)
+        x = np.pi * (t - t[0]) / max(t[-1] - t[0], 1e-9)
+        columns = {
+            "drift": np.cos(np.outer(x, np.arange(1, COSINES + 1))),
+            "cable": pose,
+            "cable, bent": np.concatenate([pose, _products(pose)], axis=1),
+            "nonlinearity": _products(w),
+            "hysteresis": np.stack([np.sign(rate), _friction(felt)], axis=2),
+            "filter": np.stack([rate, np.gradient(rate, t, axis=0)], axis=2),
+        }
+        if log.gravity is not None:
+            g = log.gravity[rows.rows[at]]
+            if np.isfinite(g).all():
+                columns["gravity"] = np.concatenate([g, np.cross(rows.twist[at, 3:], g)], axis=1)
+        y = rows.residual[at] + rows.discrepancy[at]
+        y[rows.masked[at]] = np.nan
+        use = np.asarray(np.isfinite(y).all(axis=1))
+        if use.sum() < FEWEST:
+            continue
+        _, index = np.unique(((t[use] - t[0]) / BIN).astype(np.int64), return_inverse=True)
+        count = np.bincount(index)
+        mean = partial(_mean, index=index, use=use)
+        if count.size >= FEWEST:
+            known = np.column_stack([mean(w), np.ones(count.size)])
+            yield mean(y), known, {kind: mean(x) for kind, x in columns.items()}
+
+
+def _mean(values: Array, index: NDArray[np.int64], use: NDArray[np.bool_]) -> Array:
+    """Rows of values (K, ...) averaged over the bins that index (of those used) names."""
+    count = np.bincount(index)
+    total = np.zeros((count.size, *values.shape[1:]))
+    np.add.at(total, index, values[use])
+    return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def _scores(y: Array, known: Array, columns: Mapping[str, Array]) -> dict[str, float]:
+    """Fall of chi-square beyond what as many regressors would take of chance, over the channels."""
+    basis = _basis(known)
+    y = y - basis @ (basis.T @ y)
+    total, rho = np.sum(y**2, axis=0), _correlation(y)
+    found: dict[str, float] = {}
+    for kind, x in columns.items():
+        score = 0.0
+        for i in np.flatnonzero(total > 0.0):
+            X = x if x.ndim == 2 else x[:, i]
+            size = np.linalg.norm(X - X.mean(axis=0), axis=0)
+            X = X[:, size > 1e-12] / size[size > 1e-12]
+            added = _basis(X - basis @ (basis.T @ X), 1e-4)
+            p = added.shape[1]
+            # Bartlett: how many independent values the record is worth, for these regressors and this channel
+            worth = len(y) / max(float(2.0 * np.sum(_correlation(added).mean(axis=1) * rho[:, i]) - 1.0), 1.0)
+            if p == 0 or p > CROWDED * worth:
+                continue
+            left = max(1.0 - float(np.sum((added.T @ y[:, i]) ** 2)) / total[i], 1e-6)
+            score += max(0.0, worth * float(np.log((1.0 - p / worth) / left)) - PENALTY * (2.0 * p) ** 0.5)
+        name = kind.split(",")[0]
+        found[name] = max(found.get(name, 0.0), score)
+    return found
+
+
+def _correlation(y: Array) -> Array:
+    """(M / 2, k) of every column at the first lags."""
+    f = np.fft.rfft(y, 2 * len(y), axis=0)
+    correlation = np.fft.irfft(np.abs(f) ** 2, axis=0)[: max(len(y) // 2, 1)]
+    return np.asarray(correlation / np.maximum(correlation[0], 1e-300))
+
+
+def _basis(columns: Array, least: float = 1e-10) -> Array:
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, size > least * max(float(size.max(initial=0.0)), 1e-300)])
+
+
+def _products(x: Array) -> Array:
+    return np.stack([x[:, i] * x[:, j] for i in range(x.shape[1]) for j in range(i, x.shape[1])], axis=1)
+
+
+def _steps(t: Array, values: Array) -> Array:
+    return np.asarray(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None])
+
+
+def _friction(felt: Array) -> Array:
+    """State (N, n) of Dahl's friction at unit size."""
+    out, step = np.zeros_like(felt), np.clip(np.diff(felt, axis=0) / FRICTION, -1.0, 1.0)
+    for k, dx in enumerate(step):
+        out[k + 1] = out[k] + dx - np.abs(dx) * out[k]
+    return out
+
+
+def fast_looks(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Looks, ...]:
+    """What the fast departures look like beside noise, likeliest first; empty where they look like noise."""
+    best: dict[str, Looks] = {}
+    for k, (rows, log) in enumerate(zip(estimate.rows, logs, strict=True)):
+        late = estimate.clocks[k][0].late if estimate.clocks[k] else 0.0
+        for looks in (*_vibration(rows), _jitter(rows, estimate, rig, log, late), *_resolution(rig, log)):
+            if looks.score > 0.0 and (looks.kind not in best or looks.score > best[looks.kind].score):
+                best[looks.kind] = looks
+    return tuple(sorted(best.values(), key=lambda looks: -looks.score))
+
+
+def _vibration(rows: LogRows) -> Iterator[Looks]:
+    """The highest peak of the residuals' spectrum above `FAST`."""
+    for stretch in np.unique(rows.stretch):
+        at = rows.stretch == stretch
+        t, r = rows.time[at], np.where(rows.masked[at, None], 0.0, np.nan_to_num(rows.residual[at]))
+        if t.size < 4 * FEWEST:
+            continue
+        frequency = np.fft.rfftfreq(t.size, max(float(np.median(np.diff(t))), 1e-9))
+        power = np.abs(np.fft.rfft(r - r.mean(axis=0), axis=0)[frequency > FAST]) ** 2
+        if len(power) < FEWEST:
+            continue
+        middle = np.median(power, axis=0) / np.log(2.0)  # of white noise: its mean
+        over = np.sum(power / np.maximum(middle, 1e-300), axis=1) - r.shape[1]  # over all channels
+        peak = int(np.argmax(over))
+        # half a chi-square; chance: the largest of so many, in channels that may all have the same noise
+        chance = r.shape[1] * (np.log(len(over)) + PEAK)
+        i = int(np.argmax(power[peak] / middle))
+        size = 2.0 * np.sqrt(power[peak, i]) / t.size
+        hz = float(frequency[frequency > FAST][peak])
+        words = f"a peak of {100 * size:.2g}% of range at {hz:.3g} Hz in the residuals"
+        yield Looks("vibration", 2.0 * float(over[peak] - chance), words, float(size))
+
+
+def _jitter(rows: LogRows, estimate: Estimate, rig: Rig, log: Log, late: float) -> Looks:
+    """Whether noise grows with the rate of what is measured, as it does where the stamps are noisy."""
+    t, fit = rows.time, rows.rows
+    pairs: list[tuple[Array, Array]] = []
+    for stretch in np.unique(rows.stretch):
+        at = np.flatnonzero(rows.stretch == stretch)
+        if at.size < FEWEST:
+            continue
+        felt = rows.wrench[at] @ estimate.gain.T / rig.sensor.channel_scale
+        r = np.where(rows.masked[at, None], np.nan, rows.residual[at])
+        pairs.append((r, np.gradient(felt, t[at], axis=0)))
+        if log.twist is not None:
+            a, later = rows.acceleration[at], t[at] + late
+            expected = CubicHermiteSpline(t[at], rows.twist[at], a)(later)
+            inside = (later >= t[at][0]) & (later <= t[at][-1])
+            pairs.append((np.where(inside[:, None], log.twist[fit[at]] - expected, np.nan), a))
+    z, slopes = 0.0, []
+    for residual, rate in pairs:
+        for r, x in zip(residual.T, rate.T**2, strict=True):
+            use = np.isfinite(r) & np.isfinite(x)
+            if use.sum() < FEWEST or not np.var(r[use]) > 0.0 or not np.var(x[use]) > 0.0:
+                continue
+            square, x = r[use] ** 2, x[use] - x[use].mean()
+            z += float(square @ x / np.sqrt(np.var(square) * np.sum(x**2)))
+            slopes.append(max(float(square @ x / np.sum(x**2)), 0.0))  # var r = sigma^2 + tau^2 rate^2
+    z /= max(len(slopes), 1) ** 0.5
+    tau = float(np.sqrt(np.median(slopes))) if slopes else 0.0
+    words = f"noise that grows with the rate of what is measured ({z:.1f} sigma)"
+    return Looks("jitter", float(np.sign(z) * z**2 - GROWS**2), words, tau)
+
+
+def _resolution(rig: Rig, log: Log) -> Iterator[Looks]:
+    """Whether the motion was logged in steps that are coarse beside its noise."""
+    stated = np.asarray(rig.motion.noise)
+    values = {"twist": log.twist, "joints": log.velocity}.get(rig.motion.source)
+    if values is None or values.shape[1] != stated.size:
+        return
+    for column, sigma in zip(values.T, stated, strict=True):
+        known = column[np.isfinite(column)]
+        levels = np.unique(known)
+        if known.size < 4 * FEWEST or not 2 < levels.size < 0.5 * known.size:
+            continue
+        step = float(np.median(np.diff(levels)))
+        if step > STEPS * sigma:
+            words = f"motion in steps of {step:.2g}, {step / sigma:.2g} sigma of its noise"
+            yield Looks("resolution", known.size * float(np.log(known.size / levels.size)), words, step)

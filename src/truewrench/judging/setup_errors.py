@@ -1,0 +1,281 @@
+"""Gross set-up errors that a free gain absorbs: units, axes, signs, a wrong payload (METHOD 8).
+
+Kilonewtons for newtons or swapped axes fit as well as the truth, as another gain. What betrays them is the
+nominal gain: C = (C_nom + Delta) T with a T that somebody could have set up is weighed against T = 1, by the
+posterior odds of the two given what the data alone say of the gain,
+
+    odds = prior odds * N(c; vec(C_nom T), Sigma_T + P) / N(c; vec(C_nom), Sigma_1 + P)
+
+P holds what the stated uncertainty of the payload leaves open, Sigma_T the spread of the departures Delta T.
+Under a correct set-up these are of whatever size up to `gain_prior` explains the gain best, so that a wider
+prior never brings a suspicion; a rig that was set up wrongly has a sensor as good as others are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dtrtrs
+
+from truewrench.estimation.estimate import Estimate
+from truewrench.judging.setup_hypotheses import (
+    PRIOR_ODDS,
+    Hypothesis,
+    Kind,
+    axes_in_words,
+    drifts,
+    mixed_axes,
+    payload_units,
+    scales,
+    turned,
+)
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = ["Suspicion", "payload_errors", "setup_errors", "suspected_setup_errors"]
+
+Array = NDArray[np.float64]
+
+COMMON = 0.3  # departures of other sensors, where `gain_prior` says more; its rates are those of `PRIOR_ODDS`
+SPREADS = (1.0, 0.5, 0.25)  # of them, equally likely
+WIDEST = 1e100  # whose square is a number: tolerance
+LADDER = 2.0 ** np.arange(-7.0, 24.0)  # spreads that are tried, up to `gain_prior`: tolerance
+WIDE = 10.0  # spread, in gain priors, of a departure that none of the named mistakes explains
+DEPARTURE = 0.01  # prior odds of one
+UNSEEN = 0.98  # of the prior variance: a direction that uncertain has not been seen in the data: tolerance
+NAMED = 0.05  # share of the odds from which on a hypothesis is worth naming
+MOST = 3  # hypotheses that are named
+NEGLIGIBLE = 20.0  # nats: what is less likely by so much is not pursued: tolerance
+SHORTLIST = 12  # signed permutations of each family that are evaluated in full: tolerance
+
+PAYLOAD_PARAMETERS = (
+    "mass",
+    *(f"centre of mass along {axis}" for axis in "xyz"),
+    *(f"inertia {element}" for element in ("xx", "yy", "zz", "xy", "xz", "yz")),
+)
+"""What the ten departures of a payload are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Suspicion:
+    """A set-up error that explains the estimate better than a correct set-up does.
+
+    Attributes:
+        kind: what was set up wrongly.
+        words: the same for a person, with the odds.
+        log_odds: natural logarithm of the posterior odds against a correct set-up.
+    """
+
+    kind: Kind
+    words: str
+    log_odds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What the data alone say: basis @ vec(C) ~ N(value, variance), basis (r, 6n) orthonormal."""
+
+    basis: Array
+    value: Array
+    variance: Array  # (r, r)
+
+
+def setup_errors(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Suspicion, ...]:
+    """Set-up errors that an estimate suggests, most likely first; empty when none does."""
+    if not estimate.solved:
+        return ()  # the gain is its prior
+    sensor = rig.sensor
+    unit = sensor.range_array / sensor.channel_scale[:, None]  # normalised gain per SI gain
+    size = 6 * sensor.n
+    names = [name for name in dict.fromkeys(log.payload for log in logs) if name in rig.payloads]
+    found = suspected_setup_errors(
+        estimate.gain * unit,
+        estimate.normalised_covariance[:size, :size],
+        sensor.nominal_gain_array * unit,
+        float(np.median(estimate.gain_prior)),
+        sensor.range_array,
+        sensor.channel_scale,
+        centers_of_mass=[rig.payloads[name].center_of_mass_array for name in names],
+        before_pose=estimate.before_pose,
+    )
+    for name, departure in estimate.payloads.items():
+        if name in rig.payloads:
+            u = rig.payloads[name].uncertainty
+            stated = np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
+            found += payload_errors(name, departure.mean, stated)
+    return found
+
+
+def suspected_setup_errors(
+    gain: Array,
+    covariance: Array,
+    nominal: Array,
+    prior: float,
+    span: Array,
+    channel_scale: Array,
+    *,
+    centers_of_mass: Sequence[Array] = (),
+    before_pose: Array | None = None,
+    prior_in_estimate: bool = True,
+) -> tuple[Suspicion, ...]:
+    """Set-up errors that a gain suggests, most likely first; empty when none does.
+
+    Gains are normalised: gain_ij range_j / channel_scale_i.
+
+    Args:
+        gain: (n, 6) estimate.
+        covariance: (6n, 6n) of it, row by row, with what the payload's uncertainty leaves open.
+        nominal: (n, 6).
+        prior: 1 sigma of every gain's departure from nominal.
+        span: (6,) range of the wrench axes [N, N m]; it relates normalised axes to SI ones,
+        channel_scale: (n,) and this normalised channels to raw ones.
+        centers_of_mass: (3,) each, of the payloads carried [m]: a wrong mass, centre of mass or inertia is
+            looked for in these.
+        before_pose: (6n, 6n) the covariance before (10.10), if `covariance` is after it.
+        prior_in_estimate: False for an estimate that `prior` has not pulled towards nominal (least squares).
+    """
+    known = all(np.all(np.abs(x) < WIDEST) for x in (gain, covariance, nominal))  # NaN is not
+    if not known or not prior > 0.0:
+        return ()
+    prior = min(prior, WIDEST)
+    P = covariance if before_pose is None or not np.isfinite(before_pose).all() else before_pose
+    seen = _seen_in_data(gain, P, covariance - P, nominal, prior, prior_in_estimate)
+    if seen.value.size == 0:
+        return ()
+    n, spread = len(nominal), min(prior, COMMON)
+    correct = Hypothesis("departure", "", 0.0, np.eye(n), np.eye(6))
+    upto = [*LADDER[prior > LADDER], min(prior, LADDER[-1])]
+    sound = max(float(_log_evidence(seen, nominal, [correct], s)[0]) for s in upto)
+    words = f"the gain departs from nominal by far more than the stated {prior:g}"
+    wide = float(_log_evidence(seen, nominal, [correct], WIDE * min(prior, LADDER[-1]))[0])
+    odds: dict[tuple[Kind, str], float] = {("departure", words): math.log(DEPARTURE) + wide - sound}
+    hypotheses = [
+        *scales(n),
+        *payload_units(n, span, centers_of_mass),
+        *drifts(n, span, centers_of_mass),
+        *_axes(seen, nominal, spread, span, channel_scale),
+    ]
+    prior_odds = np.array([h.log_prior for h in hypotheses]) - sound
+    first = _log_evidence(seen, nominal, hypotheses, spread) + prior_odds
+    # a narrower spread raises the density by its volume at most
+    least = max(first.max(), 0.0) - NEGLIGIBLE - seen.value.size * math.log(1.0 / min(SPREADS))
+    worth = np.flatnonzero(first > least)
+    pursued = [hypotheses[k] for k in worth]
+    rows = [
+        first[worth],
+        *(_log_evidence(seen, nominal, pursued, s * spread) + prior_odds[worth] for s in SPREADS[1:]),
+    ]
+    for h, average in zip(pursued, np.logaddexp.reduce(rows) - math.log(len(SPREADS)), strict=True):
+        key = h.kind, h.words
+        odds[key] = float(np.logaddexp(odds.get(key, -math.inf), average))
+    total = float(np.logaddexp.reduce(list(odds.values())))
+    if not total > 0.0:
+        return ()
+    named = sorted((item for item in odds.items() if item[1] > total + math.log(NAMED)), key=lambda x: -x[1])
+    return tuple(_suspicion(kind, words, value) for (kind, words), value in named[:MOST])
+
+
+def payload_errors(name: str, departure: Array, stated: Array) -> tuple[Suspicion, ...]:
+    """Properties of a payload that the data moved further from what is stated than its uncertainty allows.
+
+    Args:
+        name: of the payload.
+        departure: (10,) posterior less stated, in the units of `stated`.
+        stated: (10,) 1 sigma; 0 for what is exact, which cannot depart.
+    """
+    found = []
+    for what, moved, sigma in zip(PAYLOAD_PARAMETERS, departure, stated, strict=True):
+        if not sigma > 0.0 or not np.isfinite(moved):
+            continue
+        z = abs(float(moved)) / float(sigma)
+        # odds of an uncertainty that was stated ten times too small: even at 3.9 sigma, 1 in 1,000 a payload
+        log_odds = math.log(PRIOR_ODDS["payload"] / len(departure) / WIDE) + 0.5 * z**2 * (1.0 - WIDE**-2.0)
+        if log_odds > 0.0:
+            words = f"{what} of payload `{name}` is {z:.1f} sigma from what the rig states"
+            found.append(_suspicion("payload", words, log_odds))
+    return tuple(sorted(found, key=lambda suspicion: -suspicion.log_odds)[:MOST])
+
+
+def _suspicion(kind: Kind, words: str, log_odds: float) -> Suspicion:
+    decades = log_odds / math.log(10.0)
+    odds = f"1e{math.floor(decades)}" if decades > 6.0 else f"{math.exp(log_odds):.2g}"
+    return Suspicion(kind, f"suspected set-up error: {words} (posterior odds {odds} to 1)", log_odds)
+
+
+def _seen_in_data(
+    gain: Array, P: Array, added: Array, nominal: Array, prior: float, prior_in_estimate: bool
+) -> _Seen:
+    """Likelihood of the data alone. The prior is isotropic, so it leaves along the axes of the covariance."""
+    p, axes = np.linalg.eigh(0.5 * (P + P.T))
+    p = np.maximum(p, (1e-9 * min(prior, 1.0)) ** 2)
+    seen = p < UNSEEN * prior**2
+    p, basis = p[seen], axes[:, seen].T
+    pulled_less = 1.0 / (1.0 - p / prior**2) if prior_in_estimate else np.ones_like(p)
+    value = basis @ nominal.ravel() + pulled_less * (basis @ (gain - nominal).ravel())
+    return _Seen(basis, value, np.diag(p * pulled_less) + basis @ added @ basis.T)
+
+
+def _log_evidence(seen: _Seen, nominal: Array, hypotheses: Sequence[Hypothesis], spread: float) -> Array:
+    """Logarithm of the marginal likelihood of each hypothesis, for departures of a spread."""
+    n, r = len(nominal), seen.value.size
+    if not hypotheses:
+        return np.zeros(0)
+    left, right = (np.array([getattr(h, side) for h in hypotheses]) for side in ("left", "right"))
+    misfit = seen.value - (left @ nominal @ right).reshape(-1, 6 * n) @ seen.basis.T
+    # vec(left Delta right) in the basis, per element of Delta
+    factor = (
+        np.swapaxes(left, 1, 2)[:, None] @ seen.basis.reshape(r, n, 6) @ np.swapaxes(right, 1, 2)[:, None]
+    )
+    factor = spread * factor.reshape(-1, r, 6 * n)
+    totals = factor @ np.swapaxes(factor, 1, 2) + seen.variance
+    found = np.full(len(hypotheses), -np.inf)
+    for k, (h, total) in enumerate(zip(hypotheses, totals, strict=True)):
+        if h.drift is not None:
+            along = seen.basis @ (nominal @ h.drift).ravel()
+            total += np.outer(along, along)
+        root, fault = dpotrf(total.T, lower=1)  # symmetric; transposed it is in LAPACK's order
+        if fault == 0:
+            white, _ = dtrtrs(root, misfit[k], lower=1)
+            found[k] = -0.5 * (white @ white) - np.log(np.diagonal(root)).sum()
+    return found
+
+
+def _axes(
+    seen: _Seen, nominal: Array, spread: float, span: Array, channel_scale: Array
+) -> Iterator[Hypothesis]:
+    """A rotation of the axes, and the most likely signed permutations of axes and, of six, of channels.
+
+    A permutation of SI axes also rescales normalised ones, where their ranges differ. A family separates into
+    one score per pair of axes, so that all permutations of it are compared at once, with the uncertainty of
+    the data taken without its correlations.
+    """
+    n = len(nominal)
+    pseudo = np.linalg.pinv(nominal)  # (6, n)
+    unseen = np.eye(6 * n) - seen.basis.T @ seen.basis
+    estimate = (seen.basis.T @ seen.value + unseen @ nominal.ravel()).reshape(n, 6)
+    covariance = (seen.basis.T @ seen.variance @ seen.basis + unseen).reshape(n, 6, n, 6)
+    yield turned(n, pseudo @ estimate, span, spread)
+    families: list[tuple[Literal["axes", "channels"], Array]] = [("axes", np.ones((6, 6)))]
+    if np.ptp(span) > 0.0:
+        families.append(("axes", span / span[:, None]))
+    if n == 6 and not np.array_equal(nominal, np.eye(6)):
+        families.append(("channels", np.ones((6, 6))))
+    if n == 6 and np.ptp(channel_scale) > 0.0:
+        families.append(("channels", channel_scale / channel_scale[:, None]))
+    log_of_axes = math.log(PRIOR_ODDS["axes"] / len(families))
+    for side, factor in families:
+        if side == "axes":  # T of C_nom T, which separates by columns, transposed
+            T, squares, factor = (pseudo @ estimate).T, np.sum(pseudo**2, axis=1), factor.T
+            variance = np.einsum("ia,ajbj,ib->ji", pseudo, covariance, pseudo)
+        else:  # T of T C_nom, which separates by rows
+            T, squares = estimate @ pseudo, np.sum(pseudo**2, axis=0)
+            variance = np.einsum("jk,ijim,mk->ik", pseudo, covariance, pseudo)
+        for signed, log_prior in mixed_axes(T, variance, squares * spread**2, factor, SHORTLIST):
+            right, left = ((signed * factor).T, np.eye(n)) if side == "axes" else (np.eye(6), signed * factor)
+            words = axes_in_words(signed.T if side == "axes" else signed)
+            yield Hypothesis("axes", words, log_of_axes + log_prior, left, right)

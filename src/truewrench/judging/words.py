@@ -1,0 +1,308 @@
+"""What an estimate needed beside the rig as stated, and what it looks like, in words (METHOD 10.7).
+
+One function makes them; it changes neither estimate nor verdict. What a record holds beside the model is
+named by one of `KINDS`, or by at most three of them, the likeliest first: they begin `Assumed.what`, before a
+colon.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.stats import poisson
+
+from truewrench.calibration_parts import Assumed
+from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
+from truewrench.estimation.estimate import Clock, Estimate, LogRows, Slow
+from truewrench.judging.attribution import WALK, Looks, fast_looks, slow_looks
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = ["findings", "kinds_of_disturbances", "listed", "log_name", "looks_fast", "looks_slow"]
+
+MOST = 3  # kinds that are named at once
+WORTH = 0.25  # of the highest score, from which on a kind is named with it
+TOLD = 4.0  # sigma of a clock, a quadratic term, a slow disturbance: 1 clean record in 2,000
+FILTERED = 4.0  # sigma of kappa and gamma from those of a clock, from which on a filter is named first
+LARGE = 10.0  # times a slow disturbance or the noise, below which an event may be a part of it: words only
+NEAR = 0.3  # [s] of a step, within which a contact may be its edge: words only
+NOISE = 2.0  # factor on the stated sigma that is told: never on clean records of 100 samples
+TILTED = 2.0  # sigma of its prior, that gravity's tilt is told from: 1 true prior in 10
+CLEAN_OUTLIERS = 3e-4  # share of clean samples that are masked,
+CHANCE = 1e-3  # and the probability of as many as found, below which outliers are told
+FINE = 0.3  # of the coarsest spacing of knots, below which the motion is told to be fast: 1 of 102 records
+EVENTS = 10  # contacts that are named one by one
+
+CHANNELS = ("force", "moment", "channels")
+"""What `FoundNoise.what` is where it is the sensor's."""
+
+_STREAMS = {"twist": "velocities", "rate of turn": "rates of turn"}
+_FAST = {
+    "vibration": "peak in the residuals, fraction of range",
+    "jitter": "1 sigma of the stamps, s",
+    "resolution": "step of the logged motion, SI units",
+}
+_SLOW = ("hysteresis", "cable", "drift")
+_WALK = ("drift", "cable", "hysteresis")
+
+
+def findings(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Assumed, ...]:
+    """Every alternative that the estimate needed beside the rig as stated, and what was left out."""
+    if not estimate.solved:
+        return ()
+    slow, fast = looks_slow(estimate, rig, logs), fast_looks(estimate, rig, logs)
+    found: list[Assumed] = []
+    for k in range(len(estimate.rows)):
+        found += _clocks(estimate, rig, logs, k)
+        found += _slow(estimate, rig, logs, k, slow)
+        found += _noise(estimate, rig, logs, k, [looks.kind for looks in fast])
+        found += _steps(estimate, rig, logs, k, slow)
+        found += _events(estimate, rig, logs, k, slow, [looks.kind for looks in fast])
+        found += _fine(estimate, logs, k, [looks.kind for looks in fast])
+    found += _quadratic(estimate, rig)
+    found += _tilt(estimate, rig)
+    for looks in fast:
+        what = f"{looks.kind}: {_FAST[looks.kind]}"
+        found.append(Assumed(what, "the record", looks.value, None, looks.words))
+    return tuple(found)
+
+
+def looks_slow(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
+    """At most three kinds that the slow departures look like, likeliest first; some always."""
+    walks = any(slow.form == "walk" for of_log in estimate.slow for slow in of_log)
+    scores = {looks.kind: looks.score for looks in slow_looks(estimate, rig, logs)}
+    if walks:
+        scores["drift"] = scores.get("drift", 0.0) + WALK
+    kinds = _likeliest([Looks(kind, score) for kind, score in scores.items()])
+    return kinds or (_WALK if walks else _SLOW)
+
+
+def looks_fast(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
+    """The same of what is faster than the motion resolves."""
+    return _likeliest(fast_looks(estimate, rig, logs)) or ("vibration", "jitter", "noise")
+
+
+def kinds_of_disturbances(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
+    """The kinds of what was left out, by how many samples it took; what is noisy throughout before them."""
+    count = {"contact": 0, "outliers": 0}
+    for event in (event for of_log in estimate.events for event in of_log):
+        count["contact" if event.lasting else "outliers"] += event.samples
+    kinds = [kind for kind in sorted(count, key=lambda kind: -count[kind]) if count[kind]] or ["contact"]
+    return (*[looks.kind for looks in fast_looks(estimate, rig, logs)[:1]], *kinds)
+
+
+def log_name(logs: Sequence[Log], k: int) -> str:
+    """How a log is called in a sentence."""
+    path = logs[k].path if k < len(logs) else None
+    number = f"log {k + 1}" if len(logs) > 1 else "the log"
+    return number if path is None else f"{number} ({path.name})"
+
+
+def listed(kinds: Sequence[str]) -> str:
+    """`hysteresis, cable or drift`."""
+    return kinds[0] if len(kinds) == 1 else f"{', '.join(kinds[:-1])} or {kinds[-1]}"
+
+
+def _likeliest(looks: Sequence[Looks]) -> tuple[str, ...]:
+    ordered = sorted(looks, key=lambda x: -x.score)
+    return tuple(x.kind for x in ordered if x.score > WORTH * ordered[0].score)[:MOST]
+
+
+def _what(kinds: Sequence[str], meaning: str) -> str:
+    return f"{', '.join(kinds[:MOST])}: {meaning}"
+
+
+def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterator[Assumed]:
+    """Clocks and filters.
+
+    With a first-order filter of time constant tau beside a clock c, s = c - tau for one of the motion and
+    c + tau for one of the sensor; then in (10.5) gamma s = c, and in (10.4) (2 kappa - 1) s^2 = +-tau^2.
+    """
+    hz = rig.sensor.lowpass_hz
+    for clock in estimate.clocks[k]:
+        s, std = clock.late, clock.std
+        expected = 0.0 if hz is None else 1.0 / (2.0 * math.pi * hz)
+        if not abs(s - expected) > TOLD * std or not math.isfinite(s):
+            continue
+        stream, where = _STREAMS.get(clock.stream, clock.stream), log_name(logs, k)
+        tau, sigma, motion = _filter(clock, hz)
+        if tau > 0.0:
+            kinds = ("filter", "delay") if clock.gamma is not None else ("filter", "delay", "clock")
+            late = stream if motion else "sensor's channels"
+            words = (
+                f"the {late} are late by {_pm(1e3 * tau, 1e3 * sigma)} ms and look filtered at "
+                f"{1.0 / (2.0 * math.pi * tau):.2g} Hz (first order)"
+            )
+            yield Assumed(_what(kinds, f"how late the {late} are, s"), where, tau, sigma, words)
+            s += tau if motion else -tau  # what is left is a clock
+            if not abs(s - expected) > TOLD * math.hypot(std, sigma):
+                continue
+        kinds = ("clock", "delay") if tau > 0.0 else ("clock", "delay", "filter")
+        first, second = ("sensor", stream) if s > 0.0 else (stream, "sensor")
+        verb = "is" if first == "sensor" else "are"
+        within = f", within the stated {1e3 * clock.stated:.3g} ms" if abs(s) <= clock.stated else ""
+        words = f"the {first} {verb} {_pm(1e3 * abs(s), 1e3 * std)} ms late against the {second}{within}"
+        yield Assumed(_what(kinds, f"how late the sensor is against the {stream}, s"), where, s, std, words)
+
+
+def _filter(clock: Clock, lowpass_hz: float | None) -> tuple[float, float, bool]:
+    """Time constant of a filter that a clock alone does not explain, its sigma, and whether of the motion."""
+    s = clock.late
+    if clock.gamma is not None and clock.gamma_std is not None:
+        tau, sigma = (clock.gamma - 1.0) * s, abs(s) * clock.gamma_std
+        if tau > FILTERED * sigma:
+            return tau, sigma, True
+    if clock.kappa is not None and clock.kappa_std is not None and lowpass_hz is None:
+        excess = 2.0 * clock.kappa - 1.0
+        motion = excess > 0.0
+        if abs(excess) > FILTERED * 2.0 * clock.kappa_std and (motion or s > 0.0):
+            tau = abs(s) * math.sqrt(min(abs(excess), 1.0))
+            return tau, abs(s) * clock.kappa_std / math.sqrt(abs(excess)), motion
+    return 0.0, 0.0, False
+
+
+def _slow(
+    estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int, kinds: Sequence[str]
+) -> Iterator[Assumed]:
+    for slow in estimate.slow[k]:
+        if slow.form == "none" and not slow.z > TOLD:
+            continue
+        size = _physical(rig, slow)
+        over = "wandering over the record" if slow.form == "walk" else f"correlated over {slow.tau:.2g} s"
+        words = f"slow disturbance of {size}, {over}: {listed(kinds)}"
+        if slow.capped:
+            words += "; it ended as large as it may be"
+        meaning = f"slow disturbance of the {_plural(slow.what)}, fraction of range"
+        yield Assumed(_what(kinds, meaning), log_name(logs, k), slow.size, slow.size_std, words)
+
+
+def _physical(rig: Rig, slow: Slow) -> str:
+    at = {"force": slice(0, 3), "moment": slice(3, 6)}.get(slow.what)
+    if at is None:
+        return f"{100 * slow.size:.2g}% of range"
+    return f"{slow.size * float(rig.sensor.range_array[at].mean()):.2g} {'N' if at.start == 0 else 'N m'}"
+
+
+def _noise(
+    estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int, fast: Sequence[str]
+) -> Iterator[Assumed]:
+    where, positions = log_name(logs, k), []
+    for found in estimate.noise[k]:
+        what, stream = found.what, ""
+        if what.startswith("motion stream "):
+            number = int(what.rsplit(" ", 1)[-1]) - 1
+            stream = estimate.clocks[k][number].stream if number < len(estimate.clocks[k]) else ""
+            what = stream or what
+        if "positions" in (what.split(" ")[0], stream) and _positions_unstated(rig):
+            positions.append(found.factor)
+        elif not 1.0 / NOISE <= found.factor <= NOISE:
+            kinds = (*[kind for kind in fast if found.factor > NOISE], "noise")
+            words = f"noise of the {_plural(what)} is {found.factor:.2g} x the stated"
+            meaning = f"of the {_plural(what)}, times the stated"
+            yield Assumed(_what(kinds[-MOST:], meaning), where, found.factor, None, words)
+    if positions:
+        value = FIRST_POSITION_NOISE * max(positions)
+        words = f"no `position_noise` is stated: {value:.2g} was found, from {FIRST_POSITION_NOISE:g}"
+        yield Assumed("noise: of the joints' positions, rad", where, value, None, words)
+
+
+def _positions_unstated(rig: Rig) -> bool:
+    return rig.motion.source == "joints" and rig.motion.position_noise is None
+
+
+def _plural(what: str) -> str:
+    return {"force": "forces", "moment": "moments"}.get(what, what)
+
+
+def _fine(estimate: Estimate, logs: Sequence[Log], k: int, fast: Sequence[str]) -> Iterator[Assumed]:
+    h, rows = float(estimate.spacing[k]), estimate.rows[k]
+    if rows.time.size < 2:
+        return
+    coarsest = max(0.05, 2.5 * float(np.median(np.diff(rows.time))))
+    if h < FINE * coarsest:
+        kinds = [kind for kind in fast if kind in ("vibration", "jitter")] or ["vibration", "jitter"]
+        words = f"the motion is resolved in steps of {1e3 * h:.2g} ms, not {1e3 * coarsest:.2g} ms"
+        yield Assumed(_what(kinds, "spacing of the motion's knots, s"), log_name(logs, k), h, None, words)
+
+
+def _quadratic(estimate: Estimate, rig: Rig) -> Iterator[Assumed]:
+    for name, u, std in zip(rig.sensor.channels, estimate.quadratic, estimate.quadratic_std, strict=True):
+        if math.isfinite(u) and std > 0.0 and abs(u) > TOLD * std:
+            words = f"channel {name} departs from linear by {100 * abs(u):.2g}% of range"
+            what = "nonlinearity: quadratic term at full scale, fraction of range"
+            yield Assumed(what, f"channel {name}", float(u), float(std), words)
+
+
+def _tilt(estimate: Estimate, rig: Rig) -> Iterator[Assumed]:
+    if estimate.tilt is None or estimate.tilt_std is None or not rig.gravity_tilt_prior > 0.0:
+        return
+    angle = float(np.linalg.norm(estimate.tilt))
+    if np.abs(estimate.tilt).max() > TILTED * rig.gravity_tilt_prior:
+        sigma = float(np.max(estimate.tilt_std))
+        words = (
+            f"gravity is tilted by {_pm(math.degrees(angle), math.degrees(sigma))} deg, "
+            f"{angle / rig.gravity_tilt_prior:.2g} sigma of what the rig states"
+        )
+        yield Assumed("gravity: tilt of its direction, rad", "all logs", angle, sigma, words)
+
+
+def _part_of(estimate: Estimate, k: int, size: float, kinds: Sequence[str]) -> tuple[str, ...]:
+    """The kinds of the slow disturbance that something as small may be a part of; none if it is not."""
+    slow = max((slow.size for slow in estimate.slow[k] if slow.form != "none"), default=0.0)
+    return tuple(kinds) if abs(size) < LARGE * slow else ()
+
+
+def _steps(
+    estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int, slow: Sequence[str]
+) -> Iterator[Assumed]:
+    for step in estimate.steps[k]:
+        i = int(np.argmax(np.abs(step.size)))
+        name, size = rig.sensor.channels[i], float(step.size[i])
+        words = f"the offset of {name} steps by {100 * size:.2g}% of range at {step.time:.4g} s"
+        what = _what(("step", *_part_of(estimate, k, size, slow)), "of the offset, fraction of range")
+        where = f"{log_name(logs, k)}, {step.time:.4g} s, channel {name}"
+        yield Assumed(what, where, size, float(step.std[i]), words)
+
+
+def _events(
+    estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int, slow: Sequence[str], fast: Sequence[str]
+) -> Iterator[Assumed]:
+    where, rows = log_name(logs, k), estimate.rows[k]
+    factor = max((f.factor for f in estimate.noise[k] if f.what in CHANNELS), default=1.0)
+    noise = factor * rig.sensor.noise_array / rig.sensor.channel_scale
+    contacts = [event for event in estimate.events[k] if event.lasting]
+    for event in contacts[:EVENTS]:
+        i = int(np.argmax(event.size))
+        size, name = float(event.size[i]), rig.sensor.channels[i]
+        words = (
+            f"contact from {event.begin:.4g} to {event.end:.4g} s left out, up to {100 * size:.2g}% of range "
+            f"on {name}"
+        )
+        step = any(event.begin - NEAR < step.time < event.end + NEAR for step in estimate.steps[k])
+        part = _part_of(estimate, k, size, slow) or (tuple(fast) if size < LARGE * noise[i] else ())
+        kinds = (*part[: MOST - 1], "contact") if part else ("contact", "step") if step else ("contact",)
+        what = _what(kinds, "largest departure of a channel, fraction of range")
+        yield Assumed(what, f"{where}, {event.begin:.4g} to {event.end:.4g} s", size, None, words)
+    if len(contacts) > EVENTS:
+        rest = contacts[EVENTS:]
+        seconds = sum(event.end - event.begin for event in rest)
+        words = f"{len(rest)} more contacts, {seconds:.3g} s in all, left out"
+        yield Assumed("contact: left out, s", where, seconds, None, words)
+    outliers = sum(event.samples for event in estimate.events[k] if not event.lasting)
+    if outliers and poisson.sf(outliers - 1, CLEAN_OUTLIERS * _samples(rows)) < CHANCE:
+        words = f"{outliers} single samples left out of {_samples(rows)}"
+        yield Assumed("outliers: samples left out", where, float(outliers), None, words)
+
+
+def _samples(rows: LogRows) -> int:
+    return int(rows.masked.size)
+
+
+def _pm(value: float, sigma: float) -> str:
+    """`7.9 +- 0.1`: as many digits as sigma deserves."""
+    if not 0.0 < sigma < math.inf or not math.isfinite(value):
+        return f"{value:.3g}"
+    decimals = min(max(-math.floor(math.log10(sigma)), 0), 9)
+    return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"
