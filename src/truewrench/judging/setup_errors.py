@@ -259,7 +259,7 @@ def _axes(
     unseen = np.eye(6 * n) - seen.basis.T @ seen.basis
     estimate = (seen.basis.T @ seen.value + unseen @ nominal.ravel()).reshape(n, 6)
     covariance = (seen.basis.T @ seen.variance @ seen.basis + unseen).reshape(n, 6, n, 6)
-    yield turned(n, pseudo @ estimate, span, spread)
+    yield from turned(n, pseudo @ estimate, span, spread)
     families: list[tuple[Literal["axes", "channels"], Array]] = [("axes", np.ones((6, 6)))]
     if np.ptp(span) > 0.0:
         families.append(("axes", span / span[:, None]))

@@ -22,6 +22,7 @@ Kind = Literal["scale", "axes", "payload", "departure"]
 # shared out evenly over its hypotheses. Drifts are rated low because a healthy sensor, too, may depart by
 # something like a common factor. The rates that they set: benchmarks/setup_sweep.py.
 PRIOR_ODDS: dict[str, float] = {"scale": 0.05, "axes": 0.1, "turn": 0.05, "payload": 0.05, "drift": 1e-4}
+QUARTER = math.radians(10.0)  # a turn so near to quarter turns is one: words only
 FACTOR, LEVER = 0.2, 0.1  # spread of a common factor that no named unit explains, of a centre of mass [m]
 
 SCALES: tuple[tuple[float, str], ...] = (
@@ -143,8 +144,10 @@ def drifts(n: int, span: Array, centers_of_mass: Sequence[Array]) -> Iterator[Hy
         yield Hypothesis(kind, words, log_prior, np.eye(n), np.eye(6), _normalised(drift, span))
 
 
-def turned(n: int, transform: Array, span: Array, spread: float) -> Hypothesis:
+def turned(n: int, transform: Array, span: Array, spread: float) -> Iterator[Hypothesis]:
     """Forces and moments both turned by the rotation that comes nearest to a matrix.
+
+    One that is nearly a permutation of the axes is left to these.
 
     Args:
         n: channels.
@@ -155,11 +158,15 @@ def turned(n: int, transform: Array, span: Array, spread: float) -> Hypothesis:
     si = transform * span[:, None] / span
     u, _, vt = np.linalg.svd(si[:3, :3] + si[3:, 3:])
     R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    near = np.rint(R)
+    quarter = abs(np.linalg.det(near)) == 1.0 and not np.array_equal(near, np.eye(3))
+    if quarter and np.trace(near.T @ R) > 1.0 + 2.0 * math.cos(QUARTER):
+        return
     # Laplace's integral over the rotation: 1 sigma of each angle is spread / |d blkdiag(R, R)| = spread / 2,
     # a priori every rotation is alike (8 pi^2 in all)
     volume = 1.5 * math.log(2 * math.pi) + 3 * math.log(0.5 * spread) - math.log(8 * math.pi**2)
     right = _normalised(_blocks(R, np.zeros((3, 3)), R), span)
-    return Hypothesis("axes", _turn_in_words(R), math.log(PRIOR_ODDS["turn"]) + volume, np.eye(n), right)
+    yield Hypothesis("axes", _turn_in_words(R), math.log(PRIOR_ODDS["turn"]) + volume, np.eye(n), right)
 
 
 def mixed_axes(
