@@ -177,7 +177,7 @@ def _accuracy(calibration: Calibration) -> RenderableType:
 def _limits(calibration: Calibration) -> RenderableType:
     """What each source of uncertainty contributes to the gains on a wrench axis."""
     sources = calibration.figures["limited_by"]
-    names = [name.replace("_", " ") for name in sources]
+    names = [name.replace("_", " ").replace("center", "centre") for name in sources]
     table = _table("What limits the accuracy (1 sigma, % of range)", ["axis", *names])
     for axis in AXES:
         table.add_row(axis, *(f"{100 * by_axis[axis]:.2g}" for by_axis in sources.values()))
@@ -197,7 +197,7 @@ def _disturbances(log: LogReport) -> RenderableType:
     shown = ", ".join(f"{begin:.4g}-{end:.4g} s" for begin, end in log.disturbances[:SHOWN])
     more = len(log.disturbances) - SHOWN
     rest = f" and {more} more" if more > 0 else ""
-    return Text(f"Left out of {log.path or 'the log'} as contact or spikes: {shown}{rest}.")
+    return Text(f"Left out of {log.path or 'the log'} as contact or outliers: {shown}{rest}.")
 
 
 def _outliers(calibration: Calibration) -> RenderableType:

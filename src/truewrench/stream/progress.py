@@ -59,8 +59,8 @@ class Progress:
         return data | {
             "undetermined": [direction.words for direction in found.verdict.undetermined],
             "rms": None if found.bound is None else _finite(found.bound.rms),
-            "windows": found.figures.get("windows"),
-            "windows_fitted": found.figures.get("windows_fitted"),
+            "fits": found.figures.get("fits"),
+            "knot_spacing": found.figures.get("knot_spacing"),
             "gain": _lists(found.gain),
             "gain_std": _lists(found.gain_std),
             "offset": _lists(found.offset),

@@ -18,6 +18,7 @@ from truewrench import _core
 from truewrench.calibration import AXES, AxisImprovement, Calibration
 from truewrench.errors import InputError
 from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimation.estimate import Estimate
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.split import between_jumps, held_out
@@ -80,18 +81,63 @@ def compare_held_out(
 
 
 def compare_in_sample(
-    rig: Rig, logs: Sequence[Log], estimate: WindowEstimate, inverse: Array, why: str
+    rig: Rig, logs: Sequence[Log], estimate: Estimate | WindowEstimate, inverse: Array, why: str
 ) -> Comparison:
     """Compare on the data the gain was fitted to, with the payload's wrench by the fitted motion.
+
+    The nominal gain has the mean of its errors taken off where offsets are unknown. Of the new gain all that
+    remains of a sample beside gain, offset and steps counts: noise, slow disturbance and quadratic term.
 
     Args:
         rig: sensor.
         logs: those of the estimate.
-        estimate: gain, offsets and motion.
+        estimate: gain, and the samples that it rests on.
         inverse: (6, n) of the gain.
         why: nothing was held out.
     """
-    figures = {"none_because": why}
+    if isinstance(estimate, WindowEstimate):
+        old, new = _errors_by_windows(rig, logs, estimate, inverse)
+    else:
+        old, new = _errors(rig, logs, estimate, inverse)
+    if not old or not np.isfinite(inverse).all():
+        return Comparison({}, (), {"none_because": why})
+    before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))
+    improvement = {}
+    for axis, b, a in zip(AXES, before, after, strict=True):
+        better: Literal[True, False, "unsure"] = "unsure"
+        if a * (1.0 + CHANGE) < b:
+            better = True
+        elif a > b * (1.0 + LOSS):
+            better = False
+        improvement[axis] = AxisImprovement(float(b), float(a), held_out=False, better=better)
+    return Comparison(improvement, (), {"none_because": why})
+
+
+def _errors(
+    rig: Rig, logs: Sequence[Log], estimate: Estimate, inverse: Array
+) -> tuple[list[Array], list[Array]]:
+    """Corrected minus expected wrench (M, 6) of each log, by the nominal and by the new gain."""
+    sensor, scale = rig.sensor, rig.sensor.channel_scale
+    nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
+    old, new = [], []
+    for log, rows in zip(logs, estimate.rows, strict=True):
+        used = ~rows.masked & np.isfinite(rows.residual).all(axis=1)
+        if not used.any():
+            continue
+        wrench = rows.wrench[used]
+        nominal = log.raw[rows.rows[used]] @ nominal_inverse.T - wrench
+        if sensor.offset_prior_array.any():
+            nominal -= nominal.mean(axis=0)
+        old.append(nominal)
+        quadratic = estimate.quadratic * (wrench @ estimate.gain.T / scale) ** 2
+        new.append(((rows.residual + rows.discrepancy)[used] + quadratic) * scale @ inverse.T)
+    return old, new
+
+
+def _errors_by_windows(
+    rig: Rig, logs: Sequence[Log], estimate: WindowEstimate, inverse: Array
+) -> tuple[list[Array], list[Array]]:
+    """The same, as long as there is an estimate from windows."""
     nominal_inverse = _core.generalised_inverse(rig.sensor.nominal_gain_array, rig.sensor.noise_array)
     old, new = [], []
     for log, path, wrench, rows in zip(
@@ -107,15 +153,4 @@ def compare_in_sample(
         old.append(nominal)
         compensated = at_reference_temperature(estimate.offset_temperature, rig, log).raw[rows][known]
         new.append((compensated - path.at(log.time[rows][known])) @ inverse.T - wrench[known])
-    if not old or not np.isfinite(inverse).all():
-        return Comparison({}, (), figures)
-    before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))
-    improvement = {}
-    for axis, b, a in zip(AXES, before, after, strict=True):
-        better: Literal[True, False, "unsure"] = "unsure"
-        if a * (1.0 + CHANGE) < b:
-            better = True
-        elif a > b * (1.0 + LOSS):
-            better = False
-        improvement[axis] = AxisImprovement(float(b), float(a), held_out=False, better=better)
-    return Comparison(improvement, (), figures)
+    return old, new
