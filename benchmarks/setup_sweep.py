@@ -26,7 +26,7 @@ import numpy as np
 import runs
 from numpy.typing import NDArray
 
-from truewrench.judging.setup_errors import suspected_setup_errors
+from truewrench.judging.setup_odds import suspected_setup_errors
 from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
 

@@ -12,7 +12,7 @@ import pytest
 from truewrench.calibration_parts import KINDS
 from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step
 from truewrench.judging import Comparisons, Judgement, blind_to, findings, judge, setup_errors
-from truewrench.judging.setup_errors import payload_errors, suspected_setup_errors
+from truewrench.judging.setup_odds import payload_errors, suspected_setup_errors
 from truewrench.log import Log
 from truewrench.rig import Rig
 

@@ -18,7 +18,7 @@ from truewrench.judging.blind import blind_to
 from truewrench.judging.channels import channel_faults, still_motion
 from truewrench.judging.comparisons import Comparisons
 from truewrench.judging.departure import largest_departure
-from truewrench.judging.setup_errors import Suspicion, setup_errors
+from truewrench.judging.setup_odds import Suspicion, setup_errors
 from truewrench.judging.undetermined import undetermined_directions
 from truewrench.judging.words import (
     findings,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from truewrench.calibration_parts import AxisImprovement
-from truewrench.judging.setup_errors import Suspicion
+from truewrench.judging.setup_odds import Suspicion
 
 __all__ = ["Comparisons"]
 

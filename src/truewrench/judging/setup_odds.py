@@ -14,7 +14,7 @@ prior never brings a suspicion; a rig that was set up wrongly has a sensor as go
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,16 +23,17 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from truewrench.estimation.estimate import Estimate
-from truewrench.judging.setup_hypotheses import (
+from truewrench.judging.setup_mistakes import (
     PRIOR_ODDS,
     Hypothesis,
     Kind,
     axes_in_words,
     drifts,
     mixed_axes,
+    payload_directions,
     payload_units,
     scales,
-    turned,
+    turns,
 )
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -51,6 +52,7 @@ UNSEEN = 0.98  # of the prior variance: a direction that uncertain has not been 
 NAMED = 0.05  # share of the odds from which on a hypothesis is worth naming
 MOST = 3  # hypotheses that are named
 NEGLIGIBLE = 20.0  # nats: what is less likely by so much is not pursued: tolerance
+LOST = 10.0  # times the stated noise of the sensor, from which on the estimate describes nothing: tolerance
 SHORTLIST = 12  # signed permutations of each family that are evaluated in full: tolerance
 
 PAYLOAD_PARAMETERS = (
@@ -85,30 +87,80 @@ class _Seen:
     variance: Array  # (r, r)
 
 
-def setup_errors(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Suspicion, ...]:
-    """Set-up errors that an estimate suggests, most likely first; empty when none does."""
-    if not estimate.solved:
-        return ()  # the gain is its prior
+def setup_errors(
+    estimate: Estimate,
+    rig: Rig,
+    logs: Sequence[Log],
+    plain: Callable[[], tuple[Array, Array] | None] | None = None,
+) -> tuple[Suspicion, ...]:
+    """Set-up errors that an estimate suggests, most likely first; empty when none does.
+
+    Args:
+        estimate: what was found.
+        rig: what was stated.
+        logs: those of the estimate; they name the payloads.
+        plain: gain (n, 6) and covariance (6n, 6n) by least squares, SI, for an exact payload and without a
+            prior; None where there is none. Asked for where a record in the wrong units leaves the estimate
+            lost: what is a thousand times as large as it may be is noise to it.
+    """
+    n = rig.sensor.n
+    names = [name for name in dict.fromkeys(log.payload for log in logs) if name in rig.payloads]
+    found: tuple[Suspicion, ...] = ()
+    if not _lost(estimate):
+        P = estimate.normalised_covariance[: 6 * n, : 6 * n]
+        found += _of_gain(estimate.gain, P, estimate.before_pose, estimate, rig, names)
+        for name, departure in estimate.payloads.items():
+            if name in rig.payloads:
+                found += payload_errors(name, departure.mean, _stated(rig, name))
+    elif plain is not None and (known := plain()) is not None:
+        gain, covariance = known
+        unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel()
+        P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit) + _payload_unknown(gain, rig, names)
+        found += _of_gain(gain, P, None, estimate, rig, names)
+    return found
+
+
+def _of_gain(
+    gain: Array, P: Array, before_pose: Array | None, estimate: Estimate, rig: Rig, names: Sequence[str]
+) -> tuple[Suspicion, ...]:
     sensor = rig.sensor
     unit = sensor.range_array / sensor.channel_scale[:, None]  # normalised gain per SI gain
-    size = 6 * sensor.n
-    names = [name for name in dict.fromkeys(log.payload for log in logs) if name in rig.payloads]
-    found = suspected_setup_errors(
-        estimate.gain * unit,
-        estimate.normalised_covariance[:size, :size],
+    return suspected_setup_errors(
+        gain * unit,
+        P,
         sensor.nominal_gain_array * unit,
         float(np.median(estimate.gain_prior)),
         sensor.range_array,
         sensor.channel_scale,
         centers_of_mass=[rig.payloads[name].center_of_mass_array for name in names],
-        before_pose=estimate.before_pose,
+        before_pose=before_pose,
+        prior_in_estimate=before_pose is not None,
     )
-    for name, departure in estimate.payloads.items():
-        if name in rig.payloads:
-            u = rig.payloads[name].uncertainty
-            stated = np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
-            found += payload_errors(name, departure.mean, stated)
-    return found
+
+
+def _lost(estimate: Estimate) -> bool:
+    """Whether the estimate does not describe the record at all."""
+    factors = [f.factor for of in estimate.noise for f in of if f.what in ("force", "moment", "channels")]
+    return not estimate.solved or bool(estimate.unresolved.any()) or max(factors, default=1.0) > LOST
+
+
+def _stated(rig: Rig, name: str) -> Array:
+    """(10,) 1 sigma of a payload: mass, centre of mass, inertia."""
+    u = rig.payloads[name].uncertainty
+    return np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
+
+
+def _payload_unknown(gain: Array, rig: Rig, names: Sequence[str]) -> Array:
+    """(6n, 6n) what the uncertainty of the payload leaves open of a normalised gain, to first order."""
+    sensor, out = rig.sensor, np.zeros((gain.size, gain.size))
+    normalised = gain * sensor.range_array / sensor.channel_scale[:, None]
+    for name in names:
+        u = rig.payloads[name].uncertainty
+        of = payload_directions(sensor.range_array, rig.payloads[name].center_of_mass_array)
+        for direction, sigma in zip(of, (u.mass, u.inertia, *[u.center_of_mass] * 3), strict=True):
+            along = sigma * (normalised @ direction).ravel()
+            out += np.outer(along, along)
+    return out
 
 
 def suspected_setup_errors(
@@ -213,7 +265,8 @@ def _seen_in_data(
     """Likelihood of the data alone. The prior is isotropic, so it leaves along the axes of the covariance."""
     p, axes = np.linalg.eigh(0.5 * (P + P.T))
     p = np.maximum(p, (1e-9 * min(prior, 1.0)) ** 2)
-    seen = p < UNSEEN * prior**2
+    # beside a prior the data's own variance is infinite there; without one it is what it is
+    seen = p < UNSEEN * prior**2 if prior_in_estimate else p < (1e6 * prior) ** 2
     p, basis = p[seen], axes[:, seen].T
     pulled_less = 1.0 / (1.0 - p / prior**2) if prior_in_estimate else np.ones_like(p)
     value = basis @ nominal.ravel() + pulled_less * (basis @ (gain - nominal).ravel())
@@ -259,7 +312,7 @@ def _axes(
     unseen = np.eye(6 * n) - seen.basis.T @ seen.basis
     estimate = (seen.basis.T @ seen.value + unseen @ nominal.ravel()).reshape(n, 6)
     covariance = (seen.basis.T @ seen.variance @ seen.basis + unseen).reshape(n, 6, n, 6)
-    yield from turned(n, pseudo @ estimate, span, spread)
+    yield from turns(n, pseudo @ estimate, span, spread)
     families: list[tuple[Literal["axes", "channels"], Array]] = [("axes", np.ones((6, 6)))]
     if np.ptp(span) > 0.0:
         families.append(("axes", span / span[:, None]))

@@ -10,10 +10,21 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from truewrench.calibration_parts import AXES
 
-__all__ = ["Hypothesis", "Kind", "axes_in_words", "drifts", "mixed_axes", "payload_units", "scales", "turned"]
+__all__ = [
+    "Hypothesis",
+    "Kind",
+    "axes_in_words",
+    "drifts",
+    "mixed_axes",
+    "payload_directions",
+    "payload_units",
+    "scales",
+    "turns",
+]
 
 Array = NDArray[np.float64]
 Kind = Literal["scale", "axes", "payload", "departure"]
@@ -126,28 +137,40 @@ def payload_units(n: int, span: Array, centers_of_mass: Sequence[Array]) -> Iter
 
 def drifts(n: int, span: Array, centers_of_mass: Sequence[Array]) -> Iterator[Hypothesis]:
     """A factor or a lever of any size, common to many gains: a mass that was misread, a wrong centre."""
-    one, zero = np.eye(3), np.zeros((3, 3))
+    one, zero, levers = np.eye(3), np.zeros((3, 3)), list[Array]()
     factor = "depart by one common factor"
     cases: list[tuple[Kind, str, Array]] = [
         ("scale", f"all gains {factor}", FACTOR * np.eye(6)),
         ("scale", f"all gains to forces {factor}", FACTOR * _blocks(one, zero, zero)),
         ("scale", f"all gains to moments {factor}", FACTOR * _blocks(zero, zero, one)),
     ]
-    for lever in map(_cross, centers_of_mass):
-        cases.append(("payload", "mass of the payload not as stated", FACTOR * _blocks(one, lever, zero)))
-        cases.append(("payload", "inertia of the payload not as stated", FACTOR * _blocks(zero, -lever, one)))
-    for axis, e in zip("xyz" if len(centers_of_mass) else "", np.eye(3), strict=False):
+    for center in centers_of_mass:
+        mass, inertia, *levers = payload_directions(np.ones(6), center)
+        cases.append(("payload", "mass of the payload not as stated", FACTOR * mass))
+        cases.append(("payload", "inertia of the payload not as stated", FACTOR * inertia))
+    for axis, along in zip("xyz" if len(centers_of_mass) else "", levers, strict=True):
         words = f"centre of mass of the payload along {axis} not as stated"
-        cases.append(("payload", words, LEVER * _blocks(zero, _cross(e), zero)))
+        cases.append(("payload", words, LEVER * along))
     log_prior = math.log(PRIOR_ODDS["drift"] / len(cases))
     for kind, words, drift in cases:
         yield Hypothesis(kind, words, log_prior, np.eye(n), np.eye(6), _normalised(drift, span))
 
 
-def turned(n: int, transform: Array, span: Array, spread: float) -> Iterator[Hypothesis]:
-    """Forces and moments both turned by the rotation that comes nearest to a matrix.
+def payload_directions(span: Array, center_of_mass: Array) -> list[Array]:
+    """What an error of a payload turns gains by, C (1 + error * direction), normalised.
 
-    One that is nearly a permutation of the axes is left to these.
+    Returns:
+        (6, 6) each: of the mass, relative; of the inertia, relative; of the centre of mass along x, y, z [m].
+    """
+    one, zero, lever = np.eye(3), np.zeros((3, 3)), _cross(center_of_mass)
+    found = [_blocks(one, lever, zero), _blocks(zero, -lever, one)]
+    return [_normalised(d, span) for d in (*found, *(_blocks(zero, _cross(e), zero) for e in one))]
+
+
+def turns(n: int, transform: Array, span: Array, spread: float) -> Iterator[Hypothesis]:
+    """Forces and moments both turned about x, y or z, or about any axis, as comes nearest to a matrix.
+
+    A turn that is nearly a permutation of the axes is left to these.
 
     Args:
         n: channels.
@@ -156,17 +179,28 @@ def turned(n: int, transform: Array, span: Array, spread: float) -> Iterator[Hyp
         spread: 1 sigma of the departures Delta.
     """
     si = transform * span[:, None] / span
-    u, _, vt = np.linalg.svd(si[:3, :3] + si[3:, 3:])
+    M = si[:3, :3] + si[3:, 3:]
+    u, _, vt = np.linalg.svd(M)
     R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    near = np.rint(R)
-    quarter = abs(np.linalg.det(near)) == 1.0 and not np.array_equal(near, np.eye(3))
-    if quarter and np.trace(near.T @ R) > 1.0 + 2.0 * math.cos(QUARTER):
-        return
-    # Laplace's integral over the rotation: 1 sigma of each angle is spread / |d blkdiag(R, R)| = spread / 2,
-    # a priori every rotation is alike (8 pi^2 in all)
-    volume = 1.5 * math.log(2 * math.pi) + 3 * math.log(0.5 * spread) - math.log(8 * math.pi**2)
-    right = _normalised(_blocks(R, np.zeros((3, 3)), R), span)
-    yield Hypothesis("axes", _turn_in_words(R), math.log(PRIOR_ODDS["turn"]) + volume, np.eye(n), right)
+    # Laplace's integral over the rotation: 1 sigma of each angle is spread / |d blkdiag(R, R)| = spread / 2;
+    # a priori all rotations (8 pi^2) are alike, or all angles (2 pi) about an axis
+    cases = [(_TURNS["any"], R, 3, 8 * math.pi**2)]
+    for k, axis in enumerate("xyz"):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        angle = math.atan2(M[j, i] - M[i, j], M[i, i] + M[j, j])
+        cases.append((_TURNS[axis], Rotation.from_rotvec(angle * np.eye(3)[k]).as_matrix(), 1, 2 * math.pi))
+    for share, R, free, all_of_them in cases:
+        near = np.rint(R)
+        quarter = abs(np.linalg.det(near)) == 1.0 and not np.array_equal(near, np.eye(3))
+        if quarter and np.trace(near.T @ R) > 1.0 + 2.0 * math.cos(QUARTER):
+            continue
+        width = free * math.log(math.sqrt(2.0 * math.pi) * 0.5 * spread) - math.log(all_of_them)
+        log_prior = math.log(PRIOR_ODDS["turn"] * share) + width
+        right = _normalised(_blocks(R, np.zeros((3, 3)), R), span)
+        yield Hypothesis("axes", _turn_in_words(R), log_prior, np.eye(n), right)
+
+
+_TURNS = {"z": 0.5, "x": 0.125, "y": 0.125, "any": 0.25}  # a flange is turned about its own axis
 
 
 def mixed_axes(
@@ -233,18 +267,13 @@ def axes_in_words(signed: Array) -> str:
 
 
 def _turn_in_words(R: Array) -> str:
-    angle = math.degrees(math.acos(float(np.clip(0.5 * (np.trace(R) - 1.0), -1.0, 1.0))))
-    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    if angle > 175.0:  # the antisymmetric part vanishes at half a turn
-        column = R + np.eye(3)
-        axis = column[:, int(np.argmax(np.linalg.norm(column, axis=0)))]
-    axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
-    k = int(np.argmax(np.abs(axis)))
-    if abs(axis[k]) > 0.98:
-        about, angle = "xyz"[k], math.copysign(angle, axis[k])
-    else:
-        about = f"({', '.join(f'{x:.2f}' for x in axis)})"
-    return f"axes turned by {angle:.0f} deg about {about}"
+    turn = Rotation.from_matrix(R).as_rotvec()
+    angle = max(float(np.linalg.norm(turn)), 1e-12)
+    k = int(np.argmax(np.abs(turn)))
+    if abs(turn[k]) > 0.98 * angle:
+        return f"axes turned by {math.degrees(math.copysign(angle, turn[k])):.0f} deg about {'xyz'[k]}"
+    about = ", ".join(f"{x:.2f}" for x in turn / angle)
+    return f"axes turned by {math.degrees(angle):.0f} deg about ({about})"
 
 
 def _normalised(matrix: Array, span: Array) -> Array:
