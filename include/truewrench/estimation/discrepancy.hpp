@@ -3,8 +3,6 @@
 
 #include "truewrench/estimation/fit.hpp"
 
-#include <Eigen/Dense>
-
 #include <algorithm>
 #include <functional>
 
@@ -27,42 +25,70 @@ inline Keep unmasked(const Fit& fit) {
   };
 }
 
-// K X of a Matern-3/2 correlation (1 + t / tau) exp(-t / tau) on increasing times: two recursions a column.
-inline Eigen::MatrixXd correlate(const Eigen::VectorXd& time, double tau, const Eigen::MatrixXd& X) {
-  Eigen::MatrixXd out = X;
-  const Eigen::Index n = time.size();
-  for (const int direction : {1, -1}) {
-    Eigen::RowVectorXd a = Eigen::RowVectorXd::Zero(X.cols()), b = a;
-    for (Eigen::Index i = 1; i < n; ++i) {
-      const Eigen::Index to = direction > 0 ? i : n - 1 - i, from = to - direction;
-      const double x = std::abs(time[to] - time[from]) / tau, e = std::exp(-x);
-      a += X.row(from);
-      b = e * (b + x * a);
-      a *= e;
-      out.row(to) += a + b;
+// The Matern-3/2 correlation (1 + t / tau) exp(-t / tau) on increasing times: from each to the next, t / tau and exp(-t / tau).
+struct Correlation {
+  Correlation(const Eigen::VectorXd& time, double tau) {
+    for (Eigen::Index i = 1; i < time.size(); ++i) {
+      x.push_back((time[i] - time[i - 1]) / tau);
+      e.push_back(std::exp(-x.back()));
     }
   }
-  return out;
-}
+  std::vector<double> x, e;
 
-// sum over all pairs of K_ij^2.
-inline double squared_correlations(const Eigen::VectorXd& time, double tau) {
-  double a = 0.0, b = 0.0, c = 0.0, sum = 0.0;
-  for (Eigen::Index i = 1; i < time.size(); ++i) {
-    const double x = (time[i] - time[i - 1]) / tau, e = std::exp(-2.0 * x);
-    a += 1.0;
-    c = e * (c + 2.0 * x * b + x * x * a);
-    b = e * (b + x * a);
-    a *= e;
-    sum += a + 2.0 * b + c;
+  // K X: two recursions a column, there and back.
+  RowMatrix times(const RowMatrix& X) const {
+    RowMatrix out = X;
+    const Eigen::Index n = X.rows(), columns = X.cols();
+    std::vector<double> a(static_cast<std::size_t>(columns)), b(a.size());
+    for (const int direction : {1, -1}) {
+      std::fill(a.begin(), a.end(), 0.0);
+      std::fill(b.begin(), b.end(), 0.0);
+      for (Eigen::Index i = 1; i < n; ++i) {
+        const Eigen::Index to = direction > 0 ? i : n - 1 - i, from = to - direction;
+        const auto step = static_cast<std::size_t>(std::min(to, from));
+        const double xs = x[step], es = e[step], *row = X.data() + from * columns;
+        double *sum = out.data() + to * columns, *pa = a.data(), *pb = b.data();
+        for (Eigen::Index c = 0; c < columns; ++c) {
+          const double ac = pa[c] + row[c];
+          pb[c] = es * (pb[c] + xs * ac);
+          pa[c] = es * ac;
+          sum[c] += pa[c] + pb[c];
+        }
+      }
+    }
+    return out;
   }
-  return static_cast<double>(time.size()) + 2.0 * sum;
+
+  // sum over all pairs of K_ij^2.
+  double squares() const {
+    double a = 0.0, b = 0.0, c = 0.0, sum = 0.0;
+    for (std::size_t i = 0; i < x.size(); ++i) {
+      const double es = e[i] * e[i];
+      a += 1.0;
+      c = es * (c + 2.0 * x[i] * b + x[i] * x[i] * a);
+      b = es * (b + x[i] * a);
+      a *= es;
+      sum += a + 2.0 * b + c;
+    }
+    return static_cast<double>(x.size() + 1) + 2.0 * sum;
+  }
+};
+
+// A^T B of tall matrices.
+inline Eigen::MatrixXd tall_product(const RowMatrix& A, const RowMatrix& B) {
+  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(A.cols(), B.cols());
+  for (Eigen::Index k = 0; k < A.rows(); ++k) {
+    const double *a = A.data() + k * A.cols(), *b = B.data() + k * B.cols();
+    for (Eigen::Index j = 0; j < B.cols(); ++j)
+      for (Eigen::Index i = 0; i < A.cols(); ++i) out(i, j) += a[i] * b[j];
+  }
+  return out;
 }
 
 // Times, X_i = [w, 1, (C w)_i^2] and residuals of the samples of one channel.
 struct ChannelRows {
   Eigen::VectorXd time, residual;
-  Eigen::MatrixXd X;  // (K, 8)
+  RowMatrix X;  // (K, 8)
 };
 
 inline ChannelRows channel_rows(const Fit& fit, std::size_t l, int channel, const Keep& keep) {
@@ -70,7 +96,7 @@ inline ChannelRows channel_rows(const Fit& fit, std::size_t l, int channel, cons
   const auto& stretches = fit.logs()[l].stretches;
   for (std::size_t s = 0; s < stretches.size(); ++s)
     for (Eigen::Index k = 0; k < stretches[s].raw.size(); ++k)
-      if (keep(l, s, k) && std::isfinite(stretches[s].raw.value(k, channel))) at.emplace_back(s, k);
+      if (std::isfinite(stretches[s].raw.value(k, channel)) && keep(l, s, k)) at.emplace_back(s, k);
   ChannelRows out;
   const auto rows = static_cast<Eigen::Index>(at.size());
   out.time.resize(rows);
@@ -81,15 +107,24 @@ inline ChannelRows channel_rows(const Fit& fit, std::size_t l, int channel, cons
     const Stretch& stretch = stretches[s];
     out.time[i] = stretch.raw.time[k];
     out.residual[i] = stretch.now.residual(k, channel);
-    out.X.row(i) << stretch.now.w.row(k), 1.0, stretch.now.cw(k, channel) * stretch.now.cw(k, channel);
+    double* x = out.X.data() + 8 * i;
+    std::copy_n(stretch.now.w.data() + 6 * k, 6, x);
+    x[6] = 1.0;
+    x[7] = stretch.now.cw(k, channel) * stretch.now.cw(k, channel);
   }
   return out;
+}
+
+inline bool same_times(const Eigen::VectorXd& a, const Eigen::VectorXd& b) {
+  return a.size() == b.size() && std::equal(a.data(), a.data() + a.size(), b.data());
 }
 
 // (10.9) for the groups of one log, from the residuals of a fit without d.
 inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
   const int groups = raw_groups(fit.channels());
   std::vector<Moment> out(static_cast<std::size_t>(groups));
+  Eigen::VectorXd time;  // that the correlations are of
+  std::vector<Correlation> K;
   for (int group = 0; group < groups; ++group) {
     constexpr std::size_t count = std::size(constants::taus);
     std::array<double, count> num{}, t1{}, t2{};
@@ -99,27 +134,54 @@ inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
       const ChannelRows rows = channel_rows(fit, l, i, unmasked(fit));
       const auto n = static_cast<double>(rows.time.size());
       if (n < 10.0) continue;
-      // Q: an orthonormal basis of X
-      const Eigen::VectorXd length = rows.X.colwise().norm().transpose().cwiseMax(1e-300);
-      const Eigen::MatrixXd X = rows.X * length.cwiseInverse().asDiagonal();
-      const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(X.transpose() * X);
-      int rank = 0;
-      Eigen::MatrixXd Q(X.rows(), X.cols());
-      for (Eigen::Index c = 0; c < X.cols(); ++c)
-        if (eigen.eigenvalues()[c] > 1e-12) Q.col(rank++) = X * eigen.eigenvectors().col(c) / std::sqrt(eigen.eigenvalues()[c]);
-      Q.conservativeResize(Eigen::NoChange, rank);
-      const Eigen::VectorXd r = rows.residual - Q * (Q.transpose() * rows.residual);
-      for (std::size_t t = 0; t < count; ++t) {
-        Eigen::MatrixXd both(Q.rows(), rank + 1);
-        both << Q, r;
-        const Eigen::MatrixXd K = correlate(rows.time, constants::taus[t], both);
-        const Eigen::MatrixXd S = Q.transpose() * K.leftCols(rank);
-        num[t] += r.dot(K.col(rank));                                                          // r^T M K M r
-        t1[t] += n - S.trace();                                                                // tr M K
-        t2[t] += squared_correlations(rows.time, constants::taus[t]) - 2.0 * K.leftCols(rank).squaredNorm() + S.squaredNorm();  // tr M K M K
+      if (!same_times(rows.time, time)) {
+        time = rows.time;
+        K.clear();
+        for (const double tau : constants::taus) K.emplace_back(time, tau);
       }
-      nu += n - rank;
-      rss += r.squaredNorm();
+      // [Q, r]: an orthonormal basis of X, and the residuals less what lies in it
+      Eigen::MatrixXd XX = tall_product(rows.X, rows.X);
+      Eigen::VectorXd length(8);
+      for (int c = 0; c < 8; ++c) length[c] = std::sqrt(std::max(XX(c, c), 1e-300));
+      for (int c = 0; c < 8; ++c)
+        for (int d = 0; d < 8; ++d) XX(c, d) /= length[c] * length[d];
+      const dense::Spectrum spectrum = dense::eigen(XX);
+      std::vector<int> kept;
+      for (int c = 0; c < 8; ++c)
+        if (spectrum.values[c] > 1e-12) kept.push_back(c);
+      const auto rank = static_cast<Eigen::Index>(kept.size());
+      RowMatrix both(rows.X.rows(), rank + 1);
+      Eigen::VectorXd inside = Eigen::VectorXd::Zero(rank);
+      for (Eigen::Index k = 0; k < both.rows(); ++k)
+        for (Eigen::Index q = 0; q < rank; ++q) {
+          const int c = kept[static_cast<std::size_t>(q)];
+          double sum = 0.0;
+          for (int d = 0; d < 8; ++d) sum += rows.X(k, d) / length[d] * spectrum.vectors(d, c);
+          both(k, q) = sum / std::sqrt(spectrum.values[c]);
+          inside[q] += both(k, q) * rows.residual[k];
+        }
+      double squares = 0.0;
+      for (Eigen::Index k = 0; k < both.rows(); ++k) {
+        double r = rows.residual[k];
+        for (Eigen::Index q = 0; q < rank; ++q) r -= both(k, q) * inside[q];
+        both(k, rank) = r;
+        squares += r * r;
+      }
+      for (std::size_t t = 0; t < count; ++t) {
+        const RowMatrix KQ = K[t].times(both);
+        const Eigen::MatrixXd S = tall_product(both, KQ), KK = tall_product(KQ, KQ);
+        num[t] += S(rank, rank);  // r^T M K M r
+        double trace = 0.0, norm = 0.0, outside = 0.0;
+        for (Eigen::Index q = 0; q < rank; ++q) {
+          trace += S(q, q);
+          outside += KK(q, q);
+          for (Eigen::Index p = 0; p < rank; ++p) norm += S(p, q) * S(p, q);
+        }
+        t1[t] += n - trace;                                 // tr M K
+        t2[t] += K[t].squares() - 2.0 * outside + norm;     // tr M K M K
+      }
+      nu += n - static_cast<double>(rank);
+      rss += squares;
     }
     Moment& best = out[static_cast<std::size_t>(group)];
     best.z = -std::numeric_limits<double>::infinity();
@@ -145,6 +207,12 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
   offsets = offset_of;
   offsets.erase(std::unique(offsets.begin(), offsets.end()), offsets.end());
   const auto m = static_cast<Eigen::Index>(offsets.size());
+  struct Known {
+    Eigen::VectorXd time;
+    double tau;
+    Correlation K;
+  };
+  std::vector<Known> known;
   for (int i = 0; i < n; ++i) {
     Eigen::MatrixXd A = Eigen::MatrixXd::Zero(7 + m, 7 + m), B = A;  // of [C_i, u_i, offsets]
     for (int k = 0; k < 6; ++k) A(k, k) = 1.0 / fit.prior[layout.C + 6 * i + k];
@@ -154,17 +222,28 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
       const ChannelRows rows = channel_rows(fit, l, i, keep);
       if (rows.time.size() == 0) continue;
       const Moment& moment = found[l][static_cast<std::size_t>(raw_group(i, n))];
-      const Eigen::Index o = 7 + std::distance(offsets.begin(), std::find(offsets.begin(), offsets.end(), offset_of[l]));
-      Eigen::MatrixXd X = Eigen::MatrixXd::Zero(rows.X.rows(), 7 + m);
-      X.leftCols<6>() = rows.X.leftCols<6>();
-      X.col(6) = rows.X.col(7);
-      X.col(o) = rows.X.col(6);
+      const auto o = static_cast<Eigen::Index>(7 + std::distance(offsets.begin(), std::find(offsets.begin(), offsets.end(), offset_of[l])));
+      const auto to = [o](Eigen::Index c) { return c < 6 ? c : (c == 6 ? o : Eigen::Index{6}); };
+      const auto add = [&](Eigen::MatrixXd& sum, double v, const Eigen::MatrixXd& part) {
+        for (Eigen::Index c = 0; c < 8; ++c)
+          for (Eigen::Index d = 0; d < 8; ++d) sum(to(c), to(d)) += v * part(c, d);
+      };
       const double v = std::pow(fit.sigma(l, i), -2.0);
-      A += v * X.transpose() * X;
-      if (moment.delta2 > 0.0) B += v * v * moment.delta2 * X.transpose() * correlate(rows.time, moment.tau, X);
+      add(A, v, tall_product(rows.X, rows.X));
+      if (!(moment.delta2 > 0.0)) continue;
+      auto at = std::find_if(known.begin(), known.end(), [&](const Known& k) { return k.tau == moment.tau && same_times(k.time, rows.time); });
+      if (at == known.end()) {
+        known.push_back({rows.time, moment.tau, Correlation(rows.time, moment.tau)});
+        at = known.end() - 1;
+      }
+      add(B, v * v * moment.delta2, tall_product(rows.X, at->K.times(rows.X)));
     }
-    const Eigen::MatrixXd G = A.llt().solve(Eigen::MatrixXd::Identity(A.rows(), A.cols()));
-    out.block(6 * i, 6 * i, 6, 6) = (G * B * G).topLeftCorner<6, 6>();
+    Eigen::MatrixXd G;
+    double logdet = 0.0;
+    if (!dense::invert(A, G, logdet)) continue;
+    const Eigen::MatrixXd GBG = dense::transposed_times(G, dense::transposed_times(B, G));
+    for (int c = 0; c < 6; ++c)
+      for (int d = 0; d < 6; ++d) out(6 * i + c, 6 * i + d) = GBG(c, d);
   }
   return out;
 }
@@ -177,98 +256,156 @@ struct PoseShare {
   bool moved = false;            // any component of the pose
 };
 
+inline Matrix3 rotation(const Vector3& turn) {
+  const double angle = turn.norm(), a = angle > 1e-8 ? std::sin(angle) / angle : 1.0, b = angle > 1e-8 ? (1.0 - std::cos(angle)) / (angle * angle) : 0.5;
+  const Matrix3 x = cross_matrix(turn);
+  return Matrix3::Identity() + a * x + b * (x * x);
+}
+
+// The rotation vector of a turn by at most pi.
+inline Vector3 rotation_vector(const Matrix3& R) {
+  const Vector3 v(0.5 * (R(2, 1) - R(1, 2)), 0.5 * (R(0, 2) - R(2, 0)), 0.5 * (R(1, 0) - R(0, 1)));
+  const double sine = v.norm(), cosine = 0.5 * (R.trace() - 1.0), angle = std::atan2(sine, cosine);
+  if (cosine > -0.99) return sine > 1e-12 ? Vector3(angle / sine * v) : v;
+  int most = 0;  // near pi the axis is in the symmetric part
+  for (int c = 1; c < 3; ++c)
+    if (R(c, c) > R(most, most)) most = c;
+  Vector3 axis;
+  axis[most] = std::sqrt((R(most, most) - cosine) / (1.0 - cosine));
+  for (int c = 0; c < 3; ++c)
+    if (c != most) axis[c] = 0.5 * (R(c, most) + R(most, c)) / ((1.0 - cosine) * axis[most]);
+  return (axis.dot(v) < 0.0 ? -angle : angle) * axis;
+}
+
+// The rotation M that maximises tr M^T B (Davenport).
+inline Matrix3 nearest_rotation(const Matrix3& B) {
+  Eigen::MatrixXd K(4, 4);
+  const double trace = B.trace();
+  K(0, 0) = trace;
+  for (int i = 0; i < 3; ++i) {
+    K(0, 1 + i) = K(1 + i, 0) = B((i + 2) % 3, (i + 1) % 3) - B((i + 1) % 3, (i + 2) % 3);
+    for (int j = 0; j < 3; ++j) K(1 + i, 1 + j) = B(i, j) + B(j, i) - (i == j ? trace : 0.0);
+  }
+  const dense::Spectrum spectrum = dense::eigen(K);
+  Eigen::Index best = 0;
+  for (Eigen::Index i = 1; i < 4; ++i)
+    if (spectrum.values[i] > spectrum.values[best]) best = i;
+  const Vector3 q(spectrum.vectors(1, best), spectrum.vectors(2, best), spectrum.vectors(3, best));
+  const Matrix3 x = cross_matrix(q);
+  return Matrix3::Identity() + 2.0 * spectrum.vectors(0, best) * x + 2.0 * (x * x);
+}
+
 // The pose (K, 6) of one stretch: the integral of the twist, component by component; where the body turns by more than 1 rad,
 // and for joints, its position in the axes of the mean attitude and the rotation vector from it.
 inline RowMatrix pose_of(const Stretch& s) {
   const Eigen::Index n = s.raw.size();
   RowMatrix pose = RowMatrix::Zero(n, 6);
-  for (Eigen::Index k = 1; k < n; ++k)
-    pose.row(k) = pose.row(k - 1) + 0.5 * (s.raw.time[k] - s.raw.time[k - 1]) * (s.now.nu.row(k) + s.now.nu.row(k - 1));
-  const auto turned = pose.rightCols<3>().colwise().maxCoeff() - pose.rightCols<3>().colwise().minCoeff();
-  if (n == 0 || (s.log().source != Source::mapped && turned.maxCoeff() < 1.0)) return pose;
+  double turned = 0.0;
+  for (int c = 0; c < 6; ++c) {
+    double least = 0.0, most = 0.0;
+    for (Eigen::Index k = 1; k < n; ++k) {
+      pose(k, c) = pose(k - 1, c) + 0.5 * (s.raw.time[k] - s.raw.time[k - 1]) * (s.now.nu(k, c) + s.now.nu(k - 1, c));
+      least = std::min(least, pose(k, c));
+      most = std::max(most, pose(k, c));
+    }
+    if (c >= 3) turned = std::max(turned, most - least);
+  }
+  if (n == 0 || (s.log().source != Source::mapped && turned < 1.0)) return pose;
   std::vector<Matrix3> R(static_cast<std::size_t>(n), Matrix3::Identity());
   Matrix3 sum = Matrix3::Zero();
   for (Eigen::Index k = 0; k < n; ++k) {
     const auto i = static_cast<std::size_t>(k);
     if (k > 0) {
       const double dt = s.raw.time[k] - s.raw.time[k - 1];
-      const Vector3 turn = 0.5 * dt * (s.now.nu.row(k) + s.now.nu.row(k - 1)).tail<3>().transpose();
-      const double angle = turn.norm();
-      R[i] = R[i - 1] * (angle > 1e-12 ? Eigen::AngleAxisd(angle, turn / angle).toRotationMatrix() : Matrix3::Identity());
-      const Vector3 v = 0.5 * (R[i - 1] * s.now.nu.row(k - 1).head<3>().transpose() + R[i] * s.now.nu.row(k).head<3>().transpose());
-      pose.row(k).head<3>() = pose.row(k - 1).head<3>() + dt * v.transpose();
+      Vector3 turn, v0, v1;
+      for (int c = 0; c < 3; ++c) {
+        turn[c] = 0.5 * dt * (s.now.nu(k, 3 + c) + s.now.nu(k - 1, 3 + c));
+        v0[c] = s.now.nu(k - 1, c);
+        v1[c] = s.now.nu(k, c);
+      }
+      R[i] = R[i - 1] * rotation(turn);
+      const Vector3 v = R[i - 1] * v0 + R[i] * v1;
+      for (int c = 0; c < 3; ++c) pose(k, c) = pose(k - 1, c) + 0.5 * dt * v[c];
     }
     sum += R[i];
   }
-  const Eigen::JacobiSVD<Matrix3> svd(sum, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Matrix3 mean = svd.matrixU() * svd.matrixV().transpose();
-  if (mean.determinant() < 0.0) mean = svd.matrixU() * Vector3(1.0, 1.0, -1.0).asDiagonal() * svd.matrixV().transpose();
+  const Matrix3 mean = nearest_rotation(sum);
   for (Eigen::Index k = 0; k < n; ++k) {
-    const Eigen::AngleAxisd turn(Matrix3(mean.transpose() * R[static_cast<std::size_t>(k)]));
-    pose.row(k).head<3>() = pose.row(k).head<3>() * mean;
-    pose.row(k).tail<3>() = turn.angle() * turn.axis().transpose();
+    const Vector3 turn = rotation_vector(mean.transpose() * R[static_cast<std::size_t>(k)]);
+    const Vector3 at = mean.transpose() * Vector3(pose(k, 0), pose(k, 1), pose(k, 2));
+    for (int c = 0; c < 3; ++c) {
+      pose(k, c) = at[c];
+      pose(k, 3 + c) = turn[c];
+    }
   }
   return pose;
 }
 
 inline PoseShare pose_share(const Fit& fit) {
-  Matrix6 ww = Matrix6::Zero(), centred = Matrix6::Zero(), wp = Matrix6::Zero();
-  Vector6 pp = Vector6::Zero(), rate = Vector6::Zero();
-  double count = 0.0;
+  double ww[6][6] = {}, centred[6][6] = {}, wp[6][6] = {}, pp[6] = {}, rate[6] = {}, count = 0.0;
   for (const LogFit& log : fit.logs())
     for (const Stretch& s : log.stretches) {
       const RowMatrix pose = pose_of(s);
-      Vector6 w_mean = Vector6::Zero(), p_mean = Vector6::Zero();
-      double rows = 0.0;
-      for (Eigen::Index k = 0; k < s.raw.size(); ++k)
-        if (s.raw.masked[static_cast<std::size_t>(k)] == 0) {
-          w_mean += s.now.w.row(k).transpose();
-          p_mean += pose.row(k).transpose();
-          rows += 1.0;
-        }
-      if (rows == 0.0) continue;
-      w_mean /= rows;
-      p_mean /= rows;
-      count += rows;
-      for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
-        if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
-        const Vector6 w = s.now.w.row(k), d = w - w_mean, p = pose.row(k).transpose() - p_mean;
-        ww += w * w.transpose();
-        centred += d * d.transpose();
-        wp += d * p.transpose();
-        pp += p.cwiseAbs2();
-        if (k > 0) {
-          const double dt = std::max(s.raw.time[k] - s.raw.time[k - 1], 1e-12);
-          rate += ((s.now.w.row(k) - s.now.w.row(k - 1)) / dt).transpose().cwiseAbs2();
+      double w_mean[6] = {}, p_mean[6] = {}, rows = 0.0;
+      for (const bool sum : {true, false}) {  // means, then products
+        if (!sum && rows == 0.0) break;
+        for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
+          if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
+          if (sum) {
+            for (int i = 0; i < 6; ++i) {
+              w_mean[i] += s.now.w(k, i);
+              p_mean[i] += pose(k, i);
+            }
+            rows += 1.0;
+            continue;
+          }
+          const double dt = k > 0 ? std::max(s.raw.time[k] - s.raw.time[k - 1], 1e-12) : 1.0;
+          for (int i = 0; i < 6; ++i) {
+            const double w = s.now.w(k, i), d = w - w_mean[i] / rows;
+            for (int j = 0; j < 6; ++j) {
+              ww[i][j] += w * s.now.w(k, j);
+              centred[i][j] += d * (s.now.w(k, j) - w_mean[j] / rows);
+              wp[i][j] += d * (pose(k, j) - p_mean[j] / rows);
+            }
+            const double p = pose(k, i) - p_mean[i] / rows, change = k > 0 ? (w - s.now.w(k - 1, i)) / dt : 0.0;
+            pp[i] += p * p;
+            rate[i] += change * change;
+          }
         }
       }
+      count += rows;
     }
   PoseShare out;
   if (count == 0.0) return out;
-  out.ww = ww / count;
-  const Vector6 size = centred.diagonal().cwiseSqrt().cwiseMax(1e-300);
-  const Matrix6 correlation = size.cwiseInverse().asDiagonal() * centred * size.cwiseInverse().asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<Matrix6> eigen(correlation);
-  double total = 0.0;
-  int moving = 0;
+  Eigen::MatrixXd correlation(6, 6);
+  double size[6];
+  for (int i = 0; i < 6; ++i) size[i] = std::max(std::sqrt(centred[i][i]), 1e-300);
+  for (int i = 0; i < 6; ++i)
+    for (int j = 0; j < 6; ++j) {
+      out.ww(i, j) = ww[i][j] / count;
+      correlation(i, j) = centred[i][j] / (size[i] * size[j]);
+    }
+  const dense::Spectrum spectrum = dense::eigen(correlation);
+  double total = 0.0, frequency = 0.0;
+  int moving = 0, axes = 0;
   for (int j = 0; j < 6; ++j) {
+    if (centred[j][j] > 1e-12 * count) {
+      frequency += std::sqrt(rate[j] / centred[j][j]) / (2.0 * 3.14159265358979323846);
+      ++axes;
+    }
     if (!(std::sqrt(pp[j] / count) > 1e-6)) continue;  // components that do not move
-    const Vector6 b = eigen.eigenvectors().transpose() * wp.col(j).cwiseQuotient(size);
     double explained = 0.0;
-    for (int i = 0; i < 6; ++i)
-      if (eigen.eigenvalues()[i] > 1e-12) explained += b[i] * b[i] / eigen.eigenvalues()[i];
+    for (int i = 0; i < 6; ++i) {
+      if (!(spectrum.values[i] > 1e-12)) continue;
+      double b = 0.0;
+      for (int c = 0; c < 6; ++c) b += spectrum.vectors(c, i) * wp[c][j] / size[c];
+      explained += b * b / spectrum.values[i];
+    }
     total += std::min(1.0, explained / pp[j]);
     ++moving;
   }
   out.moved = moving > 0;
   out.A = moving > 0 ? total / moving : 0.0;
-  double frequency = 0.0;
-  int axes = 0;
-  for (int j = 0; j < 6; ++j)
-    if (centred(j, j) > 1e-12 * count) {
-      frequency += std::sqrt(rate[j] / centred(j, j)) / (2.0 * 3.14159265358979323846);
-      ++axes;
-    }
   out.period = axes > 0 && frequency > 0.0 ? axes / frequency : 1.0;
   return out;
 }
@@ -277,15 +414,22 @@ inline PoseShare pose_share(const Fit& fit) {
 // variance rises above its prior's. P, prior: (6n, 6n) and (6n); f2: (n).
 inline Eigen::MatrixXd add_pose(const Eigen::MatrixXd& P, const Eigen::VectorXd& prior, const Eigen::VectorXd& f2,
                                 const PoseShare& share) {
-  Matrix6 ww = share.ww;
-  ww.diagonal().array() += 1e-12 * std::max(ww.trace(), 1e-12);
-  const Matrix6 hidden = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0 * ww.inverse();
-  Eigen::MatrixXd added = Eigen::MatrixXd::Zero(P.rows(), P.cols());
-  for (Eigen::Index i = 0; i < f2.size(); ++i) added.block<6, 6>(6 * i, 6 * i) = f2[i] * hidden;
-  Eigen::VectorXd g(P.rows());
-  for (Eigen::Index i = 0; i < P.rows(); ++i)
-    g[i] = std::sqrt(std::clamp((prior[i] - P(i, i)) / std::max(added(i, i), 1e-300), 0.0, 1.0));
-  return P + g.asDiagonal() * added * g.asDiagonal();
+  Eigen::MatrixXd ww = share.ww, inverse, out = P;
+  const double least = 1e-12 * std::max(share.ww.trace(), 1e-12);
+  for (int i = 0; i < 6; ++i) ww(i, i) += least;
+  double logdet = 0.0;
+  if (!dense::invert(ww, inverse, logdet)) return out;
+  const double times = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0;
+  for (Eigen::Index i = 0; i < f2.size(); ++i) {
+    double g[6];
+    for (int c = 0; c < 6; ++c) {
+      const Eigen::Index at = 6 * i + c;
+      g[c] = std::sqrt(std::clamp((prior[at] - P(at, at)) / std::max(times * f2[i] * inverse(c, c), 1e-300), 0.0, 1.0));
+    }
+    for (int c = 0; c < 6; ++c)
+      for (int d = 0; d < 6; ++d) out(6 * i + c, 6 * i + d) += g[c] * g[d] * times * f2[i] * inverse(c, d);
+  }
+  return out;
 }
 
 }  // namespace truewrench

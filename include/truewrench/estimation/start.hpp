@@ -4,8 +4,6 @@
 #include "truewrench/estimation/fit.hpp"
 #include "truewrench/math/banded.hpp"
 
-#include <Eigen/Dense>
-
 #include <algorithm>
 
 namespace truewrench {
