@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from truewrench.estimate.ekf import EkfEstimate
 from truewrench.estimate.least_squares import LeastSquaresEstimate
-from truewrench.estimate.reference import ReferenceEstimate
-from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.known_wrench import KnownWrenchEstimate
 from truewrench.log import Log
 
 __all__ = ["Evidence"]
@@ -23,4 +23,4 @@ class Evidence:
     """
 
     logs: tuple[Log, ...]
-    estimate: WindowEstimate | ReferenceEstimate | EkfEstimate | LeastSquaresEstimate
+    estimate: Estimate | KnownWrenchEstimate | EkfEstimate | LeastSquaresEstimate

@@ -8,13 +8,14 @@ estimate, and leaves out what payload and clock add to the uncertainty, which no
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.calibration import Calibration
 from truewrench.estimate.ekf import EkfEstimate
-from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimation.estimate import Estimate
 from truewrench.evidence import Evidence
 from truewrench.report.series import Record
 
@@ -52,46 +53,33 @@ def convergence(calibration: Calibration, evidence: Evidence, record: Record) ->
     if record.none_because:
         return None
     sensor = calibration.rig.sensor
-    n, scale, span = sensor.n, sensor.channel_scale, sensor.range_array
-    logs = len(record.logs)
-    with_offset = bool(sensor.offset_prior_array.any())
-    size = 6 + logs * with_offset
-    nominal = sensor.nominal_gain_array * span / scale[:, None]
+    n, logs, units = sensor.n, len(record.logs), sensor.range_array / sensor.channel_scale[:, None]
+    size = 6 + logs * bool(sensor.offset_prior_array.any())
     prior = np.full((n, size), sensor.gain_prior)
-    prior[:, 6:] = (sensor.offset_prior_array / scale)[:, None]
-    noise = sensor.noise_array / scale
+    prior[:, 6:] = (sensor.offset_prior_array / sensor.channel_scale)[:, None]
     gram, right = np.zeros((size, size)), np.zeros((size, n))
-    end = record.logs[-1].begin + record.logs[-1].duration
     times, gains, sigmas = [], [], []
     for k, series in enumerate(record.logs):
         known = np.isfinite(series.residual).all(axis=1)
         rows = np.zeros((int(known.sum()), size))
-        rows[:, :6] = series.wrench[known] / span
-        if with_offset:
-            rows[:, 6 + k] = 1.0
-        departure = series.raw[known] / scale - rows[:, :6] @ nominal.T
+        rows[:, :6] = series.wrench[known] / sensor.range_array
+        rows[:, 6 + k : size] = np.arange(6 + k, size) == 6 + k
+        felt = (series.measured @ calibration.gain.T - series.wrench @ sensor.nominal_gain_array.T)[known]
         stamps = series.time[known] + series.begin
-        edges = np.searchsorted(stamps, np.linspace(0.0, end, _STEPS + 1)[1:], side="right")
-        first = 0
-        for last in (*edges, len(stamps)):
-            if last <= first:
+        edges = np.searchsorted(stamps, np.linspace(0.0, record.end, _STEPS + 1)[1:], side="right")
+        for first, last in pairwise((0, *edges.tolist(), len(stamps))):
+            if first == last:
                 continue
             gram += rows[first:last].T @ rows[first:last]
-            right += rows[first:last].T @ departure[first:last]
-            gain, variance = _solved(gram, right, noise, prior)
+            right += rows[first:last].T @ (felt[first:last] / sensor.channel_scale)
+            gain, variance = _solved(gram, right, series.noise / sensor.channel_scale, prior)
             times.append(float(stamps[last - 1]))
             gains.append(gain)
             sigmas.append(float(np.sqrt(np.mean(variance))))
-            first = last
-    history_time, history = _history(calibration, evidence, record)
-    return Convergence(
-        np.array(times),
-        np.sqrt(np.mean((np.array(gains) - gains[-1]) ** 2, axis=(1, 2))) if gains else np.zeros(0),
-        np.array(sigmas),
-        _rms(calibration.gain_std_normalised),
-        history_time,
-        history,
-    )
+    distance = np.sqrt(np.mean((np.array(gains) - gains[-1]) ** 2, axis=(1, 2))) if gains else np.zeros(0)
+    final = float(np.sqrt(np.mean(calibration.gain_std_normalised**2)))
+    own = _history(calibration, evidence, record, units)
+    return Convergence(np.array(times), distance, np.array(sigmas), final, *own)
 
 
 def _solved(gram: Array, right: Array, noise: Array, prior: Array) -> tuple[Array, Array]:
@@ -106,20 +94,14 @@ def _solved(gram: Array, right: Array, noise: Array, prior: Array) -> tuple[Arra
     return gain, variance
 
 
-def _history(calibration: Calibration, evidence: Evidence, record: Record) -> tuple[Array, Array]:
+def _history(
+    calibration: Calibration, evidence: Evidence, record: Record, units: Array
+) -> tuple[Array, Array]:
     estimate = evidence.estimate
-    if not isinstance(estimate, WindowEstimate | EkfEstimate) or not estimate.history_time.size:
+    if not isinstance(estimate, Estimate | EkfEstimate) or not estimate.history_time.size:
         return np.zeros(0), np.zeros(0)
-    every = max(1, estimate.history_time.size // _MOST)
+    every = slice(None, None, max(1, estimate.history_time.size // _MOST))
     begins = np.array([series.begin for series in record.logs])
-    sensor = calibration.rig.sensor
-    departure = (estimate.history_gain[::every] - calibration.gain) * sensor.range_array
-    departure = departure / sensor.channel_scale[:, None]
-    return (
-        estimate.history_time[::every] + begins[estimate.history_log[::every]],
-        np.sqrt(np.mean(departure**2, axis=(1, 2))),
-    )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    departure = (estimate.history_gain[every] - calibration.gain) * units
+    times = estimate.history_time[every] + begins[estimate.history_log[every]]
+    return times, np.sqrt(np.mean(departure**2, axis=(1, 2)))

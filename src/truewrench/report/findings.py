@@ -8,22 +8,40 @@ from collections.abc import Iterator
 import numpy as np
 
 from truewrench.calibration import AXES, Calibration
+from truewrench.judging import DISAGREE, MASKED
 from truewrench.report.consistency import CHANCE, Consistency
 from truewrench.report.convergence import Convergence
 from truewrench.report.statistics import Histogram, Spectrum
+from truewrench.report.tables import SOURCES
 
 __all__ = [
+    "CURES",
+    "agreement_words",
     "axes_listed",
     "consistency_words",
     "convergence_words",
     "dominating",
     "helps",
     "histogram_words",
+    "pose_words",
+    "source_words",
     "spectrum_words",
     "undetermined_words",
 ]
 
-_CHI_SQUARE = 1.05  # above it residuals are larger than the noise
+CURES = {
+    "noise": "a longer record, or one of larger wrenches (faster, heavier),",
+    "mass": "a payload that is weighed more exactly",
+    "center_of_mass": "a payload whose centre of mass is known better",
+    "inertia": "a payload whose inertia is known better",
+    "timing": "synchronising sensor and motion, or moving at several frequencies per axis,",
+    "gravity": "a base that is levelled, or a motion that turns the payload more,",
+    "slow": "a sensor that is warm, and nothing that sticks or slips,",
+    "pose": "a motion of several frequencies per axis, or cables that hang free,",
+}
+"""What makes each source of uncertainty smaller."""
+
+_HIDES = 0.9  # of the pose that the wrench repeats
 _REFERENCES = ("ekf", "ls")
 _COLOURED = 1.5  # of the density at low frequencies
 
@@ -37,12 +55,13 @@ def undetermined_words(calibration: Calibration) -> list[str]:
 def helps(calibration: Calibration) -> Iterator[str]:
     """What a person can do where a calibration is not usable, in the order of its effect."""
     c = calibration
+    used = sum(log.used for log in c.logs)
     if c.estimator in _REFERENCES:
         yield (
             "Calibrate with the estimator `map` (the default): `ekf` and `ls` are there to be compared "
             "with, and are never usable."
         )
-    if not any(log.used for log in c.logs):
+    if not used:
         yield (
             "Nothing of the record was used. Look at units, axes, sign (`sensor.feels`) and clocks of the "
             "log with `truewrench inspect`, and at the motion's and the sensor's noise in the rig."
@@ -52,88 +71,93 @@ def helps(calibration: Calibration) -> Iterator[str]:
             "Move so that the directions that are not determined vary on their own, or add a log with "
             "another payload: several logs are pooled into one gain."
         )
-    for reason in c.verdict.reasons:
-        what, _, remedy = reason.partition("; ")
-        if what.startswith("accuracy:") and remedy:
-            yield f"For the accuracy: {remedy}."
+    remedies = [r.partition("; ")[2] for r in c.verdict.reasons if r.startswith("accuracy:")]
+    yield from (f"For the accuracy: {remedy}." for remedy in remedies if remedy)
+    source = dominating(c)
+    if source and used and remedies and not any(remedies):
+        yield f"For the accuracy: {source_words(source)} limits it on most axes; {CURES[source]} helps."
     worse = [axis for axis, judged in c.improvement.items() if judged.better is False and judged.held_out]
     if worse:
         yield (
             f"On {axes_listed(worse)} the nominal gain is better: check mass and centre of mass of the "
             "payload, and that nothing touches it."
         )
+    if any(not p >= DISAGREE for p in (c.figures.get("parts_agree") or {}).values()):
+        yield (
+            "The parts of the record do not agree on the gain: something changed while it was taken. Look "
+            "at wrench and residuals over time, fasten payload and cables, let the sensor warm up, and "
+            "record again."
+        )
     rejected = sum(sum(log.rejected.values()) for log in c.logs)
-    used = sum(log.used for log in c.logs)
+    masked = sum(sum(log.masked.values()) for log in c.logs)
     if used and rejected > 0.05 * (rejected + used):
-        yield (
-            "Much of the motion did not fit: move more smoothly or sample faster, fix what vibrates, and "
-            "state the noise as it is."
-        )
-    disturbed = sum(sum(log.masked.values()) for log in c.logs)
-    if used and disturbed > 0.2 * (disturbed + used):
-        yield (
-            "Many samples were left out as contact or spikes: record again with nothing touching the payload."
-        )
-    fits = c.figures.get("chi_square")
-    if (
-        isinstance(fits, dict)
-        and any(fit > _CHI_SQUARE for fit in fits.values())
-        and c.estimator != "reference"
-    ):
-        yield (
-            "Residuals are larger than the stated noise: state the noise found (section Residuals), or let "
-            "it be taken from the residuals (`--rescale-noise`)."
-        )
+        yield "Much of the record lies outside of every stretch of motion: look for gaps in its streams."
+    if used and masked > MASKED * (masked + used):
+        yield "Many samples were left out as contact or outliers: see that nothing touches the payload."
 
 
 def dominating(calibration: Calibration) -> str:
     """What contributes most to the uncertainty on most axes; empty where that is not known."""
     sources = calibration.figures.get("limited_by") or {}
-    if not sources:
-        return ""
-    largest = Counter(max(sources, key=lambda name: sources[name][axis]) for axis in AXES)
-    return str(largest.most_common(1)[0][0]).replace("_", " ").replace("center", "centre")
+    largest = Counter(max(sources, key=lambda name: sources[name][axis]) for axis in AXES if sources)
+    return str(largest.most_common(1)[0][0]) if largest else ""
+
+
+def source_words(source: str) -> str:
+    """With an article."""
+    whose = "the payload's " if source in ("mass", "center_of_mass", "inertia") else ""
+    article = {"timing": "the lateness of the ", "gravity": "the ", "slow": "a ", "pose": "a "}.get(
+        source, ""
+    )
+    return f"{whose}{article}{SOURCES.get(source, source)}"
+
+
+def agreement_words(calibration: Calibration) -> list[str]:
+    """Whether the parts of the record give the same gain."""
+    p = calibration.figures.get("parts_agree") or {}
+    if not p:
+        return []
+    agree = all(value >= DISAGREE for value in p.values())
+    return [
+        f"The parts of the record {'agree' if agree else 'do not agree'} on the gain: by chance its halves "
+        f"differ as much in {100 * p['halves']:.2g} % of records, its quarters 1 + 3 and 2 + 4 in "
+        f"{100 * p['quarters']:.2g} %; below {100 * DISAGREE:g} % something changed within the record."
+    ]
+
+
+def pose_words(calibration: Calibration) -> list[str]:
+    """How well a force that follows the pose can hide in this motion."""
+    share = calibration.figures.get("pose_share")
+    if share is None:
+        return []
+    hides = "well" if share > _HIDES else "in part"
+    return [
+        f"The wrench of this motion repeats {100 * share:.0f} % of its pose (A): a force that follows the "
+        f"pose, of a cable or hysteresis, hides {hides} in the gain. Several frequencies per axis lower it."
+    ]
 
 
 def spectrum_words(found: Spectrum) -> str:
     """What the density of the residuals says of their noise."""
-    low = found.frequency <= found.frequency[-1] / 10.0
-    peaks = found.ratio > 2.5 * found.high[:, None]
-    raised = [axis for i, axis in enumerate(AXES) if low.any() and np.median(found.ratio[low, i]) > _COLOURED]
-    sharp = [axis for i, axis in enumerate(AXES) if peaks[~low, i].any()]
-    slow = [axis for i, axis in enumerate(AXES) if peaks[low, i].any()]
-    if raised:
-        return (
-            f"{axes_listed(raised)} {_has(raised)} more than the expected noise at low frequencies: the "
-            "noise is coloured (a filter, drift), or the motion is not resolved."
-        )
-    if sharp:
-        return (
-            f"{axes_listed(sharp)} {_has(sharp)} more than the expected noise in some bands: look for "
-            "mains, vibration or servo ripple at these frequencies."
-        )
-    if slow:
-        return (
-            f"{axes_listed(slow)} {_has(slow)} more than the expected noise at the frequencies of the "
-            "motion alone: what is still uncertain of gain and payload shows there, or the motion is not "
-            "resolved."
-        )
-    return "All axes lie along 1: the noise is as large and as white as the rig states."
+    low = found.frequency <= max(found.frequency[0], found.frequency[-1] / 10.0)
+    raised = np.greater(np.median(found.ratio[low], axis=0), _COLOURED)
+    peaks = np.any(found.ratio > 2.5 * found.high[:, None], axis=0)
+    slow = "at low frequencies: the noise is coloured (a filter, drift), or the motion is not resolved"
+    sharp = "in some bands: look for mains, vibration or servo ripple there"
+    for where, words in ((raised, slow), (peaks, sharp)):
+        if np.any(where):
+            names = [axis for axis, shows in zip(AXES, where, strict=True) if shows]
+            return f"{axes_listed(names)}: more than the expected noise {words}."
+    return "All axes lie along 1: the noise is as large and as white as expected."
 
 
 def histogram_words(found: Histogram) -> str:
     """Whether the residuals are distributed as their noise."""
-    off = [
-        axis
-        for axis, size, within in zip(AXES, found.size, found.within, strict=True)
-        if not 0.9 < size < 1.1 or not 0.93 < within < 0.97
-    ]
+    sizes = zip(AXES, found.size, found.within, strict=True)
+    off = [f"{a} {size:.2f}" for a, size, part in sizes if abs(size - 1) > 0.1 or abs(part - 0.95) > 0.02]
+    said = f"Not as expected (RMS in sigma): {', '.join(off)}" if off else "As expected"
     low, high = 100 * found.within.min(), 100 * found.within.max()
-    shares = f"{low:.1f} to {high:.1f} % lie within 1.96 sigma (95 % expected)"
-    if not off:
-        return f"As expected: {shares}."
-    sizes = ", ".join(f"{axis} {found.size[AXES.index(axis)]:.2f}" for axis in off)
-    return f"Not as expected on {axes_listed(off)} (RMS in sigma: {sizes}); {shares}."
+    return f"{said}; {low:.1f} to {high:.1f} % lie within 1.96 sigma (95 % expected)."
 
 
 def consistency_words(found: tuple[Consistency, ...]) -> str:
@@ -141,10 +165,10 @@ def consistency_words(found: tuple[Consistency, ...]) -> str:
     parts = [f"{stream.name} {stream.outside} of {len(stream.value)}" for stream in found]
     surprising = [stream.name for stream in found if stream.outside > 3.0 + 3.0 * CHANCE * len(stream.value)]
     end = (
-        f"More than chance allows in {', '.join(surprising)}: there the noise is not as stated, or "
-        "something touched the payload."
+        f"More than chance allows in {', '.join(surprising)}: there the noise is not as expected all along, "
+        "or something touched the payload."
         if surprising
-        else "No more than chance allows: the noise is as stated all along."
+        else "No more than chance allows: the noise is as expected all along."
     )
     return f"{end} Outside their bounds: {'; '.join(parts)}."
 
@@ -154,23 +178,15 @@ def convergence_words(found: Convergence, calibration: Calibration) -> str:
     half = found.time <= 0.5 * (found.time[0] + found.time[-1])
     moved, noise, final = (100 * float(x) for x in (found.distance[half][-1], found.sigma[-1], found.final))
     words = (
-        f"Half of the record is {moved:.2g} % of full scale from the final gain; the stated sigma is "
-        f"{final:.2g} % (RMS)."
+        f"Half of the record is {moved:.2g} % of full scale from the final gain, sigma {final:.2g} % (RMS)."
     )
     if noise > 0.5 * final:
         return f"{words} It is mostly noise: four times the record would halve it."
-    if len(calibration.figures.get("limited_by") or {}) > 1:
-        return (
-            f"{words} Noise alone would leave {noise:.2g} %: the rest comes from what is uncertain of "
-            "payload and clock, and a longer record of the same kind would hardly help."
-        )
-    return f"{words} With the motion (or reference wrench) known, noise alone would leave {noise:.2g} %."
+    rest = "; the rest comes from what else is uncertain, and a longer record would hardly help"
+    known = rest if len(calibration.figures.get("limited_by") or {}) > 1 else ""
+    return f"{words} With the motion (or reference) known, noise alone would leave {noise:.2g} %{known}."
 
 
 def axes_listed(names: list[str]) -> str:
     """`fx, fy and fz`."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _has(names: list[str]) -> str:
-    return "has" if len(names) == 1 else "have"
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

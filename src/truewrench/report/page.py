@@ -50,6 +50,7 @@ def page(calibration: Calibration, evidence: Evidence) -> str:
         sections=shown,
         helps=list(findings.helps(calibration)) if not calibration.verdict.usable else [],
         undetermined=[] if told else findings.undetermined_words(calibration),
+        unfit=[axis for axis, fit in calibration.axes.items() if not fit],
         notes=calibration.figures.get("notes") or [],
         stated=float(np.sqrt(np.mean(calibration.gain_std_normalised**2))),
         gain=tables.gain_table(calibration),

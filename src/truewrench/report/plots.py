@@ -20,7 +20,8 @@ from truewrench.calibration import AXES
 from truewrench.report.consistency import Consistency
 from truewrench.report.convergence import Convergence
 from truewrench.report.series import Record
-from truewrench.report.statistics import Envelope, Histogram, Spectrum, steps
+from truewrench.report.statistics import Envelope, Histogram, Spectrum
+from truewrench.report.tables import UNITS
 
 __all__ = [
     "consistency_plot",
@@ -29,40 +30,42 @@ __all__ = [
     "information_plot",
     "residual_plots",
     "spectrum_plot",
+    "wrench_plots",
 ]
 
 Array = NDArray[np.float64]
-Span_ = tuple[float, float]
 
 BLUE, VERMILION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#808080"
 _CURVES = ((BLUE, "solid"), (VERMILION, "dashed"), (GREEN, "dotdash"))
-_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 _BAND = 2.0  # sigma
 _POINTS = 300  # fewer are drawn as such
 _LEGEND = ".bk-label { color: var(--ink) !important; }"  # it is no part of the canvas
 
 
-def residual_plots(
-    curve: Envelope, record: Record, sigma: Array, disturbed: Sequence[Span_], end: float
-) -> list[figure]:
-    """One figure per wrench axis; where samples were left out is shaded."""
-    time = curve.time.astype(np.float32)
-    rejected = [(s.begin + a, s.begin + b) for s in record.logs for a, b in s.rejected]
+def wrench_plots(curve: Envelope, record: Record) -> list[figure]:
+    """One figure per wrench axis: 6 columns measured, then 6 of what they are held against."""
     plots = []
-    for i, axis in enumerate(AXES):
-        largest = np.nanmax(np.abs(curve.values[:, i]), initial=3.0 * sigma[i])
-        p = _figure(
-            190, _time(end), Range1d(-1.05 * largest, 1.05 * largest), "time [s]", f"{axis} [{_UNITS[i]}]"
-        )
-        _strips(p, rejected, GREY, 0.25, "/")
-        _strips(p, disturbed, VERMILION, 0.3, "")
-        p.line(time, curve.values[:, i].astype(np.float32), line_color=BLUE, line_width=1.2)
-        if len(time) < _POINTS:
-            p.scatter(time, curve.values[:, i], marker="circle", size=5, color=BLUE)
+    for i in range(6):
+        expected = curve.values[:, 6 + i]
+        low, high = np.nanmin(expected), np.nanmax(expected)
+        span = max(float(high - low), 1e-9)
+        measured = np.clip(curve.values[:, i], low - span, high + span)  # a spike hides nothing
+        y = Range1d(np.nanmin(measured) - 0.05 * span, np.nanmax(measured) + 0.05 * span)
+        curves = (("measured", measured), ("expected", expected))
+        plots.append(_of_axis(curve.time, record, i, y, curves))
+    return plots
+
+
+def residual_plots(curve: Envelope, record: Record, sigma: Array) -> list[figure]:
+    """One figure per wrench axis: 6 columns of residuals, and 6 of a slow disturbance where there are 12."""
+    plots = []
+    for i in range(6):
+        shown = curve.values[:, i::6].T
+        largest = 1.05 * np.nanmax(np.abs(shown), initial=3.0 * sigma[i])
+        curves = tuple(zip(("residual", "slow disturbance"), shown, strict=False))
+        p = _of_axis(curve.time, record, i, Range1d(-largest, largest), curves)
         for level in (-_BAND * sigma[i], _BAND * sigma[i]):
             p.add_layout(_level(level, GREY, "dashed"))
-        for series in record.logs[1:]:
-            p.add_layout(Span(location=series.begin, dimension="height", line_color=GREY, line_width=1))
         plots.append(p)
     return plots
 
@@ -92,33 +95,25 @@ def histogram_plot(found: Histogram, axes: slice) -> figure:
     x = np.linspace(-5.0, 5.0, 101)
     normal = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
     p.varea(x=x, y1=np.full_like(x, bottom), y2=np.maximum(normal, bottom), fill_color=GREY, fill_alpha=0.3)
-    edges = np.repeat(found.edges, 2)[1:-1]
-    heights = np.column_stack([steps(found.edges, column)[1] for column in found.density.T])
-    _curves(p, edges, np.where(heights > 0.0, heights, np.nan)[:, axes], AXES[axes])
+    outline = np.repeat(np.where(found.density > 0.0, found.density, np.nan), 2, axis=0)
+    _curves(p, np.repeat(found.edges, 2)[1:-1], outline[:, axes], AXES[axes])
     return p
 
 
-def consistency_plot(found: Consistency, end: float) -> figure:
+def consistency_plot(found: Consistency, record: Record) -> figure:
     """Mean squares over time, round inside and triangular outside of their bounds."""
-    largest = float(np.abs(np.concatenate([found.value, found.low, found.high]) - 1.0).max())
-    if largest < 0.9:
-        y, kind = Range1d(1.0 - 1.3 * largest, 1.0 + 1.3 * largest), "linear"
-    else:
-        least_value = float(found.value[found.value > 0.0].min(initial=0.5))
-        y, kind = Range1d(0.8 * least_value, 1.3 * (1.0 + largest)), "log"
-    p = _figure(190, _time(end), y, "time [s]", "mean square [1]", y_axis_type=kind)
-    least = 0.002 * end  # what can still be seen
+    bottom = 0.8 * float(min(found.low.min(), found.value[found.value > 0.0].min(initial=0.5)))
+    y = Range1d(bottom, 1.3 * float(max(found.high.max(), found.value.max())))
+    p = _time_figure(190, record, y, "mean square [1]", y_axis_type="log")
+    least = 0.002 * record.end  # what can still be seen
     p.quad(
         left=found.begin, right=np.maximum(found.end, found.begin + least),
-        bottom=np.maximum(found.low, float(y.start)), top=found.high,
+        bottom=found.low, top=found.high,
         fill_color=GREY, fill_alpha=0.3, line_color=None,
     )  # fmt: skip
     p.add_layout(_level(1.0, GREY, "dashed"))
-    middle = 0.5 * (found.begin + found.end)
     inside = (found.value >= found.low) & (found.value <= found.high)
-    shown = np.maximum(found.value, float(y.start))
-    p.scatter(middle[inside], shown[inside], marker="circle", size=6, color=BLUE)
-    p.scatter(middle[~inside], shown[~inside], marker="triangle", size=11, color=VERMILION)
+    _judged(p, 0.5 * (found.begin + found.end), np.maximum(found.value, bottom), inside)
     return p
 
 
@@ -129,28 +124,12 @@ def information_plot(shares: Array, undetermined: float) -> figure:
         280, Range1d(0, len(shares) + 1), Range1d(max(bottom, 1e-7), top), "direction of the gain [number]",
         "sigma / prior sigma [1]", y_axis_type="log",
     )  # fmt: skip
-    x = np.arange(1, len(shares) + 1)
-    known = shares <= undetermined
-    p.scatter(x[known], shares[known], marker="circle", size=7, color=BLUE, legend_label="determined")
-    if not known.all():
-        p.scatter(
-            x[~known],
-            shares[~known],
-            marker="triangle",
-            size=11,
-            color=VERMILION,
-            legend_label="undetermined",
-        )
-    ends = [0, len(shares) + 1]
-    p.line(
-        ends, [undetermined] * 2, line_color=VERMILION, line_dash="dashed", line_width=2,
-        legend_label="limit: half",
-    )  # fmt: skip
-    _legend_above(p)
+    _judged(p, np.arange(1.0, len(shares) + 1), shares, shares <= undetermined)
+    p.add_layout(_level(undetermined, VERMILION, "dashed"))
     return p
 
 
-def convergence_plot(found: Convergence, end: float) -> figure:
+def convergence_plot(found: Convergence, record: Record) -> figure:
     """Distance from the final gain and sigma of the gain so far, over time."""
     curves = [
         ("distance from final", found.time, found.distance, BLUE, "solid"),
@@ -162,21 +141,14 @@ def convergence_plot(found: Convergence, end: float) -> figure:
     values = values[values > 0.0]
     low = max(1e-3 * found.final, float(values.min()))
     y = Range1d(0.5 * min(low, found.final), 2.0 * max(float(values.max()), found.final))
-    p = _figure(300, _time(end), y, "time [s]", "share of full scale [1]", y_axis_type="log")
+    p = _time_figure(300, record, y, "share of full scale [1]", y_axis_type="log")
     for label, x, values, colour, dash in curves:
         shown = np.where(values > 0.0, values, np.nan)
         p.line(x, shown, line_color=colour, line_dash=dash, line_width=2, legend_label=label)
         if len(x) < 3:
             p.scatter(x, shown, color=colour, size=7)
-    ends = [0.0, end]
-    p.line(
-        ends,
-        [found.final] * 2,
-        line_color=BLUE,
-        line_dash="dotted",
-        line_width=2,
-        legend_label="stated sigma",
-    )
+    ends, level = [0.0, record.end], [found.final] * 2
+    p.line(ends, level, line_color=BLUE, line_dash="dotted", line_width=2, legend_label="stated sigma")
     _legend_above(p)
     return p
 
@@ -202,16 +174,47 @@ def _figure(
     return p
 
 
-def _time(end: float) -> Range1d:
-    """The time axis of one figure; the page keeps those of this name alike."""
-    return Range1d(0.0, end, name="time", bounds=(0.0, end))
+def _of_axis(
+    time: Array, record: Record, axis: int, y: Range1d, curves: Sequence[tuple[str, Array]]
+) -> figure:
+    """Curves of one wrench axis over time; two are named above the first axis, which is higher by that."""
+    named = axis == 0 and len(curves) > 1
+    p = _time_figure(190 + 28 * named, record, y, f"{AXES[axis]} [{UNITS[AXES[axis]]}]")
+    x = time.astype(np.float32)
+    for (colour, dash), (name, values) in zip(_CURVES, curves, strict=False):
+        named_so = {"legend_label": name} if named else {}
+        p.line(x, values.astype(np.float32), line_color=colour, line_dash=dash, line_width=1.2, **named_so)
+        if len(x) < _POINTS:
+            p.scatter(x, values, marker="circle", size=5, color=colour)
+    if named:
+        _legend_above(p)
+    return p
+
+
+def _time_figure(height: int, record: Record, y: Range1d, label: str, **kinds: Any) -> figure:
+    """With what was left out shaded, and lines where a log begins or an offset steps."""
+    end = record.end
+    p = _figure(height, Range1d(0.0, end, name="time", bounds=(0.0, end)), y, "time [s]", label, **kinds)
+    _strips(p, record.spans("outside"), GREY, 0.25, "/")
+    _strips(p, record.spans("left_out"), VERMILION, 0.3, "")
+    lines = [(series.begin, GREY, "solid") for series in record.logs[1:]]
+    lines += [(s.begin + time, GREEN, "dotdash") for s in record.logs for time in s.steps]
+    for at, colour, dash in lines:
+        p.add_layout(Span(location=at, dimension="height", line_color=colour, line_dash=dash, line_width=1.5))
+    return p
+
+
+def _judged(p: figure, x: Array, y: Array, good: NDArray[np.bool_]) -> None:
+    """Round where good, triangular elsewhere."""
+    p.scatter(x[good], y[good], marker="circle", size=6, color=BLUE)
+    p.scatter(x[~good], y[~good], marker="triangle", size=11, color=VERMILION)
 
 
 def _level(at: float, colour: str, dash: str) -> Span:
     return Span(location=float(at), dimension="width", line_color=colour, line_dash=dash, line_width=1.5)
 
 
-def _strips(p: figure, spans: Sequence[Span_], colour: str, alpha: float, hatch: str) -> None:
+def _strips(p: figure, spans: Sequence[tuple[float, float]], colour: str, alpha: float, hatch: str) -> None:
     """Shaded stretches of time, none narrower than can be seen."""
     if not spans:
         return

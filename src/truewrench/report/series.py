@@ -4,55 +4,66 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench import _core
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
-from truewrench.estimate.reference import ReferenceEstimate
-from truewrench.estimate.streams import noise_behind_filter, unfiltered
-from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.known_wrench import KnownWrenchEstimate
 from truewrench.evidence import Evidence
 from truewrench.log import Log
 from truewrench.split import held_out
 from truewrench.temperature import at_reference_temperature
 from truewrench.validation.residuals import residuals
 
-__all__ = ["Record", "Series", "record_of"]
+__all__ = ["Record", "Series", "Span", "groups_of", "record_of"]
 
 Array = NDArray[np.float64]
+Span = tuple[float, float]
 
 _MOST = 8_000  # rows of a log whose motion is estimated anew, in stretches spread over it
 _GAP = 0.02  # of the record, between two logs on one axis
+_LEAST_LEFT = 0.3  # of a channel's noise, where a fit is said to follow the rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """One log.
+    """One log; without residuals all arrays over samples are empty.
 
     Attributes:
-        time: (M,) [s from the log's first row].
-        wrench: (M, 6) that the corrected one is held against [N, N m]; NaN where there is none.
-        raw: (M, n) channels, as before a filter and at the reference temperature.
-        residual: (M, 6) corrected minus `wrench`; NaN likewise.
-        sigma: (M, 6) or (6,) of it by the stated noise.
-        lagged: (H + 1, 6) the part of its covariance in time that is not white, at 0, 1, ... rows.
         begin: of the log on the common time axis [s].
         duration: of the log [s].
-        rejected: (begin, end) of stretches of motion that did not fit [s from the log's first row].
+        time: (M,) [s from the log's first row].
+        wrench: (M, 6) that the corrected one is held against [N, N m]; NaN where there is none.
+        measured: (M, 6) the corrected wrench, samples that were left out among them.
+        residual: (M, 6) measured minus `wrench`, less `discrepancy`; NaN where there is none or left out.
+        discrepancy: (M, 6) slow disturbance that the fit holds [N, N m]; None where it holds none.
+        channels: (M, n) what a fit leaves of the raw channels, likewise; without a fit empty.
+        sigma: (M, 6) or (6,) of `residual` by the noise, as found where the estimator finds it.
+        noise: (n,) of a sample of a channel, likewise.
+        left: (n,) share of its variance that a fit leaves in the residuals.
+        left_out: (begin, end) of samples left out [s from the log's first row].
+        outside: (begin, end) of samples outside of every stretch that could be estimated from.
+        steps: when the offset stepped.
     """
 
-    time: Array
-    wrench: Array
-    raw: Array
-    residual: Array
-    sigma: Array
-    lagged: Array
     begin: float
     duration: float
-    rejected: tuple[tuple[float, float], ...] = ()
+    time: Array
+    wrench: Array
+    measured: Array
+    residual: Array
+    channels: Array
+    sigma: Array
+    noise: Array
+    left: Array
+    discrepancy: Array | None = None
+    left_out: tuple[Span, ...] = ()
+    outside: tuple[Span, ...] = ()
+    steps: tuple[float, ...] = ()
 
     @property
     def normalised(self) -> Array:
@@ -66,150 +77,178 @@ class Record:
 
     Attributes:
         logs: those that have residuals, and those that have none.
-        against: what the corrected wrench is held against, in words.
-        fitted: whether the motion behind it was fitted to the sensor, too.
+        source: `fit` where the motion was fitted to the sensor, too, `reference` where the wrench is known,
+            `velocities` where these alone give the motion, whose noise is not white then.
         part: words for the rows that are shown, where these are not all.
         none_because: why no log has residuals, empty where one has.
     """
 
     logs: tuple[Series, ...]
-    against: str
-    fitted: bool = False
+    source: Literal["fit", "reference", "velocities"] = "fit"
     part: str = ""
     none_because: str = ""
+
+    @property
+    def against(self) -> str:
+        """What the corrected wrench is held against, in words."""
+        return {
+            "fit": "the payload's wrench by the motion that was fitted to sensor and motion together",
+            "reference": "the reference wrench of the log",
+            "velocities": "the payload's wrench by a motion that the velocities alone give",
+        }[self.source]
 
     @property
     def end(self) -> float:
         """Of the common time axis [s]."""
         return max((series.begin + series.duration for series in self.logs), default=0.0)
 
+    def spans(self, kind: str) -> list[Span]:
+        """`left_out` or `outside` of all logs, on the common time axis."""
+        return [(s.begin + a, s.begin + b) for s in self.logs for a, b in getattr(s, kind)]
+
+
+def groups_of(n: int) -> dict[str, slice]:
+    """Channels whose noise is found together."""
+    return {"force": slice(0, 3), "moment": slice(3, 6)} if n == 6 else {"channels": slice(0, n)}
+
 
 def record_of(calibration: Calibration, evidence: Evidence) -> Record:
     """Residuals of every log of a calibration."""
-    begins = _begins(evidence.logs)
+    logs, estimate = evidence.logs, evidence.estimate
+    placed = [
+        replace(empty, left_out=report.disturbances)
+        for empty, report in zip(_placed(logs), calibration.logs, strict=True)
+    ]
     if not np.isfinite(calibration.inverse).all():
-        return Record((), "", none_because="the gain has no inverse, so no wrench can be corrected with it")
-    estimate = evidence.estimate
-    part, fitted = "", False
-    if isinstance(estimate, WindowEstimate) and calibration.estimator == "map":
-        against = "the payload's wrench by the motion that was fitted to sensor and motion together"
-        fitted = True
-        found = [_of_windows(calibration, log, k, estimate, b) for k, (log, b) in enumerate(begins)]
-    elif isinstance(estimate, ReferenceEstimate):
-        against = "the reference wrench of the log"
-        found = [_of_reference(calibration, log, k, estimate, b) for k, (log, b) in enumerate(begins)]
-    else:
-        against = "the payload's wrench by a motion that the velocities alone give"
-        if max(len(log.time_ns) for log in evidence.logs) > _MOST:
-            part = f"stretches that hold about {_MOST} rows of every log"
-        logs = evidence.logs
-        if isinstance(estimate, WindowEstimate):  # `online`, whose motion is by the gain known at its time
-            logs = tuple(estimate.undisturbed(log, k) for k, log in enumerate(logs))
-        found = [_of_motion(calibration, log, b) for log, b in _begins(logs)]
+        why = "the gain has no inverse, so no wrench can be corrected with it"
+        return Record(tuple(placed), none_because=why)
+    source: Literal["fit", "reference", "velocities"] = "velocities"
+    part, found = "", []
+    for k, (empty, log) in enumerate(zip(placed, logs, strict=True)):
+        if isinstance(estimate, Estimate):
+            source = "fit"
+            found.append(_of_estimate(calibration, empty, log, k, estimate))
+        elif isinstance(estimate, KnownWrenchEstimate):
+            source = "reference"
+            found.append(_of_known_wrench(calibration, empty, log, k, estimate))
+        else:
+            found.append(_of_motion(calibration, empty, log))
+            if len(log.time_ns) > _MOST:
+                part = f"stretches that hold about {_MOST} rows of every log"
+    why = ""
     if not any(np.isfinite(series.residual).any() for series in found):
         why = "no stretch of the record has both all raw channels and a motion that fits"
-        return Record(tuple(found), against, fitted, part, why)
-    return Record(tuple(found), against, fitted, part)
+    return Record(tuple(found), source, part, why)
 
 
-def _begins(logs: Sequence[Log]) -> list[tuple[Log, float]]:
+def _placed(logs: Sequence[Log]) -> list[Series]:
+    """Nothing but where each log lies."""
     durations = np.array([float(log.time[-1]) for log in logs])
-    ends = np.cumsum(durations + _GAP * durations.sum())
-    return list(zip(logs, np.append(0.0, ends[:-1]).tolist(), strict=True))
+    begins = np.append(0.0, np.cumsum(durations + _GAP * durations.sum())[:-1])
+    none, axes, one = np.zeros(0), np.zeros((0, 6)), np.ones(6)
+    return [
+        Series(begin, duration, none, axes, axes, axes, axes, one, one, one)
+        for begin, duration in zip(begins.tolist(), durations.tolist(), strict=True)
+    ]
 
 
-def _of_windows(calibration: Calibration, log: Log, k: int, estimate: WindowEstimate, begin: float) -> Series:
-    rig, inverse = calibration.rig, calibration.inverse
-    rows, wrench = estimate.wrench_rows[k], estimate.wrench[k]
-    felt = log
-    if rig.sensor.lowpass_hz is not None:
-        felt = replace(log, raw=unfiltered(log.raw, log.time, rig.sensor.lowpass_hz)[0])
-    raw = at_reference_temperature(calibration.offset_temperature, rig, felt).raw[rows]
-    noise = noise_behind_filter(rig, [log]) * rig.sensor.noise_array
-    noise = noise * np.sqrt(1.0 - _leverage(estimate, rig.sensor.n))  # the motion follows some of it
-    return Series(
-        time=log.time[rows],
-        wrench=wrench,
-        raw=raw,
-        residual=(raw - estimate.offset_path[k].at(log.time[rows])) @ inverse.T - wrench,
-        sigma=np.sqrt(inverse**2 @ noise**2),
-        lagged=np.zeros((1, 6)),
-        begin=begin,
-        duration=float(log.time[-1]),
-        rejected=tuple(
-            (w.begin, w.end) for w in estimate.windows if w.log == k and w.status != _core.WindowStatus.fitted
-        ),
+def _of_estimate(calibration: Calibration, placed: Series, log: Log, k: int, estimate: Estimate) -> Series:
+    rig, inverse, rows = calibration.rig, calibration.inverse, estimate.rows[k]
+    scale = rig.sensor.channel_scale
+    factor = {found.what: found.factor for found in estimate.noise[k]}
+    noise, left = rig.sensor.noise_array.copy(), np.ones(rig.sensor.n)
+    shown = np.where(rows.masked[:, None], np.nan, rows.residual) * scale
+    for what, channels in groups_of(rig.sensor.n).items():
+        noise[channels] *= factor.get(what, 1.0)
+        squares = (shown[:, channels] / noise[channels]) ** 2
+        if np.isfinite(squares).any():
+            left[channels] = np.clip(np.nanmean(squares), _LEAST_LEFT, 1.0)
+    slow = rows.discrepancy * scale
+    outside = np.any(np.isfinite(log.raw), axis=1)
+    outside[rows.rows] = False
+    whole = replace(
+        placed,
+        time=rows.time,
+        wrench=rows.wrench,
+        measured=rows.wrench + (rows.residual * scale + slow) @ inverse.T,
+        residual=shown @ inverse.T,
+        discrepancy=slow @ inverse.T if slow.any() else None,
+        channels=shown,
+        sigma=np.sqrt(inverse**2 @ (left * noise**2)),
+        noise=noise,
+        left=left,
+        outside=_runs(log.time, outside),
+        steps=tuple(step.time for step in estimate.steps[k]),
     )
+    return _broken(whole, np.flatnonzero(np.diff(rows.stretch)) + 1)
 
 
-def _of_reference(
-    calibration: Calibration, log: Log, k: int, estimate: ReferenceEstimate, begin: float
+def _of_known_wrench(
+    calibration: Calibration, placed: Series, log: Log, k: int, estimate: KnownWrenchEstimate
 ) -> Series:
     rig, inverse = calibration.rig, calibration.inverse
     assert log.reference is not None
-    assert rig.reference_noise is not None
     wrench = np.full_like(log.reference, np.nan)
     rows = estimate.rows[k]
     wrench[rows] = log.reference[rows]
-    raw = at_reference_temperature(calibration.offset_temperature, rig, log).raw
-    used = sum(rows.size for rows in estimate.rows)
-    left = float(np.mean(estimate.freedom)) / max(
-        1, used
-    )  # of a channel's noise: gain and offsets follow the rest
-    return Series(
+    felt = at_reference_temperature(calibration.offset_temperature, rig, log).raw - estimate.offsets[k]
+    measured = felt @ inverse.T
+    left = float(estimate.freedom.mean()) / max(1, sum(rows.size for rows in estimate.rows))
+    return replace(
+        placed,
         time=log.time,
         wrench=wrench,
-        raw=raw,
-        residual=(raw - estimate.offsets[k]) @ inverse.T - wrench,
-        sigma=np.sqrt(left * (inverse**2 @ rig.sensor.noise_array**2 + np.array(rig.reference_noise) ** 2)),
-        lagged=np.zeros((1, 6)),
-        begin=begin,
-        duration=float(log.time[-1]),
+        measured=measured,
+        residual=measured - wrench,
+        sigma=np.sqrt(left * np.diag(inverse @ estimate.row_noise[k] @ inverse.T)),
+        noise=np.sqrt(np.diag(estimate.row_noise[k])),
+        left=np.full(rig.sensor.n, left),
+        left_out=tuple((float(t), float(t)) for t in log.time[estimate.outliers[k]]),
     )
 
 
-def _of_motion(calibration: Calibration, log: Log, begin: float) -> Series:
+def _of_motion(calibration: Calibration, placed: Series, log: Log) -> Series:
     """For estimators that keep no motion."""
-    n = calibration.rig.sensor.n
-    shown = log
+    rig, shown = calibration.rig, log
     if len(log.time_ns) > _MOST:
         stretches = held_out([log], _MOST / len(log.time_ns))[1]
         shown = stretches[0] if stretches else log
     first = float((shown.time_ns[0] - log.time_ns[0]) * 1e-9)
     try:
-        found = residuals(calibration, calibration.rig, shown)
+        found = residuals(calibration, rig, shown)
     except InputError:  # too short, or no motion: the report says so
-        none = np.zeros((0, 6))
-        empty = np.zeros((0, n))
-        return Series(
-            np.zeros(0), none, empty, none, np.ones(6), np.zeros((1, 6)), begin, float(log.time[-1])
-        )
-    breaks = list(found.begin)[1:]
+        return placed
+    whole = replace(
+        placed,
+        time=shown.time[found.rows] + first,
+        wrench=found.wrench,
+        measured=found.wrench + found.new,
+        residual=found.new,
+        sigma=np.sqrt(found.noise),
+        noise=rig.sensor.noise_array,
+    )
+    return _broken(whole, np.array(found.begin[1:], dtype=np.int64))
 
-    def broken(values: Array) -> Array:
-        """With a NaN between stretches, so that nothing is drawn across them."""
+
+def _broken(series: Series, breaks: NDArray[np.int64]) -> Series:
+    """With a NaN before these rows, so that nothing is drawn across them."""
+
+    def cut(values: Array) -> Array:
         return np.insert(values, breaks, np.nan, axis=0)
 
-    compensated = at_reference_temperature(calibration.offset_temperature, calibration.rig, shown)
-    return Series(
-        time=broken(shown.time[found.rows]) + first,
-        wrench=broken(found.wrench),
-        raw=broken(compensated.raw[found.rows]),
-        residual=broken(found.new),
-        sigma=broken(np.sqrt(found.noise)),
-        lagged=found.lagged,
-        begin=begin,
-        duration=float(log.time[-1]),
+    return replace(
+        series,
+        time=cut(series.time),
+        wrench=cut(series.wrench),
+        measured=cut(series.measured),
+        residual=cut(series.residual),
+        discrepancy=None if series.discrepancy is None else cut(series.discrepancy),
+        channels=cut(series.channels) if len(series.channels) else series.channels,
+        sigma=cut(series.sigma) if series.sigma.ndim == 2 else series.sigma,
     )
 
 
-def _leverage(estimate: WindowEstimate, n: int) -> Array:
-    """(n,) share of each channel's noise that the fitted motion takes up."""
-    leverage, count = np.zeros(n), np.full(n, 1e-9)
-    for window in estimate.windows:
-        if window.status != _core.WindowStatus.fitted:
-            continue
-        for i, component in enumerate(window.components[:n]):
-            leverage[i] += component.all.leverage
-            count[i] += component.all.count
-    return np.asarray(np.clip(leverage / count, 0.0, 0.9))
+def _runs(time: Array, marked: NDArray[np.bool_]) -> tuple[Span, ...]:
+    """Begin and end of every run of marked rows."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]])))
+    return tuple((float(time[a]), float(time[b - 1])) for a, b in edges.reshape(-1, 2))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -26,11 +26,11 @@ _IRREGULAR = 1.5  # periods between two samples that end a run
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Envelope:
-    """Residuals over the common time axis.
+    """Curves over the common time axis.
 
     Attributes:
-        time: (K,) [s]; NaN breaks the line.
-        values: (K, 6): where decimated, smallest and largest in turns.
+        time: (K,) [s]; NaN breaks the lines.
+        values: (K, C): where decimated, smallest and largest in turns.
         bucket: length of a bucket [s], None where every sample is there.
     """
 
@@ -75,37 +75,35 @@ class Histogram:
     size: Array
 
 
-def envelope(record: Record) -> Envelope:
+def envelope(record: Record, values_of: Callable[[Series], Array]) -> Envelope:
     """Every sample, or where these are too many, smallest and largest of each of `BUCKETS` stretches."""
     total = sum(len(series.time) for series in record.logs)
-    end = max(series.begin + series.duration for series in record.logs)
-    width = end / BUCKETS if total > 2 * BUCKETS else None
+    width = record.end / BUCKETS if total > 2 * BUCKETS else None
     times, values = [], []
     for series in record.logs:
         if len(series.time) == 0:
             continue
-        time, found = (series.time, series.residual)
+        time, found = series.time, values_of(series)
         if width is not None:
-            time, found = _decimated(series, width)
+            time, found = _decimated(time, found, width)
         times += [time + series.begin, np.array([np.nan])]
-        values += [found, np.full((1, 6), np.nan)]
+        values += [found, np.full((1, found.shape[1]), np.nan)]
     return Envelope(np.concatenate(times), np.concatenate(values), width)
 
 
-def _decimated(series: Series, width: float) -> tuple[Array, Array]:
-    bucket = np.where(np.isnan(series.time), -1.0, np.floor(np.nan_to_num(series.time) / width)).astype(int)
+def _decimated(time: Array, found: Array, width: float) -> tuple[Array, Array]:
+    bucket = np.where(np.isnan(time), -1.0, np.floor(np.nan_to_num(time) / width)).astype(int)
     known = bucket >= 0
-    bucket, residual = bucket[known], series.residual[known]
+    bucket, found = bucket[known], found[known]
     starts = np.flatnonzero(np.diff(bucket, prepend=-1))
-    empty = np.isnan(residual)
-    low = np.minimum.reduceat(np.where(empty, np.inf, residual), starts, axis=0)
-    high = np.maximum.reduceat(np.where(empty, -np.inf, residual), starts, axis=0)
-    time, values = np.empty(2 * starts.size), np.empty((2 * starts.size, 6))
-    time[::2], time[1::2] = (bucket[starts] + 0.25) * width, (bucket[starts] + 0.75) * width
-    values[::2], values[1::2] = low, high
+    empty = np.isnan(found)
+    values = np.empty((2 * starts.size, found.shape[1]))
+    values[::2] = np.minimum.reduceat(np.where(empty, np.inf, found), starts, axis=0)
+    values[1::2] = np.maximum.reduceat(np.where(empty, -np.inf, found), starts, axis=0)
     values[np.isinf(values)] = np.nan
+    middle = (np.repeat(bucket[starts], 2) + np.tile([0.25, 0.75], starts.size)) * width
     gaps = np.flatnonzero(np.diff(bucket[starts]) > 1) + 1  # buckets without any row: the line breaks
-    return np.insert(time, 2 * gaps, np.nan), np.insert(values, 2 * gaps, np.nan, axis=0)
+    return np.insert(middle, 2 * gaps, np.nan), np.insert(values, 2 * gaps, np.nan, axis=0)
 
 
 def spectrum(record: Record) -> Spectrum | None:
@@ -120,26 +118,13 @@ def spectrum(record: Record) -> Spectrum | None:
     for series, run in runs:
         if run.stop - run.start < size:
             continue
-        u = series.residual[run] / np.sqrt(
-            np.mean(np.broadcast_to(series.sigma, series.residual.shape)[run] ** 2, axis=0)
-        )
+        u = series.normalised[run] * np.sqrt(series.left.mean())  # over all noise: what a fit follows is slow
         frequency, density = welch(u, 1.0 / period, nperseg=size, detrend="constant", axis=0)
         count = 2 * (run.stop - run.start) // size - 1
-        total += count * density / _expected(series, run, frequency, period)
+        total += count * density / (2.0 * period)  # one-sided, of white noise of 1 sigma
         segments += count
     ratio = total / segments
     return _banded(frequency[1:-1], ratio[1:-1], segments)
-
-
-def _expected(series: Series, run: slice, frequency: Array, period: float) -> Array:
-    """(F, 6) one-sided density of the noise, of which 1 is the variance; white but for `lagged`."""
-    variance = np.mean(np.broadcast_to(series.sigma, series.residual.shape)[run] ** 2, axis=0)
-    lags = np.arange(1, len(series.lagged))
-    shape = 1.0 + 2.0 * np.cos(2.0 * np.pi * frequency[:, None] * lags * period) @ (
-        series.lagged[1:] / variance
-    )
-    white = np.maximum(1.0 - series.lagged[0] / variance, 0.01)
-    return np.asarray(2.0 * period * np.maximum(shape, white))
 
 
 def _banded(frequency: Array, ratio: Array, segments: int) -> Spectrum:
@@ -180,8 +165,3 @@ def histogram(record: Record) -> Histogram:
         np.asarray(len(u) - counts.sum(axis=0), dtype=np.int64),
         np.sqrt(np.mean(u**2, axis=0)),
     )
-
-
-def steps(edges: Array, heights: Sequence[float] | Array) -> tuple[Array, Array]:
-    """The outline of a histogram."""
-    return np.repeat(edges, 2)[1:-1], np.repeat(np.asarray(heights, dtype=np.float64), 2)
