@@ -369,6 +369,17 @@ def test_the_payloads_uncertainty_is_in_the_odds() -> None:
         assert bool(found) == suspected
 
 
+def test_least_squares_name_the_units_where_the_estimate_is_lost() -> None:
+    rig = rig_of(required=0.02)
+    estimate, log = estimate_of(rig, departed(11))
+    exact = 1e-6 * np.eye(36) * np.outer(np.outer(SPAN, 1 / SPAN).ravel(), np.outer(SPAN, 1 / SPAN).ravel())
+    plain = 1e3 * departed(11) * SPAN[:, None] / SPAN, exact
+    assert setup_errors(estimate, rig, [log], lambda: plain) == ()  # which describes its record
+    lost = replace(estimate, noise=((FoundNoise("force", 300.0),),))
+    assert "1000 times too large" in setup_errors(lost, rig, [log], lambda: plain)[0].words
+    assert setup_errors(replace(estimate, solved=False), rig, [log], lambda: None) == ()
+
+
 def test_a_payload_far_from_its_statement_is_named_and_a_clock_is_not() -> None:
     stated = np.array([1e-3] + [5e-4] * 3 + [1e-2] * 6)
     assert payload_errors("tool", 3.0 * stated, stated) == ()
