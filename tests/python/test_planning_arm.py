@@ -33,7 +33,7 @@ QUICK = {"duration": 5.0, "harmonics": 3, "rate": 50.0}
 @pytest.fixture(scope="module")
 def planned(arm_rig: Callable[..., Rig]) -> Plan:
     """The Panda on the ground, five seconds."""
-    return plan(arm_rig("panda_ground", plan=QUICK))
+    return plan(arm_rig("panda_ground", plan=QUICK, gravity_tilt_prior=0))
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def problems(arm_rig: Callable[..., Rig]) -> list[tuple[str, Problem]]:
     found = []
 
     def add(name: str, space: Space, rig: Rig, limits: Limits) -> None:
-        found.append((name, Problem(space, basis, Criterion(rig, 400.0, "A"), limits)))
+        found.append((name, Problem(space, basis, Criterion(rig, 400.0, "A"), limits, spread=0.3)))
 
     boxed = twist_rig(workspace=[[-1, 1]] * 3, position=[0.5] * 6)
     limits = Limits.of(boxed, 6)

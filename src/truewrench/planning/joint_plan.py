@@ -23,6 +23,7 @@ from truewrench.planning.period import cycles_of, plan_rows, typical_velocity
 from truewrench.planning.result import Design
 from truewrench.planning.search import Effort, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
+from truewrench.planning.spread import spread_weight
 from truewrench.rig import Rig
 from truewrench.simulation.truth import begin, readings, stamps_of
 
@@ -47,7 +48,8 @@ def design_joints(rig: Rig, payload: str, criterion: Literal["A", "D"], progress
     measure = Criterion(rig, settings.duration * rig.simulate.sensor_rate, criterion)
 
     def problem(kinds: Set[str]) -> Problem:
-        return Problem(joint_space(rig, outputs, limits, scale, start, kinds), basis, measure, limits)
+        space = joint_space(rig, outputs, limits, scale, start, kinds)
+        return Problem(space, basis, measure, limits, spread=spread_weight(rig))
 
     origin = np.zeros(robot.n) if start is None else start
 

@@ -19,7 +19,7 @@ from truewrench.planning.period import plan_rows
 from truewrench.planning.resolved_rate import follow_twist, limits_of
 from truewrench.planning.result import Design
 from truewrench.planning.search import Progress
-from truewrench.planning.wrench_plan import best_sinusoids, facts_of, scaled
+from truewrench.planning.wrench_plan import ONE_FREQUENCY, best_sinusoids, facts_of, scaled
 from truewrench.rig import Rig
 
 __all__ = ["design_joint_wrench"]
@@ -64,7 +64,10 @@ def design_joint_wrench(rig: Rig, payload: str, progress: Progress) -> Design:
     blocks = (joints.position(rows), joints.velocity(rows), joints.acceleration(rows))
     for names, values in zip(joint_columns(robot.joints), blocks, strict=True):
         columns |= dict(zip(names, values.T, strict=True))
-    notes = ["the motion neither starts nor ends at rest: it has to be led into its initial twist"]
+    notes = [
+        "the motion neither starts nor ends at rest: it has to be led into its initial twist",
+        ONE_FREQUENCY,
+    ]
     if missed >= 0.05:
         notes.append(f"the joints miss up to {100 * missed:.0f} % of the twist that the wrench asks for")
     return Design(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from truewrench.planning.criterion import PACKED, Criterion, packed
 from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
+from truewrench.planning.spread import Spread
 
 __all__ = ["FINE", "Bounds", "Problem", "Rows", "Space"]
 
@@ -98,8 +99,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Derivatives:
-    value: float  # of the criterion,
-    by_moments: Array  # (28,) its gradient
+    by_moments: Array  # (28,) gradient of the criterion
     second: Array  # (28, 28) and Hessian
     jacobian: Array  # (K, out, size) of the node function
     moments: Array  # (28, size) of the packed mean of [w; 1][w; 1]^T
@@ -115,9 +115,19 @@ class Problem:
         size: number of unknowns.
         bounded: quantities at every node, besides the wrench, that are limited.
         summed: of the quantities that vanish on average, those whose integral is limited.
+
+    What is minimised is the criterion, and `spread` times what one frequency a coordinate costs (spread.py).
     """
 
-    def __init__(self, space: Space, basis: SeriesBasis, criterion: Criterion, limits: Limits) -> None:
+    def __init__(
+        self,
+        space: Space,
+        basis: SeriesBasis,
+        criterion: Criterion,
+        limits: Limits,
+        *,
+        spread: float = 0.0,
+    ) -> None:
         self.space, self.basis, self._criterion = space, basis, criterion
         self.nodes = nodes = max(_FEWEST_NODES, _NODES_PER_HARMONIC * basis.harmonics)
         time, self._fine = (
@@ -126,6 +136,7 @@ class Problem:
         self._tables = np.stack([basis.table(time, d) for d in range(3)], axis=1)  # (K, 3, m)
         n = space.n
         self._scale = space.scale
+        self._spread, self._price = Spread(basis, n), spread
         self._start_size = n if space.free_start else 0
         self.size = self._start_size + n * basis.size
         z = ca.SX.sym("z", 3 * n)
@@ -220,15 +231,21 @@ class Problem:
         start = x[:n] if self._start_size else np.zeros(n)
         return start, x[self._start_size :].reshape(n, self.basis.size).T * self._scale
 
-    def value(self, x: Array) -> float:
+    def criterion(self, x: Array) -> float:
         """The criterion."""
         w = self._outputs(x)[:, :6]
         return self._criterion(packed(w)) if np.isfinite(w).all() else np.nan
 
+    def value(self, x: Array) -> float:
+        """What is minimised."""
+        return self.criterion(x) + self._price * self._spread(x[self._start_size :])
+
     def gradient(self, x: Array) -> tuple[float, Array]:
-        """Criterion and its gradient."""
+        """What is minimised, and its gradient."""
         found = self._derivatives(x)
-        return found.value, found.by_moments @ found.moments
+        gradient = found.by_moments @ found.moments
+        gradient[self._start_size :] += self._price * self._spread.derivatives(x[self._start_size :])[0]
+        return self.value(x), gradient
 
     def constraints(self, x: Array, rows: Rows) -> Array:
         """Constraints (G,) of some rows: linear ones, then of the nodes, then over all nodes."""
@@ -271,6 +288,7 @@ class Problem:
         both = both * self._scale[:, None, None, None] * self._scale[:, None]
         s = self._start_size
         total[s:, s:] += both.reshape(self.size - s, -1)
+        total[s:, s:] += of_value * self._price * self._spread.derivatives(x[s:])[1]
         if s:
             cross = right[:, 0].sum(axis=0) * self._scale[:, None]  # (j, l, m)
             total[:s, s:] += cross.reshape(n, -1)
@@ -311,8 +329,8 @@ class Problem:
         by = np.concatenate([jacobian[:, :6], np.zeros((K, 1, self.size))], axis=1)
         half = (one.T @ by.reshape(K, -1)).reshape(7, 7, self.size)
         moments = (half + half.transpose(1, 0, 2))[PACKED]
-        value, first, second = self._criterion.derivatives(packed(w))
-        return _Derivatives(value, first, second, jacobian, moments)
+        _, first, second = self._criterion.derivatives(packed(w))
+        return _Derivatives(first, second, jacobian, moments)
 
 
 def _integration(nodes: int, period: float) -> Array:

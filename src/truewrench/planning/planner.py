@@ -13,7 +13,7 @@ from truewrench.log import Log
 from truewrench.motion.trajectory import SplineTwist
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.period import check_harmonics
-from truewrench.planning.prediction import HEAVIER, Prediction, predict
+from truewrench.planning.prediction import Prediction, predict
 from truewrench.planning.result import Design, Plan
 from truewrench.planning.search import Progress
 from truewrench.planning.twist_plan import design_twist
@@ -23,6 +23,7 @@ from truewrench.simulation.free_body import simulate
 
 __all__ = ["plan"]
 
+_BOUNDS = ("position", "velocity", "acceleration", "jerk", "workspace")
 _SIMULATED = 60.0  # [s] of a motion that repeats itself: the rest is more of the same
 
 
@@ -44,7 +45,8 @@ def plan(
         progress: is told what is being done, and the share of it that is done.
 
     Raises:
-        InputError: for a payload that the rig does not have, or settings that no motion can have.
+        InputError: for a payload that the rig does not have, settings that no motion can have, or a twist
+            that nothing bounds.
         UnsupportedError: for a combination that is not supported.
     """
     started = time.perf_counter()
@@ -55,6 +57,7 @@ def plan(
     if rig.motion.source == "imu":
         expected = "`twist` or `joints`: a motion is planned in these"
         raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
+    _check_limits(rig)
     if method == "optimal":
         check_harmonics(rig)
     design = _design(rig, name, method, criterion, tell)
@@ -62,6 +65,22 @@ def plan(
     moves = not design.obstacles and bool(np.abs(design.preview.twist).max() > 0.0)
     prediction = _predict(rig, name, design) if moves else None
     return Plan(rig, name, method, criterion, design, prediction, time.perf_counter() - started)
+
+
+def _check_limits(rig: Rig) -> None:
+    """Refuse a twist that nothing bounds: the sensor's range alone would let it go through any wall.
+
+    A URDF states the range and speed of its joints.
+
+    Raises:
+        InputError: naming the keys.
+    """
+    if rig.motion.source == "twist" and not any(getattr(rig.limits, key) for key in _BOUNDS):
+        expected = (
+            "`velocity` and `acceleration`, six numbers each, and what else bounds the motion: "
+            "`position`, `jerk`, `workspace`"
+        )
+        raise InputError.at(rig.path, "limits", "nothing that bounds the motion", expected)
 
 
 def _design(
@@ -94,5 +113,4 @@ def _predict(rig: Rig, payload: str, design: Design) -> Prediction:
         assert isinstance(motion, SplineJoints)
         return simulated_joints(nominal, payload, replace(motion, duration=span))
 
-    used = max(use.share for use in design.preview.usage if use.limit == "wrench")
-    return predict(rig, payload, simulated, span / duration, HEAVIER * used)
+    return predict(rig, payload, motion, design.preview, simulated, span / duration)

@@ -1,7 +1,9 @@
-"""What a planned motion promises: the sigma of every gain, before anything moves.
+"""What a planned motion promises, before anything moves: the Cramer-Rao sigma of every gain.
 
-The estimator itself is asked, with a log simulated at the rig's rates and noise: its covariance contains what
-is uncertain of motion, payload and clocks, and its windows are those that a real log would be cut into.
+A log is simulated at the rig's rates and noise, and the bound (docs/method.md, "The bound") taken of it: the
+motion has to be inferred from what measures it, and payload, clocks and gravity are as uncertain as the rig
+says. What follows the pose is added at the `discrepancy` that the rig states (10.10); where it is left to be
+found, nothing is, and how much of it the motion can hide is said instead.
 """
 
 from __future__ import annotations
@@ -13,21 +15,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration import Undetermined
-from truewrench.estimate.window_estimate import WindowEstimate
-from truewrench.estimate.windows import estimate_windows
-from truewrench.estimation.bound import bound
+from truewrench.calibration_parts import BlindTo, Undetermined
+from truewrench.estimation.bound import Information, information, oracle_rms
+from truewrench.estimation.pose import (
+    DelayShare,
+    PoseShare,
+    blind_to,
+    delay_share,
+    pooled_pose_share,
+    pose_about_mean,
+    pose_share,
+    with_pose,
+)
 from truewrench.log import Log
+from truewrench.motion.trajectory import SplineTwist, Trajectory
+from truewrench.motion.trajectory_joint import JointTrajectory
+from truewrench.planning.check import Preview
 from truewrench.rig import PayloadSpec, Rig, SimulateSpec
 from truewrench.verdict import undetermined_directions
 
-__all__ = ["HEAVIER", "LONGER", "Prediction", "figures", "predict"]
+__all__ = ["HEAVIER", "LONGER", "POSE", "Prediction", "figures", "hidden", "predict"]
 
 Array = NDArray[np.float64]
 
 LONGER = (2, 5)
 HEAVIER = 2.0
-_FITTED = 0.95  # share of the samples in fitted windows below which a prediction is doubtful
+POSE = "pose"
+"""Source of uncertainty: what follows the pose."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,14 +51,15 @@ class Prediction:
     Attributes:
         std: (n, 6) 1 sigma of the normalised gain.
         gain_std: (n, 6) in raw units per N or N m.
-        oracle_rms: RMS over the normalised gains if the motion were known, payload and clocks exact.
-        bound_rms: if only payload and clocks were exact.
+        oracle_rms: RMS over the normalised gains if the motion were known, payload, clocks and gravity exact.
+        bound_rms: if only payload, clocks and gravity were exact.
         limited_by: RMS sigma that noise and each thing that is uncertain account for.
         longer: RMS sigma of records that many times as long.
         heavier_rms: RMS sigma with a payload of twice the mass and inertia moved alike.
         heavier_wrench: what it would use of the wrench limits, 1 is all.
         undetermined: directions that stay less certain than half of their prior.
-        fitted: share of the simulated samples in windows that fit.
+        pose: how much of the pose the motion can hide.
+        blind_to: what a record of this motion could not show.
     """
 
     std: Array
@@ -56,22 +71,31 @@ class Prediction:
     heavier_rms: float
     heavier_wrench: float
     undetermined: tuple[Undetermined, ...]
-    fitted: float
+    pose: PoseShare
+    blind_to: tuple[BlindTo, ...]
 
     @property
     def rms(self) -> float:
         """RMS over the normalised gains."""
         return rms(self.std)
 
-    @property
-    def doubtful(self) -> bool:
-        """Whether many samples of the simulated log were in windows that did not fit."""
-        return self.fitted < _FITTED
-
 
 def rms(std: Array) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(std))))
+
+
+def hidden(rig: Rig, motion: Trajectory | JointTrajectory, preview: Preview) -> tuple[PoseShare, DelayShare]:
+    """What of the pose, and of a delay, a planned motion can hide.
+
+    Of joints, the pose is position and rotation vector of the sensor about their mean.
+    """
+    wrench = preview.wrench / rig.sensor.range_array
+    if isinstance(motion, SplineTwist):
+        pose = pose_share(preview.time, motion.twist(preview.time), wrench)
+    else:
+        pose = pooled_pose_share([pose_about_mean(preview.p_root_sensor, preview.R_root_sensor)], [wrench])
+    return pose, delay_share(preview.time, wrench)
 
 
 def _ideal(rig: Rig) -> Rig:
@@ -91,65 +115,60 @@ def _with_heavier(rig: Rig, payload: str) -> Rig:
 
 
 def predict(
-    rig: Rig, payload: str, simulated: Callable[[Rig], Log], share: float, heavier_wrench: float
+    rig: Rig,
+    payload: str,
+    motion: Trajectory | JointTrajectory,
+    preview: Preview,
+    simulated: Callable[[Rig], Log],
+    share: float,
 ) -> Prediction:
-    """Simulate a log and ask the estimator how sure it would be.
+    """The bound on a log simulated without faults, and what no log of this motion could show.
 
     Args:
         rig: the rig.
         payload: that is carried.
+        motion: as planned.
+        preview: of it.
         simulated: log of an ideal rig that moves as planned.
         share: of the whole motion that the log holds; the rest repeats it.
-        heavier_wrench: use of the wrench limits by the heavier payload.
     """
-    nominal = _ideal(rig)
-    log = simulated(nominal)
-    estimate = estimate_windows(nominal, [log], "map")
-    known = bound(nominal, [log], nominal.sensor.nominal_gain_array)
-    std = np.sqrt(_variance(estimate, 1.0 / share)).reshape(-1, 6)
-    heavy = _with_heavier(nominal, payload)
-    heavy_estimate = estimate_windows(heavy, [simulated(heavy)], "map")
-    sensor = rig.sensor
-    covariance = estimate.normalised_covariance[: 6 * sensor.n, : 6 * sensor.n]
-    shrink = std.ravel() / np.sqrt(np.diag(covariance))
-    covariance = covariance * shrink[:, None] * shrink
-    sources = {name: rms(sigma) for name, sigma in estimate.contributions.items()}
-    if "noise" in sources:
-        sources["noise"] *= np.sqrt(share)
+    nominal, sensor = _ideal(rig), rig.sensor
+    pose, delay = hidden(rig, motion, preview)
+    known, wrenches = _told(nominal, simulated)
+    stated = 0.0 if sensor.discrepancy == "auto" else sensor.discrepancy
+
+    def sigma(told: Information, times: float) -> Array:
+        """(6n,) after so many records."""
+        prior = np.full(told.gains, sensor.gain_prior**2)
+        covariance = with_pose(told.covariance(times), pose, np.full(sensor.n, stated), prior)
+        return np.sqrt(np.diag(covariance))
+
+    std = sigma(known, 1.0 / share).reshape(-1, 6)
+    sources = {name: rms(of) for name, of in known.contributions(1.0 / share).items()}
+    if stated > 0.0:
+        before = np.diag(known.covariance(1.0 / share))
+        sources[POSE] = rms(np.sqrt(np.maximum(std.ravel() ** 2 - before, 0.0)))
+    heavier, _ = _told(_with_heavier(nominal, payload), simulated)
+    used = max(use.share for use in preview.usage if use.limit == "wrench")
     return Prediction(
         std=std,
         gain_std=std * sensor.channel_scale[:, None] / sensor.range_array,
-        oracle_rms=known.oracle_rms * np.sqrt(share),
-        bound_rms=known.rms * np.sqrt(share),
+        oracle_rms=oracle_rms(nominal, wrenches) * np.sqrt(share),
+        bound_rms=rms(np.sqrt(np.diag(known.known(1.0 / share)))),
         limited_by=sources,
-        longer={times: rms(np.sqrt(_variance(estimate, times / share))) for times in LONGER},
-        heavier_rms=rms(np.sqrt(_variance(heavy_estimate, 1.0 / share))),
-        heavier_wrench=heavier_wrench,
-        undetermined=undetermined_directions(covariance, sensor.gain_prior, sensor.channels),
-        fitted=_fitted(estimate, log),
+        longer={times: rms(sigma(known, times / share)) for times in LONGER},
+        heavier_rms=rms(sigma(heavier, 1.0 / share)),
+        heavier_wrench=HEAVIER * used,
+        undetermined=undetermined_directions(
+            known.covariance(1.0 / share), sensor.gain_prior, sensor.channels
+        ),
+        pose=pose,
+        blind_to=blind_to(pose, delay, ceiling=sensor.gain_prior),
     )
 
 
-def _variance(estimate: WindowEstimate, times: float) -> Array:
-    """(6n,) of the normalised gain after a record that many times as long.
-
-    What noise accounts for falls with the length; a longer record is not counted on to tell payload and
-    clock.
-    """
-    gains = estimate.gain.size
-    total = np.diag(estimate.normalised_covariance)[:gains]
-    if estimate.sources is None:
-        return np.asarray(total)
-    prior = estimate.sources.gain_prior**-2.0
-    noise = estimate.sources.noise
-    seen = np.maximum(1.0 / np.maximum(noise, np.finfo(np.float64).tiny) - prior, 0.0)
-    return np.asarray(np.maximum(total - noise, 0.0) + 1.0 / (times * seen + prior))
-
-
-def _fitted(estimate: WindowEstimate, log: Log) -> float:
-    samples = np.count_nonzero(np.isfinite(log.raw).all(axis=1))
-    used = sum(np.count_nonzero(np.isfinite(wrench).all(axis=1)) for wrench in estimate.wrench)
-    return float(used) / max(float(samples), 1.0)
+def _told(rig: Rig, simulated: Callable[[Rig], Log]) -> tuple[Information, list[Array]]:
+    return information(rig, [simulated(rig)], rig.sensor.nominal_gain_array)
 
 
 def figures(prediction: Prediction) -> dict[str, Any]:
@@ -164,4 +183,5 @@ def figures(prediction: Prediction) -> dict[str, Any]:
             "rms": prediction.heavier_rms,
             "wrench_percent": 100.0 * prediction.heavier_wrench,
         },
+        "A": prediction.pose.share,
     }

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration import Verdict
+from truewrench.calibration_parts import AXES, Verdict
 from truewrench.files import write_yaml
 from truewrench.io.joint_trajectory import write_joint_trajectory
 from truewrench.io.plans import joint_columns
 from truewrench.io.tables import write_table
-from truewrench.motion.trajectory import Trajectory, excitation_alpha
-from truewrench.motion.trajectory_joint import JointTrajectory
+from truewrench.motion.trajectory import SplineTwist, Trajectory, excitation_alpha
+from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.check import Preview
 from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures
@@ -27,6 +27,13 @@ __all__ = ["Design", "Plan"]
 Array = NDArray[np.float64]
 
 FORMAT = "truewrench-plan/1"
+_UNITS = {  # of forces' and moments' axes; joints turn, or their unit is not told
+    "position": ("m", "rad"),
+    "velocity": ("m/s", "rad/s"),
+    "acceleration": ("m/s^2", "rad/s^2"),
+}
+_MOST = 0.8  # share of the pose that a motion may hide without a word on it
+_ROWS = 12.0  # of the motion per period of its fastest frequency: a spline has three samples a coefficient
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,25 +132,64 @@ class Plan:
         if undetermined:
             words = dict.fromkeys(direction.words for direction in undetermined)
             reasons.append("the motion would not determine: " + "; ".join(words))
-        return Verdict(not reasons, tuple(reasons), undetermined)
+        blind = () if self.prediction is None else self.prediction.blind_to
+        return Verdict(not reasons, tuple(reasons), undetermined, blind)
+
+    @property
+    def fastest(self) -> float:
+        """Highest frequency of the series or of the sinusoids [Hz], 0 where nothing moves."""
+        facts = self.design.facts or {}
+        if "k" in facts:
+            return float(max(facts["k"]) / facts["tau"])
+        return float(facts.get("harmonics", 0.0) / self.design.period)
+
+    @property
+    def unlimited(self) -> dict[str, list[float]]:
+        """Largest values of what no limit holds back but the sensor's range, axis by axis or joint by joint.
+
+        Of `position` (the integral of the twist; not of joints, nor within a workspace), `velocity` and
+        `acceleration` those that neither rig nor URDF limits.
+        """
+        motion, time = self.design.motion, self.design.preview.time
+        limited = {use.limit for use in self.usage}
+        values: dict[str, Array] = {}
+        if isinstance(motion, SplineTwist):
+            values = {"velocity": motion.twist(time), "acceleration": motion.acceleration(time)}
+            if "workspace" not in limited:
+                values["position"] = motion.spline.antiderivative()(time)
+        elif isinstance(motion, SplineJoints):
+            values = {"velocity": motion.velocity(time), "acceleration": motion.acceleration(time)}
+        return {name: np.abs(x).max(axis=0).tolist() for name, x in values.items() if name not in limited}
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is no fault, but worth a look."""
         notes, found = list(self.design.notes), self.prediction
+        for name, reached in self.unlimited.items():
+            parts = [reached] if self.design.joints else [reached[:3], reached[3:]]
+            values = " and ".join(
+                f"{max(part):.3g} {unit}" for part, unit in zip(parts, _UNITS[name], strict=False)
+            )
+            notes.append(f"no limit of the {name} is stated: the motion reaches {values}")
         if found is not None and not found.undetermined:
             largest = float(found.std.max())
             if largest > self.rig.required:
                 channel, axis = np.unravel_index(int(np.argmax(found.std)), found.std.shape)
                 notes.append(
                     f"the largest sigma, {largest:.3g} of the gain of "
-                    f"{self.rig.sensor.channels[channel]} to {_AXES[axis]}, would exceed `required` "
+                    f"{self.rig.sensor.channels[channel]} to {AXES[axis]}, would exceed `required` "
                     f"({self.rig.required:g}): one record of this motion is not enough"
                 )
-        if found is not None and found.doubtful:
+        if found is not None and found.pose.share > _MOST and self.method == "optimal":
             notes.append(
-                f"only {100 * found.fitted:.0f} % of a simulated log fits: the rates of `simulate` are too "
-                "low for this motion, or the noise stated is too small; the prediction is doubtful"
+                f"the motion can hide {100 * found.pose.share:.0f} % of its pose: more `plan.harmonics` "
+                "would hide less, and `sensor.discrepancy: 0` states that nothing follows it"
+            )
+        rate = self.rig.simulate.rate
+        if self.fastest > rate / _ROWS:
+            notes.append(
+                f"`simulate.rate`, {rate:g} Hz, is too low for the {self.fastest:.3g} Hz of this motion: "
+                "the prediction is doubtful"
             )
         return tuple(notes)
 
@@ -165,12 +211,14 @@ class Plan:
                 "undetermined": [
                     {"direction": u.direction.tolist(), "words": u.words} for u in verdict.undetermined
                 ],
+                "blind_to": [asdict(blind) for blind in verdict.blind_to],
             },
             "predicted_rms": self.predicted_rms,
             "predicted_gain_std": None if found is None else found.gain_std.tolist(),
             "predicted_normalised_gain_std": None if found is None else found.std.tolist(),
             **({} if found is None else figures(found)),
             "alpha": self.alpha,
+            "unlimited": self.unlimited,
             "limits_used": [use.to_mapping() for use in self.usage],
             "rates": {"motion": self.rig.simulate.rate, "sensor": self.rig.simulate.sensor_rate},
             "notes": list(self.notes),
@@ -197,6 +245,3 @@ class Plan:
             ]
             write_joint_trajectory(written[-1], design.joints, design.columns["time_s"], *blocks)
         return written
-
-
-_AXES = ("fx", "fy", "fz", "mx", "my", "mz")

@@ -140,8 +140,8 @@ def search(
     best = _shrunk(best, lambda solution: check(motion_of(solution)))
     return Found(
         motion_of(best),
-        tuple(optimum.value for optimum in optima),
-        tuple(candidate.value for candidate in drawn),
+        tuple(optimum.criterion for optimum in optima),
+        tuple(sorted(candidate.criterion for candidate in drawn)),
         iterations + best.iterations,
     )
 
@@ -149,11 +149,12 @@ def search(
 def _shrunk(solution: Solution, check: Callable[[Solution], list[Usage]]) -> Solution:
     """The motion, a little smaller about its start, where it exceeds a limit by a little."""
     rest = check(_scaled(solution, 0.0))
-    for _ in range(_TRIES):
+    for k in range(_TRIES):
         size = _size_within(check(solution), rest)
         if size >= 1.0 or size < _SMALLEST:
             break
-        solution = _scaled(solution, size * (1.0 - _SPARE))
+        # where use falls more slowly than linearly, steps of the same share would never arrive
+        solution = _scaled(solution, max(1.0 - 2.0**k * (1.0 - size), _SMALLEST) * (1.0 - _SPARE))
     return solution
 
 

@@ -32,7 +32,8 @@ class Solution:
     Attributes:
         start: (n,).
         coefficients: (m, n).
-        value: the criterion.
+        value: of what is minimised.
+        criterion: of it, without the price of few frequencies.
         worst: largest use of a limit at the nodes; above 1 it is violated.
         iterations: that it took.
     """
@@ -40,12 +41,13 @@ class Solution:
     start: Array
     coefficients: Array
     value: float
+    criterion: float
     worst: float
     iterations: int = 0
 
     @property
     def merit(self) -> float:
-        """What the criterion would be of a motion made smaller until it keeps to the limits, about."""
+        """What its value would be, made smaller until it keeps to the limits, about."""
         return self.value + float(np.log(max(self.worst, 1.0)))
 
 
@@ -91,7 +93,7 @@ def candidates(
             worst = _worst(problem, x, every, lower, upper)
             if worst <= 1.0 + _FEASIBLE:
                 break
-        found.append(Solution(start, coefficients, problem.value(x), worst))
+        found.append(Solution(start, coefficients, problem.value(x), problem.criterion(x), worst))
     feasible = [motion for motion in found if motion.worst <= 1.0 + _FEASIBLE]
     if feasible:
         return sorted(feasible, key=lambda motion: motion.value)
@@ -131,7 +133,8 @@ def solve(
         if share.max() <= 1.0 + _FEASIBLE:
             break
     start, coefficients = problem.unpack(x)
-    return Solution(start, coefficients, problem.value(x), float(share.max()), motion.iterations + count)
+    worst, value = float(share.max()), problem.value(x)
+    return Solution(start, coefficients, value, problem.criterion(x), worst, motion.iterations + count)
 
 
 def _worst(problem: Problem, x: Array, rows: Rows, lower: Array, upper: Array) -> float:

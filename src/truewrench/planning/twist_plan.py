@@ -18,6 +18,7 @@ from truewrench.planning.period import cycles_of, plan_rows, typical_velocity
 from truewrench.planning.result import Design
 from truewrench.planning.search import Found, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
+from truewrench.planning.spread import spread_weight
 from truewrench.planning.twist_space import pose_space, pose_twist, twist_space
 from truewrench.rig import Rig
 
@@ -40,7 +41,7 @@ def design_twist(rig: Rig, payload: str, criterion: Literal["A", "D"], progress:
     scale = typical_velocity(reach, basis)
     space = pose_space(rig, payload, limits, scale) if placed else twist_space(rig, payload, scale)
     measure = Criterion(rig, settings.duration * rig.simulate.sensor_rate, criterion)
-    problem = Problem(space, basis, measure, limits)
+    problem = Problem(space, basis, measure, limits, spread=spread_weight(rig))
 
     def twist(motion: FourierMotion, time: Array) -> tuple[Array, Array]:
         return pose_twist(motion, time) if placed else (motion.velocity(time), motion.acceleration(time))
@@ -52,19 +53,8 @@ def design_twist(rig: Rig, payload: str, criterion: Literal["A", "D"], progress:
         return check_twist(rig, payload, limits, spline, basis.period, placed=placed).usage
 
     found = search(lambda _: problem, limits, settings.duration, check, settings.seed, progress)
-    notes = [] if rig.limits.velocity or rig.limits.acceleration else [_UNLIMITED]
-    return twist_design(
-        rig,
-        payload,
-        limits,
-        *twist(found.motion, plan_rows(rig)),
-        basis.period,
-        notes=tuple(notes),
-        found=found,
-    )
-
-
-_UNLIMITED = "the rig limits neither velocity nor acceleration: only the sensor's range holds the motion back"
+    planned = twist(found.motion, plan_rows(rig))
+    return twist_design(rig, payload, limits, *planned, basis.period, found=found)
 
 
 def twist_design(

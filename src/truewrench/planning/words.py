@@ -33,6 +33,7 @@ def plan_words(plan: Plan) -> Iterator[RenderableType]:
     yield text
     if plan.prediction is not None:
         yield Text(_promise(plan))
+        yield Text(_hidden(plan))
         yield _sigma(plan)
     if plan.usage:
         yield _limits(plan)
@@ -55,6 +56,13 @@ def _promise(plan: Plan) -> str:
         f"Excitation alpha ([A00] 12): {plan.alpha['normalised']:.3g} s in units of range, "
         f"{plan.alpha['published']:.3g} in SI."
     )
+
+
+def _hidden(plan: Plan) -> str:
+    found = plan.prediction
+    assert found is not None
+    lines = "".join(f"\n  - {entry.words}" for entry in found.blind_to)
+    return f"What no residual of this motion would show (A = {found.pose.share:.2f}):{lines}"
 
 
 def _sigma(plan: Plan) -> RenderableType:

@@ -20,9 +20,15 @@ from truewrench.planning.sinusoids import Batch, Motions, integrated, without_dr
 from truewrench.planning.twist_plan import twist_design
 from truewrench.rig import PlanSpec, Rig
 
-__all__ = ["Sinusoids", "best_sinusoids", "design_wrench", "facts_of", "scaled", "twist_of"]
+__all__ = ["ONE_FREQUENCY", "Sinusoids", "best_sinusoids", "design_wrench", "facts_of", "scaled", "twist_of"]
 
 Array = NDArray[np.float64]
+
+ONE_FREQUENCY = (
+    "every axis has one frequency: what follows the pose (a cable), and a delay where force and moment share "
+    "theirs, would pass for gain; `optimal` motions have several"
+)
+"""What is to be known of the paper's motions."""
 
 _OFFSETS = ((0, 1, 2), (2, 1, 0), (1, 0, 2), (0, 2, 4))  # of the three integers
 _RATIOS = np.geomspace(0.1, 4.0, 6)  # of moment to force, each in units of what it may be alone
@@ -69,7 +75,10 @@ def design_wrench(rig: Rig, payload: str, progress: Progress) -> Design:
         if not best.feasible or max(use.share for use in design.preview.usage) <= 1.0:
             break
         best = scaled(best, _SHRINK)
-    notes = ["the motion neither starts nor ends at rest: it has to be led into its initial twist"]
+    notes = [
+        "the motion neither starts nor ends at rest: it has to be led into its initial twist",
+        ONE_FREQUENCY,
+    ]
     return replace(design, notes=tuple(notes), facts=facts_of(best))
 
 
