@@ -13,7 +13,7 @@ from truewrench import _core
 from truewrench.calibration import AXES, AxisImprovement, LogReport, Verdict
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimate.fits import chi_square_deviate
-from truewrench.estimate.reference import ReferenceEstimate, estimate_from_reference
+from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.temperature import at_reference_temperature
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 FOLDS = 5  # each row is held out once
 BLOCKS = 4 * FOLDS  # stretches of a log, held out in turns: rows of one load are alike, so they go together
 FEWEST = 2 * FOLDS  # rows
-FREEDOM = 3.0  # degrees of freedom of a channel's residuals
+FREEDOM = 3.0  # rows or plateaus beyond what the unknowns of a channel follow
 DEVIATE_OF_BLOCKS = 3.0  # of the mean difference of squares between the blocks: better or worse, not chance
 
 
@@ -63,8 +63,12 @@ def wrench_is_known(rig: Rig, logs: Sequence[Log], estimator: str) -> bool:
     return True
 
 
-def judge_known_wrench(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstimate) -> Verdict:
-    """The verdict on what reference wrenches say of the gain."""
+def judge_known_wrench(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate) -> Verdict:
+    """The verdict on what reference wrenches say of the gain.
+
+    Residuals are held against the stated noise, unless their errors last: the sizes found explain these, and
+    the notes say so.
+    """
     faults = [fault for fault in channel_faults(rig, logs) if fault.silent]
     silent = {fault.channel for fault in faults}
     reasons = [fault.words for fault in faults]
@@ -78,9 +82,10 @@ def judge_known_wrench(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstimat
             f"{estimate.contradicting} of {total} rows contradict the others by more than the stated noise: "
             "too many to be left out as outliers"
         )
-    if min(estimate.freedom) < FREEDOM:
+    if min(estimate.spare) < FREEDOM:
+        rows = "plateaus" if any(found.stepped for found in estimate.errors) else "rows"
         reasons.append(
-            "too few rows for their residuals to show a mistake: a few more than unknowns are needed"
+            f"too few {rows} for their residuals to show a mistake: a few more than unknowns are needed"
         )
     for i, (channel, total, freedom) in enumerate(
         zip(rig.sensor.channels, estimate.sum_of_squares, estimate.freedom, strict=True)
@@ -107,7 +112,7 @@ def judge_known_wrench(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstimat
 
 
 def compare_known_wrench(
-    rig: Rig, logs: Sequence[Log], estimate: ReferenceEstimate, held_out: bool
+    rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate, held_out: bool
 ) -> Comparison:
     """Corrected against reference wrench, by the nominal gain (tared) and by the new one.
 
@@ -129,7 +134,7 @@ def compare_known_wrench(
                 replace(log, raw=np.where((block % FOLDS == fold)[:, None], np.nan, log.raw))
                 for log, block in zip(logs, blocks, strict=True)
             ]
-            fitted = estimate_from_reference(rig, left)
+            fitted = estimate_from_known_wrench(rig, left, estimate.errors)
         for k, (log, block) in enumerate(zip(logs, blocks, strict=True)):
             out = (block % FOLDS == fold) & (block >= 0) if held_out else block >= 0
             before, after = _errors(rig, log, fitted, k, np.flatnonzero(out))
@@ -152,7 +157,7 @@ def compare_known_wrench(
     return Comparison(improvement, tuple(worse), figures)
 
 
-def known_wrench_figures(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstimate) -> dict[str, Any]:
+def known_wrench_figures(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate) -> dict[str, Any]:
     """What the calibration rests on."""
     sensor = rig.sensor
     posed = _core.conditioning(
@@ -161,6 +166,7 @@ def known_wrench_figures(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstim
     chi_square = (estimate.sum_of_squares / estimate.freedom).tolist()
     return {
         "rows": sum(rows.size for rows in estimate.rows),
+        "notes": _notes(rig, estimate),
         "chi_square": dict(zip(sensor.channels, chi_square, strict=True)),
         "condition_number": posed.condition_number,
         "departure_norm": posed.departure_norm,
@@ -173,12 +179,13 @@ def known_wrench_figures(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstim
     }
 
 
-def known_wrench_reports(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstimate) -> list[LogReport]:
+def known_wrench_reports(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate) -> list[LogReport]:
     """What each log contributed."""
     reports = []
     for k, log in enumerate(logs):
         masked = {
             "incomplete rows": int(estimate.incomplete[k]),
+            "between plateaus": int(estimate.between[k]),
             "contradict the other rows": estimate.outliers[k].size,
         }
         reports.append(
@@ -197,6 +204,29 @@ def known_wrench_reports(rig: Rig, logs: Sequence[Log], estimate: ReferenceEstim
     return reports
 
 
+def _notes(rig: Rig, estimate: KnownWrenchEstimate) -> list[str]:
+    """What was found of errors that last: of which channel, how large, for how long."""
+    notes = []
+    for found in estimate.errors:
+        if not found.last:
+            continue
+        total = np.sqrt(np.diag(estimate.row_noise[found.logs[0]])) / rig.sensor.channel_scale
+        listed = [
+            f"{name} {100 * sigma * np.sqrt(s.lasting / (s.white + s.lasting)):.2g}% for {s.time:.2g} s"
+            for name, sigma, s in zip(rig.sensor.channels, total, found.sizes, strict=True)
+            if s.lasting > 0.0
+        ]
+        low, high = (float(np.sqrt(limit([s.white for s in found.sizes]))) for limit in (min, max))
+        where = f" (log {', '.join(str(k + 1) for k in found.logs)})" if len(estimate.errors) > 1 else ""
+        beyond = ", beyond each plateau" if found.stepped else ""
+        notes.append(
+            f"errors of sensor and reference last{beyond}{where}, 1 sigma in fractions of range: "
+            f"{', '.join(listed)}; the white noise beside them is {low:.2g} to {high:.2g} x the stated one; "
+            "sigma rests on these sizes"
+        )
+    return notes
+
+
 def _blocks(size: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """(size,) which block each row belongs to, -1 for rows that are not used."""
     blocks = np.full(size, -1, dtype=np.int64)
@@ -205,7 +235,7 @@ def _blocks(size: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _errors(
-    rig: Rig, log: Log, fitted: ReferenceEstimate, k: int, out: NDArray[np.int64]
+    rig: Rig, log: Log, fitted: KnownWrenchEstimate, k: int, out: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Corrected minus reference wrench of rows, with the nominal and with the fitted gain, (M, 6) each."""
     assert log.reference is not None

@@ -24,9 +24,9 @@ from truewrench.estimate.fits import ENOUGH, fitted_share, mostly_unexplained
 from truewrench.estimate.least_squares import least_squares
 from truewrench.estimate.moving_offset import end_notes, jump_notes
 from truewrench.estimate.noise import hidden_delay, noise_figures, noise_notes
-from truewrench.estimate.reference import estimate_from_reference
 from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimation.bound import oracle_rms
+from truewrench.estimation.known_wrench import estimate_from_known_wrench
 from truewrench.evidence import Evidence
 from truewrench.known_wrench import (
     compare_known_wrench,
@@ -195,7 +195,7 @@ def _from_known_wrench(
 ) -> Calibration:
     report("estimating (reference wrenches)", None)
     clock = [time.perf_counter()]
-    estimate = estimate_from_reference(rig, logs)
+    estimate = estimate_from_known_wrench(rig, logs)
     clock.append(time.perf_counter())
     report("judging", None)
     verdict = judge_known_wrench(rig, logs, estimate)
@@ -216,6 +216,7 @@ def _from_known_wrench(
         estimate.covariance,
         replace(verdict, usable=not reasons, reasons=reasons),
         known_wrench_reports(rig, logs, estimate),
+        assumed=estimate.findings,
         offset_temperature=estimate.offset_temperature,
         time_offset_std=rig.sensor.time_offset_prior,  # rows are synchronous: nothing was learnt of it
         improvement=compared.improvement,

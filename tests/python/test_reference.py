@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from truewrench.errors import InputError
-from truewrench.estimate.reference import ReferenceEstimate, estimate_from_reference
+from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.log import Log
 from truewrench.rig import Rig
 
@@ -115,7 +115,7 @@ def test_a_general_solver_over_all_wrenches_finds_the_same(n: int, offset_prior:
     rig = rig_of(1e-3, n, 1e-3 * ratio, offset_prior=offset_prior, gain_prior=0.2)
     gain, offset = truth_of(rig, 1)
     log = log_of(rig, wrenches(12), gain, offset, 1)
-    found = estimate_from_reference(rig, [log])
+    found = estimate_from_known_wrench(rig, [log])
     C, b, covariance = everything_fitted(rig, log, offset_prior == 0)
     std = np.sqrt(np.diag(found.covariance))
     assert found.converged
@@ -130,7 +130,7 @@ def test_a_general_solver_over_all_wrenches_finds_the_same(n: int, offset_prior:
         assert not std[6 * n :].any()
 
 
-def deviation(rig: Rig, found: ReferenceEstimate, gain: Array, offset: Array) -> tuple[Array, float]:
+def deviation(rig: Rig, found: KnownWrenchEstimate, gain: Array, offset: Array) -> tuple[Array, float]:
     """Normalised errors of gain and offset, and their NEES."""
     scale = rig.sensor.channel_scale
     error = np.append(
@@ -147,7 +147,7 @@ def test_errors_are_as_large_as_stated(snr: float, rows: int, rank: int) -> None
     nees, inside = [], []
     for seed in range(trials):
         gain, offset = truth_of(rig, seed)
-        found = estimate_from_reference(rig, [log_of(rig, wrenches(rows, seed, rank), gain, offset, seed)])
+        found = estimate_from_known_wrench(rig, [log_of(rig, wrenches(rows, seed, rank), gain, offset, seed)])
         error, squared = deviation(rig, found, gain, offset)
         nees.append(squared)
         inside.append(np.abs(error) < 1.96 * np.sqrt(np.diag(found.normalised_covariance)))
@@ -165,7 +165,7 @@ def test_noise_of_the_reference_does_not_shrink_the_gain() -> None:
     design = np.column_stack([log.reference / SPAN, np.ones(len(log.raw))])
     plain = np.linalg.lstsq(design, log.raw / SPAN)[0][:6].T
     assert np.diag(plain).mean() == pytest.approx(0.9, abs=0.005)
-    found = estimate_from_reference(rig, [log])
+    found = estimate_from_known_wrench(rig, [log])
     assert np.diag(found.gain).mean() == pytest.approx(1.0, abs=0.005)
     std = np.sqrt(np.diag(found.covariance))[:36]
     assert np.abs((found.gain - gain).ravel() / std).max() < 4.5
@@ -174,7 +174,7 @@ def test_noise_of_the_reference_does_not_shrink_the_gain() -> None:
 def test_loads_that_never_vary_alone_keep_the_prior() -> None:
     rig = rig_of(0.01)
     gain, offset = truth_of(rig, 3)
-    found = estimate_from_reference(rig, [log_of(rig, wrenches(2000, rank=3), gain, offset, 3)])
+    found = estimate_from_known_wrench(rig, [log_of(rig, wrenches(2000, rank=3), gain, offset, 3)])
     values = np.linalg.eigvalsh(found.normalised_covariance[:36, :36])
     assert np.count_nonzero(values > (0.5 * 0.3) ** 2) == 18
     np.testing.assert_allclose(np.sqrt(values[18:]), 0.3, rtol=1e-3)
@@ -185,11 +185,11 @@ def test_every_log_has_an_offset_of_its_own_unless_they_are_pooled() -> None:
     gain, _ = truth_of(rig, 4)
     offsets = 0.05 * SPAN * np.random.default_rng(4).normal(size=(3, 6))
     logs = [log_of(rig, wrenches(30, k), gain, offset, k) for k, offset in enumerate(offsets)]
-    found = estimate_from_reference(rig, logs)
+    found = estimate_from_known_wrench(rig, logs)
     assert np.abs((found.offsets - offsets) / found.offsets_std).max() < 4.5
     pooled = rig_of(1e-3, pool_offsets=True)
     same = [log_of(pooled, wrenches(30, k), gain, offsets[0], k) for k in range(3)]
-    found = estimate_from_reference(pooled, same)
+    found = estimate_from_known_wrench(pooled, same)
     assert np.ptp(found.offsets, axis=0).max() == 0.0
     assert np.abs((found.offsets[0] - offsets[0]) / found.offsets_std[0]).max() < 4.5
 
@@ -201,7 +201,7 @@ def test_an_offset_that_follows_temperature_is_told_from_the_gain() -> None:
     temperature = np.linspace(18.0, 31.0, 60)
     log = log_of(rig, wrenches(60), gain, offset, 5)
     log = replace(log, raw=log.raw + (temperature[:, None] - 20.0) * slope, temperature=temperature)
-    found = estimate_from_reference(rig, [log])
+    found = estimate_from_known_wrench(rig, [log])
     assert found.offset_temperature is not None
     np.testing.assert_allclose(found.offset_temperature, slope, atol=2e-4 * SPAN.max())
     assert np.abs((found.gain - gain).ravel() / np.sqrt(np.diag(found.covariance))[:36]).max() < 4.5
@@ -216,10 +216,10 @@ def test_a_weight_noted_wrongly_is_left_out_and_named(count: int) -> None:
     wrong = np.array([7, 21, 22])[:count]
     reference = log.reference.copy()
     reference[wrong, 2] += 9.81  # a kilogram
-    found = estimate_from_reference(rig, [replace(log, reference=reference)])
+    found = estimate_from_known_wrench(rig, [replace(log, reference=reference)])
     np.testing.assert_array_equal(found.outliers[0], wrong)
     assert found.contradicting == 0
-    without = estimate_from_reference(rig, [replace(log, raw=np.delete(log.raw, wrong, 0),
+    without = estimate_from_known_wrench(rig, [replace(log, raw=np.delete(log.raw, wrong, 0),
         reference=np.delete(log.reference, wrong, 0), time_ns=np.delete(log.time_ns, wrong))])  # fmt: skip
     np.testing.assert_allclose(found.gain, without.gain, rtol=1e-9, atol=1e-12)
 
@@ -228,7 +228,11 @@ def test_good_rows_are_not_taken_for_outliers() -> None:
     rig = rig_of(1e-3)
     gain, offset = truth_of(rig, 7)
     left_out = [
-        sum(map(len, estimate_from_reference(rig, [log_of(rig, wrenches(24, k), gain, offset, k)]).outliers))
+        sum(
+            map(
+                len, estimate_from_known_wrench(rig, [log_of(rig, wrenches(24, k), gain, offset, k)]).outliers
+            )
+        )
         for k in range(100)
     ]
     assert sum(left_out) <= 1
@@ -241,7 +245,7 @@ def test_many_contradicting_rows_are_kept_and_counted() -> None:
     assert log.reference is not None
     reference = log.reference.copy()
     reference[::4, 0] += 20.0
-    found = estimate_from_reference(rig, [replace(log, reference=reference)])
+    found = estimate_from_known_wrench(rig, [replace(log, reference=reference)])
     assert found.outliers[0].size == 0
     assert found.contradicting > 4
     assert (found.sum_of_squares / found.freedom).max() > 10.0
@@ -254,8 +258,8 @@ def test_rows_that_lack_a_side_are_counted_and_a_log_of_them_refused() -> None:
     assert log.reference is not None
     log.raw[3, 2] = np.nan
     log.reference[11] = np.nan
-    found = estimate_from_reference(rig, [log])
+    found = estimate_from_known_wrench(rig, [log])
     assert (found.incomplete[0], found.rows[0].size) == (2, 38)
     log.reference[:, 4] = np.nan
     with pytest.raises(InputError, match="no row with all raw channels"):
-        estimate_from_reference(rig, [log])
+        estimate_from_known_wrench(rig, [log])

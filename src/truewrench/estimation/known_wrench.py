@@ -1,0 +1,346 @@
+"""Gain and offsets from wrenches known from elsewhere, whose errors may last (METHOD 10.5).
+
+Rows are not independent: sensor and reference disagree in the same way for seconds. How large such errors
+are, and how long they last, is found (`wrench_errors`); the regression holds noise on both sides
+(`wrench_regression`); its covariance contains what is not known of the sizes. docs/method.md, section 12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.calibration_parts import Assumed
+from truewrench.errors import InputError
+from truewrench.estimation.lasting_errors import Spread, spread_of_sizes, whitened
+from truewrench.estimation.wrench_errors import (
+    Fit,
+    FoundErrors,
+    as_stated,
+    findings_of,
+    fit_with,
+    fit_with_found,
+    grouped_by,
+    parts_of,
+    residual_of,
+)
+from truewrench.estimation.wrench_regression import Problem
+from truewrench.estimation.wrench_rows import Rows, rows_by_kind
+from truewrench.log import Log
+from truewrench.rig import Rig
+
+__all__ = ["KnownWrenchEstimate", "WrenchInformation", "estimate_from_known_wrench"]
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrenchInformation:
+    """What known wrenches alone say of gain and offsets, ready to be added to other information on them.
+
+    Parameters are normalised, C_ij range_j / R_i and b_i / R_i, R_i = |nominal_i| @ range: the gain row by
+    row (6n), the offset of each log or the one that they share (n each), then the offset's slope per K (n),
+    if any. With prior information Pi^-1 about theta_0 (and that of other records), the estimate solves
+    (matrix + Pi^-1) theta = vector + Pi^-1 theta_0, and its covariance is the inverse. It is linearised at
+    the estimate of known wrenches; what does not exist (an offset with a prior of 0) has zeros.
+
+    Attributes:
+        matrix: (P, P), P = 6n + n offsets (+ n).
+        vector: (P,).
+        offsets: how many offset vectors: 1 where logs share theirs.
+        slope: whether there is a slope with temperature.
+    """
+
+    matrix: Array
+    vector: Array
+    offsets: int
+    slope: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownWrenchEstimate:
+    """Gain and offsets by weighted total least squares, in SI and raw units.
+
+    Attributes:
+        gain: (n, 6).
+        covariance: (7n, 7n) of [gain row by row, offset of the last log].
+        normalised_covariance: the same, gain_ij range_j / scale_i and offset_i / scale_i.
+        offsets: (L, n), one per log.
+        offsets_std: (L, n).
+        offset_temperature: (n,) slope of the offset per K, None without a temperature column or prior.
+        converged: whether the iterations ended below their tolerance.
+        iterations: how many.
+        rows: per log, the rows with all channels and the whole reference that were used.
+        incomplete: (L,) rows that lack a channel, a component of the reference or the temperature.
+        between: (L,) rows between plateaus, not used where errors last: what these do there is unknown.
+        outliers: per log, the rows that contradict all others and were left out.
+        contradicting: rows that would have been, had they not been too many.
+        squares: per log, of each used row: whitened residuals squared and summed, n but for what is fitted.
+        sum_of_squares: (n,) of each channel's whitened residuals, over the stated noise unless errors last.
+        freedom: (n,) degrees of freedom of it.
+        spare: (n,) how many rows, or plateaus, there are beyond what they determine.
+        errors: what was found of the errors, per kind of log.
+        row_noise: (L, n, n) covariance of raw - gain ref - offset of a row of each log, raw units.
+        information: what the rows alone say.
+        findings: what the estimate rests on beside the rig as stated.
+    """
+
+    gain: Array
+    covariance: Array
+    normalised_covariance: Array
+    offsets: Array
+    offsets_std: Array
+    offset_temperature: Array | None
+    converged: bool
+    iterations: int
+    rows: tuple[Integers, ...]
+    incomplete: Integers
+    between: Integers
+    outliers: tuple[Integers, ...]
+    contradicting: int
+    squares: tuple[Array, ...]
+    sum_of_squares: Array
+    freedom: Array
+    spare: Array
+    errors: tuple[FoundErrors, ...]
+    row_noise: Array
+    information: WrenchInformation
+    findings: tuple[Assumed, ...]
+
+
+def estimate_from_known_wrench(
+    rig: Rig, logs: Sequence[Log], errors: Sequence[FoundErrors] | None = None
+) -> KnownWrenchEstimate:
+    """Estimate one gain, an offset per log and its slope with temperature from wrenches known from elsewhere.
+
+    Rows are synchronous: raw channels and reference of a row belong together, and a time offset is not
+    estimated. Rows that contradict all others by more than chance are left out, one mis-noted weight, say.
+
+    Args:
+        rig: sensor with its priors, `reference_noise`; payloads and motion play no part.
+        logs: with reference columns.
+        errors: sizes to estimate with, from an estimate with the same kinds of log; None: they are found.
+
+    Raises:
+        InputError: for a log without a row that has both sides.
+    """
+    problem, complete, log_of = _problem(rig, logs)
+    assert rig.reference_noise is not None
+    kinds = rows_by_kind(
+        [log.time for log in logs],
+        [log.reference for log in logs if log.reference is not None],
+        complete,
+        np.array(rig.reference_noise),
+    )
+    stated = tuple(as_stated(rows, rig.sensor.n) for rows in kinds)
+    fit = fit_with(problem, kinds, stated, np.ones(len(problem.raw), dtype=bool))
+    if errors is None:
+        fit = fit_with_found(problem, kinds, fit)
+    elif any(found.found for found in errors):
+        told = {found.stepped: found for found in errors}
+        fit = fit_with(problem, kinds, tuple(told.get(s.stepped, s) for s in stated), fit.used)
+    return _result(rig, logs, problem, complete, log_of, kinds, fit)
+
+
+def _problem(rig: Rig, logs: Sequence[Log]) -> tuple[Problem, list[Integers], Integers]:
+    """The rows of all logs that have both sides, which rows of each log these are, and whose each row is."""
+    sensor = rig.sensor
+    scale, span = sensor.channel_scale, sensor.range_array
+    with_slope = rig.temperature.prior > 0.0 and any(log.temperature is not None for log in logs)
+    raw, reference, departure, complete = [], [], [], []
+    for log in logs:
+        if log.reference is None or rig.reference_noise is None:
+            expected = "ref_fx ... ref_mz, and `reference_noise` in the rig"
+            raise InputError.at(log.path, "", "no reference wrench", expected)
+        needed = [log.raw, log.reference]
+        if with_slope:
+            if log.temperature is None:
+                raise InputError.at(log.path, "temperature", "no such column", "one in every log")
+            needed.append(log.temperature[:, None])
+            departure.append(log.temperature - rig.temperature.reference)
+        rows = np.flatnonzero(np.isfinite(np.column_stack(needed)).all(axis=1))
+        if rows.size == 0:
+            found = "no row with all raw channels and all of ref_fx ... ref_mz"
+            raise InputError.at(log.path, "", found, "at least one")
+        complete.append(rows)
+        raw.append(log.raw[rows] / scale)
+        reference.append(log.reference[rows] / span)
+    count = [rows.size for rows in complete]
+    log_of = np.repeat(np.arange(len(logs)), count)
+    offset_of = np.zeros_like(log_of) if sensor.pool_offsets else log_of
+    columns = (offset_of[:, None] == np.arange(offset_of[-1] + 1)).astype(np.float64)
+    mean = np.zeros((sensor.n, 6 + columns.shape[1] + with_slope))
+    mean[:, :6] = sensor.nominal_gain_array * span / scale[:, None]
+    std = np.full(mean.shape, sensor.gain_prior)
+    std[:, 6:] = (sensor.offset_prior_array / scale)[:, None]
+    if with_slope:
+        slope = np.concatenate([t[rows] for t, rows in zip(departure, complete, strict=True)])
+        columns = np.column_stack([columns, slope])
+        std[:, -1] = rig.temperature.prior
+    problem = Problem(
+        np.concatenate(raw),
+        np.concatenate(reference),
+        columns,
+        np.diag((sensor.noise_array / scale) ** 2),
+        np.diag((np.array(rig.reference_noise) / span) ** 2),
+        mean,
+        std,
+    )
+    return problem, complete, log_of
+
+
+def _result(
+    rig: Rig,
+    logs: Sequence[Log],
+    problem: Problem,
+    complete: Sequence[Integers],
+    log_of: Integers,
+    kinds: Sequence[Rows],
+    fit: Fit,
+) -> KnownWrenchEstimate:
+    """In SI and raw units."""
+    sensor, solution = rig.sensor, fit.solution
+    n, scale, span = sensor.n, sensor.channel_scale, sensor.range_array
+    size = problem.mean.shape[1]
+    spreads = _spreads(problem, kinds, fit)
+    whole = _with_spreads(solution.covariance, spreads, np.diag(solution.noise), problem.exists)
+    offset_of = np.zeros(len(logs), dtype=np.int64) if sensor.pool_offsets else np.arange(len(logs))
+    index = np.arange(n * size).reshape(n, size)
+    kept = np.concatenate([index[:, :6].ravel(), index[:, 6 + offset_of[-1]]])
+    normalised = whole[np.ix_(kept, kept)]
+    units = np.append((scale[:, None] / span).ravel(), scale)
+    std = np.sqrt(np.diag(whole)).reshape(n, size)
+    with_slope = size > 6 + offset_of[-1] + 1
+    squares, sums, places = _squares(problem, kinds, fit)
+    between = np.ones(fit.used.size, dtype=bool)
+    for own in grouped_by(kinds, fit.errors):
+        between[own.index] = False
+    taken = fit.used & ~between
+    count = np.bincount(log_of[taken], minlength=len(logs))
+    row_noise = np.empty((len(logs), n, n))
+    for found in fit.errors:
+        wider = np.sqrt([s.white + s.lasting for s in found.sizes]) * scale
+        row_noise[list(found.logs)] = solution.noise * np.outer(wider, wider)
+    rows = tuple(own[taken[log_of == k]] for k, own in enumerate(complete))
+    outliers = tuple(own[~fit.used[log_of == k]] for k, own in enumerate(complete))
+    return KnownWrenchEstimate(
+        gain=solution.parameters[:, :6] * scale[:, None] / span,
+        covariance=normalised * units[:, None] * units,
+        normalised_covariance=normalised,
+        offsets=(solution.parameters[:, 6 + offset_of] * scale[:, None]).T,
+        offsets_std=(std[:, 6 + offset_of] * scale[:, None]).T,
+        offset_temperature=solution.parameters[:, -1] * scale if with_slope else None,
+        converged=solution.converged,
+        iterations=solution.iterations,
+        rows=rows,
+        incomplete=np.array([len(log.raw) - len(own) for log, own in zip(logs, complete, strict=True)]),
+        between=np.bincount(log_of[between], minlength=len(logs)),
+        outliers=outliers,
+        contradicting=fit.contradicting,
+        squares=tuple(np.split(squares[taken], np.cumsum(count)[:-1])),
+        sum_of_squares=sums,
+        freedom=np.maximum(1.0, np.count_nonzero(taken) - solution.fitted),
+        spare=places - solution.fitted,
+        errors=fit.errors,
+        row_noise=row_noise,
+        information=_information(problem, solution.parameters, solution.information, whole, with_slope),
+        findings=findings_of(rig.sensor.channels, solution.noise, fit.errors, spreads, outliers),
+    )
+
+
+def _spreads(problem: Problem, kinds: Sequence[Rows], fit: Fit) -> list[list[Spread]]:
+    """Per kind of log and channel; empty where the noise is as stated."""
+    solution, stated = fit.solution, np.diag(fit.solution.noise)
+    n, size = problem.mean.shape
+    exists = problem.exists.reshape(n, size)
+    prior = problem.prior.reshape(n, size) * stated[:, None]
+    grouped = grouped_by(kinds, fit.errors)
+    parts = parts_of(problem, grouped, fit.errors, fit.used)
+    products = np.array(
+        [
+            [E.T @ E for E in (whitened(part.chain, s, Z)[0] for s in part.sizes)]
+            for part, Z in zip(parts, solution.designs, strict=True)
+        ]
+    )  # (kinds, n, size, size)
+    found = []
+    for k, (rows, part) in enumerate(zip(grouped, parts, strict=True)):
+        mask = fit.used[rows.index]
+        within = np.sum(rows.apart(residual_of(problem, rows, solution), mask) ** 2, axis=0) / stated
+        found.append(
+            [
+                spread_of_sizes(
+                    part.chain,
+                    solution.designs[k][:, own],
+                    solution.residuals[k][:, i] / np.sqrt(stated[i]),
+                    float(within[i]),
+                    part.sizes[i],
+                    np.diag(prior[i, own]) + (products[:, i].sum(axis=0) - products[k, i])[np.ix_(own, own)],
+                )
+                for i, own in enumerate(exists)
+            ]
+            if fit.errors[k].found
+            else []
+        )
+    return found
+
+
+def _with_spreads(
+    covariance: Array, spreads: Sequence[Sequence[Spread]], stated: Array, exists: NDArray[np.bool_]
+) -> Array:
+    """The covariance (n p, n p), and what not knowing the sizes of the errors adds to it."""
+    whole, size = covariance.copy(), len(exists) // len(stated)
+    for of_kind in spreads:
+        for i, spread in enumerate(of_kind):
+            own = i * size + np.flatnonzero(exists[i * size : (i + 1) * size])
+            whole[np.ix_(own, own)] += stated[i] * spread.covariance
+    return whole
+
+
+def _information(
+    problem: Problem, parameters: Array, information: Array, covariance: Array, slope: bool
+) -> WrenchInformation:
+    """Of the data alone: what the covariance says beyond the prior, gain first, then offset by offset."""
+    n, size = parameters.shape
+    exists, prior = problem.exists, problem.prior
+    sigma = prior[exists] ** -0.5
+    inner = np.linalg.inv(covariance[np.ix_(exists, exists)]) * sigma[:, None] * sigma
+    values, vectors = np.linalg.eigh(inner - np.eye(sigma.size))  # in units of the prior
+    matrix = np.zeros_like(information)
+    matrix[np.ix_(exists, exists)] = (vectors * np.maximum(values, 0.0)) @ vectors.T / np.outer(sigma, sigma)
+    pulled = np.where(exists, prior, 0.0) * (problem.mean - parameters).ravel()
+    vector = matrix @ parameters.ravel() - pulled
+    index = np.arange(n * size).reshape(n, size)
+    order = np.concatenate([index[:, :6].ravel(), index[:, 6:].T.ravel()])
+    return WrenchInformation(matrix[np.ix_(order, order)], vector[order], size - 6 - slope, slope)
+
+
+def _squares(problem: Problem, kinds: Sequence[Rows], fit: Fit) -> tuple[Array, Array, int]:
+    """Whitened squares (N,) of each row and (n,) of each channel; and the number of places."""
+    solution = fit.solution
+    stated = np.diag(solution.noise)
+    squares, sums, places = np.zeros(len(problem.raw)), np.zeros(len(stated)), 0
+    grouped = grouped_by(kinds, fit.errors)
+    parts = parts_of(problem, grouped, fit.errors, fit.used)
+    for kind, found, rows, part, v in zip(kinds, fit.errors, grouped, parts, solution.residuals, strict=True):
+        mask = fit.used[rows.index]
+        # of what was found, nobody knows how channels go together
+        inverse = np.diag(1.0 / stated) if found.found else np.linalg.inv(solution.noise)
+        E = np.column_stack(
+            [whitened(part.chain, s, x[:, None])[0] for s, x in zip(part.sizes, v.T, strict=True)]
+        )
+        white = np.sqrt([s.white for s in part.sizes])
+        within = rows.apart(residual_of(problem, rows, solution), mask) / white
+        count = rows.count(mask)
+        shared = np.zeros(count.size)
+        shared[count > 0.0] = np.sum(E @ inverse * E, axis=1) / count[count > 0.0]
+        squares[rows.index] = np.sum(within @ inverse * within, axis=1) + shared[rows.place]
+        # white noise of another size than stated is held against the stated one
+        size = 1.0 if found.last else np.array([s.white + s.lasting for s in part.sizes])
+        sums += size * (np.sum(E**2, axis=0) + np.sum(within**2, axis=0)) / stated
+        own = kind.together() if kind.stepped else rows.by_row()
+        places += int(np.count_nonzero(own.count(fit.used[own.index])))
+    return squares, sums, places
