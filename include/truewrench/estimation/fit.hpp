@@ -196,12 +196,12 @@ class Fit {
           }
         }
         for (int j = 0; j < s.components(); ++j)
-          sum += s.spline.smoothness(smoothness_order(logs_[l].log->source, j)).quadratic(s.c.col(j)) / z.q[j];
+          sum += s.spline.smoothness(smoothness_order(logs_[l].log->source, j)).quadratic(s.c, j) / z.q[j];
         if (z.form != Form::none) {
           const Penalty R = s.spline.discrepancy(z.k, z.form);
           for (int i = 0; i < n_; ++i) {
             const double delta = z.delta[raw_group(i, n_)];
-            sum += R.quadratic(s.e.col(i)) / (delta * delta);
+            sum += R.quadratic(s.e, i) / (delta * delta);
           }
         }
       }

@@ -57,7 +57,7 @@ inline double Fit::resize() {
       }
       for (int j = 0; j < s.components(); ++j) {
         const int p = smoothness_order(log.log->source, j);
-        energy[j] += s.spline.smoothness(p).quadratic(s.c.col(j));
+        energy[j] += s.spline.smoothness(p).quadratic(s.c, j);
         size[j] += static_cast<double>(s.spline.size() - p);
       }
       q_trace += t.q;
@@ -86,7 +86,7 @@ inline double Fit::resize() {
       const Penalty R = s.spline.discrepancy(z.k, z.form);
       for (int i = 0; i < n_; ++i) {
         const int r = raw_group(i, n_);
-        d_energy[r] += R.quadratic(s.e.col(i));
+        d_energy[r] += R.quadratic(s.e, i);
         d_size[r] += static_cast<double>(s.spline.size());
         d_trace[r] += R.inside.cwiseProduct(traces[s_].inside[static_cast<std::size_t>(i)]).sum() +
                       R.start.cwiseProduct(traces[s_].start[static_cast<std::size_t>(i)]).sum();
@@ -134,7 +134,7 @@ inline double Fit::resize_tau(LogFit& log, const std::vector<Traces>& traces) {
       R.start *= scale;
       for (int i = 0; i < n_; ++i) {
         const double delta = z.delta[raw_group(i, n_)];
-        sum += (R.quadratic(s.e.col(i)) + R.inside.cwiseProduct(traces[s_].inside[static_cast<std::size_t>(i)]).sum() +
+        sum += (R.quadratic(s.e, i) + R.inside.cwiseProduct(traces[s_].inside[static_cast<std::size_t>(i)]).sum() +
                 R.start.cwiseProduct(traces[s_].start[static_cast<std::size_t>(i)]).sum()) /
                (k3 * delta * delta);
       }

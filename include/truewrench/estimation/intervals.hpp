@@ -93,9 +93,8 @@ class Intervals {
       const double sigma = s.rig().noise[i] * sizes.raw_factor[raw_group(i, n)];
       information_[static_cast<std::size_t>(i)] = 1.0 / (sigma * sigma);
     }
-    body_ = departed(s.log().payload, theta.segment<kBodyParameters>(columns.body));
-    by_tilt_.setZero();
-    root_ = s.gravity() ? tilted(s.rig().gravity, theta.segment<2>(columns.tilt), by_tilt_) : Vector3(Vector3::Zero());
+    body_ = departed(s.log().payload, Stretch::body_of(columns, theta));
+    root_ = s.root_gravity(columns, theta, &by_tilt_);
     C_ = theta.data() + columns.C;
     u_ = theta.data() + columns.u;
     lagged_ = lagged.data();
@@ -155,52 +154,67 @@ class Intervals {
   void sample_jacobians(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, Eigen::Index k, double* J,
                         double* X) const {
     const RecordedLog& log = s.log();
-    const Eigen::Map<const Vector6> nu(s.now.nu.row(k).data()), a(s.now.a.row(k).data());
+    Vector6 nu, a, w;
     double scale[6];
-    Vector6 w;
     for (int r = 0; r < 6; ++r) {
+      nu[r] = s.now.nu(k, r);
+      a[r] = s.now.a(k, r);
       scale[r] = s.rig().sign / s.rig().range[r];
       w[r] = s.now.w(k, r) / scale[r];
     }
     MotionJacobian j = motion_jacobian(body_, log.point, nu);
-    const auto put = [&](int column, const Vector6& x) {
-      for (int r = 0; r < 6; ++r) X[r * nd + column] = scale[r] * x[r];
-    };
     const BodyJacobian by_body = body_jacobian(body_, nu, a, w);
     for (int c = 0; c < kBodyParameters; ++c)
       for (int r = 0; r < 6; ++r) X[r * nd + c] = scale[r] * by_body(r, c);
     int at = kBodyParameters;
     Vector3 g = Vector3::Zero();
     if (s.gravity()) {
+      const auto put = [&](const double* by) {  // a parameter of gravity
+        for (int r = 0; r < 6; ++r) X[r * nd + at] = scale[r] * (j.g(r, 0) * by[0] + j.g(r, 1) * by[1] + j.g(r, 2) * by[2]);
+        ++at;
+      };
       g = s.gravity_at(k, root_);
-      const Vector3 omega = nu.tail<3>(), alpha = a.tail<3>();
-      Eigen::Matrix<double, 3, 2> by_tilt = s.rotation_at(k) * by_tilt_;
-      if (columns.gamma >= 0) {  // of (10.5)
-        const double t = theta[columns.clock[0]], kappa = theta[columns.clock[0] + 1], gamma = theta[columns.gamma];
-        const Vector3 first = omega.cross(g), turn = omega.cross(first), spin = alpha.cross(g);
-        const Vector3 second = (1.0 - kappa) * turn + kappa * spin;
-        put(at, j.g * Vector3(gamma * (first + 2.0 * t * second)));
-        put(at + 1, j.g * Vector3(gamma * t * t * (spin - turn)));
-        put(at + 2, j.g * Vector3(t * first + t * t * second));
-        at += 3;
-        for (int c = 0; c < 2; ++c) {
-          const Vector3 x = by_tilt.col(c), o = omega.cross(x);
-          by_tilt.col(c) = x + gamma * (t * o + t * t * ((1.0 - kappa) * omega.cross(o) + kappa * alpha.cross(x)));
+      const Vector3 omega = angular(nu), alpha = angular(a);
+      const Matrix3 R = s.rotation_at(k);
+      const bool late = columns.gamma >= 0;  // (10.5)
+      const double t = late ? theta[columns.clock[0]] : 0.0, kappa = late ? theta[columns.clock[0] + 1] : 0.0,
+                   gamma = late ? theta[columns.gamma] : 0.0;
+      if (late) {
+        const Vector3 first = cross(omega, g), turn = cross(omega, first), spin = cross(alpha, g);
+        double by[3][3];  // s, kappa, gamma
+        for (int i = 0; i < 3; ++i) {
+          const double second = (1.0 - kappa) * turn[i] + kappa * spin[i];
+          by[0][i] = gamma * (first[i] + 2.0 * t * second);
+          by[1][i] = gamma * t * t * (spin[i] - turn[i]);
+          by[2][i] = t * first[i] + t * t * second;
         }
-        j.nu.rightCols<3>() -= gamma * t * (j.g * cross_matrix(g));  // to first order in s
+        for (const auto& x : by) put(x);
       }
-      for (int c = 0; c < 2; ++c) put(at + c, j.g * Vector3(by_tilt.col(c)));
+      for (int c = 0; c < 2; ++c) {
+        const Vector3 x = product(R, Vector3(by_tilt_(0, c), by_tilt_(1, c), by_tilt_(2, c)));
+        const Vector3 first = cross(omega, x), turn = cross(omega, first), spin = cross(alpha, x);
+        double by[3];
+        for (int i = 0; i < 3; ++i) by[i] = x[i] + gamma * (t * first[i] + t * t * ((1.0 - kappa) * turn[i] + kappa * spin[i]));
+        put(by);
+      }
+      const Matrix3 turned = cross_matrix(g);
+      for (int r = 0; r < 6 && late; ++r)  // to first order in s
+        for (int c = 0; c < 3; ++c)
+          j.nu(r, 3 + c) -= gamma * t * (j.g(r, 0) * turned(0, c) + j.g(r, 1) * turned(1, c) + j.g(r, 2) * turned(2, c));
     }
     const int columns_of = orders * M;
     if (log.source == Source::mapped) {
-      const double* by = s.mapped.jacobian.row(k).data();  // (12, 3M)
-      const Eigen::Matrix<double, 6, 3> turn = j.g * cross_matrix(g);  // dR g = [g x] (angular part of d nu / d x') dx
+      const double* by = s.mapped.jacobian.data() + k * s.mapped.jacobian.cols();  // (12, 3M)
+      const Matrix3 turned = cross_matrix(g);  // dR g = [g x] (angular part of d nu / d x') dx
+      double turn[6][3];
+      for (int r = 0; r < 6; ++r)
+        for (int i = 0; i < 3; ++i) turn[r][i] = j.g(r, 0) * turned(0, i) + j.g(r, 1) * turned(1, i) + j.g(r, 2) * turned(2, i);
       for (int r = 0; r < 6; ++r)
         for (int c = 0; c < columns_of; ++c) {
           double sum = 0.0;
           for (int i = 0; i < 6; ++i) sum += j.nu(r, i) * by[i * columns_of + c] + j.a(r, i) * by[(6 + i) * columns_of + c];
           if (c < M && s.gravity())
-            for (int i = 0; i < 3; ++i) sum += turn(r, i) * by[(3 + i) * columns_of + M + c];
+            for (int i = 0; i < 3; ++i) sum += turn[r][i] * by[(3 + i) * columns_of + M + c];
           J[r * columns_of + c] = scale[r] * sum;
         }
       return;
@@ -239,7 +253,7 @@ class Intervals {
       double* J = jacobian_.data();
       sample_jacobians(s, columns, theta, k, J, X);
       for (int i = 0; i < 6 * OM; ++i) mean_[static_cast<std::size_t>(i)] += weight * J[i];
-      const double *w = s.now.w.row(k).data(), *cw = s.now.cw.row(k).data(), *residual = s.now.residual.row(k).data();
+      const double *w = s.now.w.data() + 6 * k, *cw = s.now.cw.data() + n * k, *residual = s.now.residual.data() + n * k;
       std::copy_n(w, 6, phi);
       phi[6] = 1.0;
       int at = 7;

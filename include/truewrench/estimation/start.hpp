@@ -81,7 +81,7 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l, int
         s.c.col(j) = x;
         const Eigen::MatrixXd inverse = H.inverse();
         const int p = smoothness_order(recorded.source, j);
-        const double bend = s.spline.smoothness(p).quadratic(s.c.col(j));
+        const double bend = s.spline.smoothness(p).quadratic(s.c, j);
         energy[j] += bend;
         trace[j] += banded_inner(R[s_][ju].a, inverse);
         size[j] += static_cast<double>(s.spline.size() - p);

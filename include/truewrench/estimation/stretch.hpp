@@ -46,6 +46,13 @@ struct Prediction {
   RowMatrix residual;  // (K, n), 0 where missing
 };
 
+// How many values of a row are there.
+inline int finite_in(const RowMatrix& m, Eigen::Index row) {
+  int count = 0;
+  for (Eigen::Index j = 0; j < m.cols(); ++j) count += std::isfinite(m(row, j)) ? 1 : 0;
+  return count;
+}
+
 class Stretch {
  public:
   Stretch() = default;
@@ -55,7 +62,7 @@ class Stretch {
     spline = Spline(begin - 0.5 * period, end - begin + period, h);
     for (Eigen::Index k = 0; k < log.time.size(); ++k) {
       if (log.time[k] < begin - 0.5 * period || log.time[k] > end + 0.5 * period) continue;
-      if (!log.raw.row(k).array().isFinite().any()) continue;
+      if (finite_in(log.raw, k) == 0) continue;
       raw.source.push_back(k);
     }
     const auto rows = static_cast<Eigen::Index>(raw.source.size());
@@ -69,22 +76,23 @@ class Stretch {
       double u = 0.0;
       raw.time[k] = log.time[at];
       raw.interval.push_back(spline.locate(raw.time[k], u));
-      raw.basis.push_back({spline.basis(u, 0), spline.basis(u, 1), spline.basis(u, 2)});
-      raw.value.row(k) = log.raw.row(at);
-      raw.channels[k] = static_cast<int>(raw.value.row(k).array().isFinite().count());
+      raw.basis.emplace_back();
+      spline.bases(u, 0, 3, raw.basis.back().data());
+      std::copy_n(log.raw.data() + at * n_, n_, raw.value.data() + k * n_);
+      raw.channels[k] = finite_in(raw.value, k);
     }
     for (const MotionStream& stream : log.motion) {
       MotionRows m;
       std::vector<Eigen::Index> at;
       for (Eigen::Index k = 0; k < stream.time.size(); ++k)
         if (stream.time[k] >= begin - 0.5 * period && stream.time[k] <= end + 0.5 * period &&
-            stream.value.row(k).array().isFinite().any())
+            finite_in(stream.value, k) > 0)
           at.push_back(k);
       m.time.resize(static_cast<Eigen::Index>(at.size()));
       m.value.resize(m.time.size(), M_);
       for (std::size_t k = 0; k < at.size(); ++k) {
         m.time[static_cast<Eigen::Index>(k)] = stream.time[at[k]];
-        m.value.row(static_cast<Eigen::Index>(k)) = stream.value.row(at[k]);
+        std::copy_n(stream.value.data() + at[k] * M_, M_, m.value.data() + static_cast<Eigen::Index>(k) * M_);
       }
       motion.push_back(std::move(m));
     }
@@ -118,41 +126,65 @@ class Stretch {
       std::array<RowMatrix, 3> x;
       for (std::size_t p = 0; p < 3; ++p) {
         x[p].resize(rows, M_);
-        for (Eigen::Index k = 0; k < rows; ++k) x[p].row(k) = value_at(k, p, c);
+        for (Eigen::Index k = 0; k < rows; ++k) value_at(k, p, c, x[p].data() + k * M_);
       }
       log_->map(raw.time, x[0], x[1], x[2], mapped);
       now.nu = mapped.nu;
       now.a = mapped.a;
       return;
     }
+    double x0[max_components], x1[max_components];
     for (Eigen::Index k = 0; k < rows; ++k) {
-      const Eigen::Matrix<double, 1, 6> x0 = value_at(k, 0, c), x1 = value_at(k, 1, c);
-      if (log_->source == Source::twist) {
-        now.nu.row(k) = x0;
-        now.a.row(k) = x1;
-      } else {  // IMU: a_s takes the place of vdot + Omega x v - g
-        now.nu.row(k) << 0.0, 0.0, 0.0, x0.tail<3>();
-        now.a.row(k) << x0.head<3>(), x1.tail<3>();
+      value_at(k, 0, c, x0);
+      value_at(k, 1, c, x1);
+      double *nu = now.nu.data() + 6 * k, *a = now.a.data() + 6 * k;
+      const bool imu = log_->source == Source::imu;  // a_s takes the place of vdot + Omega x v - g
+      for (int j = 0; j < 6; ++j) {
+        nu[j] = imu && j < 3 ? 0.0 : x0[j];
+        a[j] = imu && j < 3 ? x0[j] : x1[j];
       }
     }
   }
 
-  // A p-th derivative of splines at a raw sample.
-  Components value_at(Eigen::Index k, std::size_t p, const RowMatrix& coefficients) const {
+  // A p-th derivative of splines at a raw sample, to `out`.
+  void value_at(Eigen::Index k, std::size_t p, const RowMatrix& coefficients, double* out) const {
     const auto i = static_cast<std::size_t>(k);
-    return raw.basis[i][p].transpose() * coefficients.middleRows(raw.interval[i], kLocal);
+    combine(raw.basis[i][p].data(), raw.interval[i], coefficients, out);
+  }
+  Components value_at(Eigen::Index k, std::size_t p, const RowMatrix& coefficients) const {
+    Components out(coefficients.cols());
+    value_at(k, p, coefficients, out.data());
+    return out;
+  }
+  static void combine(const double* basis, Eigen::Index interval, const RowMatrix& coefficients, double* out) {
+    const Eigen::Index columns = coefficients.cols();
+    const double* x = coefficients.data() + interval * columns;
+    if (columns == 6) {
+      double sum[6] = {};
+      for (int l = 0; l < kLocal; ++l)
+        for (int j = 0; j < 6; ++j) sum[j] += basis[l] * x[6 * l + j];
+      std::copy_n(sum, 6, out);
+      return;
+    }
+    std::fill_n(out, columns, 0.0);
+    for (int l = 0; l < kLocal; ++l)
+      for (Eigen::Index j = 0; j < columns; ++j) out[j] += basis[l] * x[l * columns + j];
   }
 
   // Gravity in sensor axes without (10.5), and its derivative by the tilt.
-  Vector3 gravity_at(Eigen::Index k, const Vector3& root) const {
-    return rotation_at(k) * root;
-  }
+  Vector3 gravity_at(Eigen::Index k, const Vector3& root) const { return product(rotation_at(k), root); }
   Matrix3 rotation_at(Eigen::Index k) const {
-    using Row = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-    if (log_->source == Source::mapped) return Eigen::Map<const Row>(mapped.R_sensor_root.row(k).data());
-    return Eigen::Map<const Row>(log_->R_sensor_root.row(raw.source[static_cast<std::size_t>(k)]).data());
+    const double* rows = log_->source == Source::mapped
+                             ? mapped.R_sensor_root.data() + 9 * k
+                             : log_->R_sensor_root.data() + 9 * raw.source[static_cast<std::size_t>(k)];
+    Matrix3 R;
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) R(i, j) = rows[3 * i + j];
+    return R;
   }
-  bool gravity() const { return rig_->gravity.squaredNorm() > 0.0 && log_->source != Source::imu; }
+  bool gravity() const {
+    return log_->source != Source::imu && (rig_->gravity[0] != 0.0 || rig_->gravity[1] != 0.0 || rig_->gravity[2] != 0.0);
+  }
 
  private:
   const RecordedLog* log_ = nullptr;
@@ -164,26 +196,33 @@ class Stretch {
     for (std::size_t i = 0; i < motion.size(); ++i) {
       MotionRows& m = motion[i];
       const int p = log_->motion[i].derivative;
-      const double s = theta[columns.clock[i]], kappa = theta[columns.clock[i] + 1];
+      const double s = theta[columns.clock[i]], kappa = theta[columns.clock[i] + 1], bend = (kappa - 0.5) * s * s;
       const int bias = columns.bias[i];
       const Eigen::Index rows = m.size();
       m.interval.resize(static_cast<std::size_t>(rows));
       m.basis.resize(rows, kLocal);
       for (RowMatrix* x : {&m.by_s, &m.by_kappa, &m.residual}) x->resize(rows, M_);
+      Basis b[4];
       for (Eigen::Index k = 0; k < rows; ++k) {
         double u = 0.0;
         const Eigen::Index at = spline.locate(m.time[k] + s, u);
         m.interval[static_cast<std::size_t>(k)] = at;
-        const Basis b0 = spline.basis(u, p), b1 = spline.basis(u, p + 1), b2 = spline.basis(u, p + 2),
-                    b3 = p + 3 <= kDegree5 ? spline.basis(u, p + 3) : Basis::Zero();
-        const auto local = c.middleRows(at, kLocal);
-        const Basis basis = b0 + (kappa - 0.5) * s * s * b2;
-        m.basis.row(k) = basis.transpose();
-        m.by_s.row(k) = (b1 + (kappa - 0.5) * (2.0 * s * b2 + s * s * b3)).transpose() * local;
-        m.by_kappa.row(k) = s * s * b2.transpose() * local;
-        m.residual.row(k) = m.value.row(k) - basis.transpose() * local;
-        if (bias >= 0) m.residual.row(k) -= theta.segment(bias, M_).transpose();
-        m.residual.row(k) = m.residual.row(k).array().isFinite().select(m.residual.row(k), 0.0);
+        spline.bases(u, p, 4, b);
+        double *basis = m.basis.data() + k * kLocal, by_s[kLocal], by_kappa[kLocal];
+        for (int l = 0; l < kLocal; ++l) {
+          basis[l] = b[0][l] + bend * b[2][l];
+          by_s[l] = b[1][l] + (kappa - 0.5) * (2.0 * s * b[2][l] + s * s * b[3][l]);
+          by_kappa[l] = s * s * b[2][l];
+        }
+        combine(by_s, at, c, m.by_s.data() + k * M_);
+        combine(by_kappa, at, c, m.by_kappa.data() + k * M_);
+        double* residual = m.residual.data() + k * M_;
+        combine(basis, at, c, residual);
+        const double* value = m.value.data() + k * M_;
+        for (int j = 0; j < M_; ++j) {
+          const double r = value[j] - residual[j] - (bias >= 0 ? theta[bias + j] : 0.0);
+          residual[j] = std::isfinite(r) ? r : 0.0;
+        }
       }
     }
   }
@@ -196,30 +235,37 @@ class Stretch {
     now.w.resize(rows, 6);
     now.cw.resize(rows, n_);
     now.residual.resize(rows, n_);
-    const Payload body = departed(log_->payload, theta.segment<kBodyParameters>(columns.body));
-    const Vector6 scale = rig_->sign * rig_->range.cwiseInverse();
-    const Eigen::Map<const RowMatrix> C(theta.data() + columns.C, n_, 6);
-    Eigen::Matrix<double, 3, 2> unused;
-    const Vector3 root = gravity() ? tilted(rig_->gravity, theta.segment<2>(columns.tilt), unused) : rig_->gravity;
+    const Payload body = departed(log_->payload, body_of(columns, theta));
+    const double *C = theta.data() + columns.C, *b = theta.data() + columns.b, *quadratic = theta.data() + columns.u;
+    const Vector3 root = root_gravity(columns, theta);
+    double d[max_components] = {};
     for (Eigen::Index k = 0; k < rows; ++k) {
-      const Vector6 nu = now.nu.row(k), a = now.a.row(k);
-      Vector3 g = Vector3::Zero();
+      const Eigen::Map<const Vector6> at_nu(now.nu.data() + 6 * k), at_a(now.a.data() + 6 * k);
+      const Vector6 nu = at_nu, a = at_a;
+      Vector3 g(0.0, 0.0, 0.0);
       if (gravity()) {
         g = gravity_at(k, root);
         if (columns.gamma >= 0) g = retarded(columns, theta, g, nu, a);
       }
-      now.g.row(k) = g;
-      const Vector6 w = scale.cwiseProduct(wrench_about(body, log_->point, nu, a, g));
-      now.w.row(k) = w;
-      now.cw.row(k) = w.transpose() * lagged.transpose();
-      auto r = now.residual.row(k);
-      r = raw.value.row(k) - w.transpose() * C.transpose() - theta.segment(columns.b, n_).transpose();
-      r.array() -= theta.segment(columns.u, n_).transpose().array() * now.cw.row(k).array().square();
-      for (std::size_t j = 0; j < columns.steps.size(); ++j)
-        if (raw.time[k] >= columns.step_times[j]) r -= theta.segment(columns.steps[j], n_).transpose();
-      if (columns.slope >= 0) r -= warmth(k) * theta.segment(columns.slope, n_).transpose();
-      if (discrepancy) r -= value_at(k, 0, e);
-      r = r.array().isFinite().select(r, 0.0);
+      const Vector6 wrench = wrench_about(body, log_->point, nu, a, g);
+      double *w = now.w.data() + 6 * k, *cw = now.cw.data() + n_ * k, *residual = now.residual.data() + n_ * k;
+      for (int j = 0; j < 3; ++j) now.g(k, j) = g[j];
+      for (int j = 0; j < 6; ++j) w[j] = rig_->sign / rig_->range[j] * wrench[j];
+      if (discrepancy) value_at(k, 0, e, d);
+      const double warm = columns.slope >= 0 ? warmth(k) : 0.0, *value = raw.value.data() + n_ * k;
+      for (int i = 0; i < n_; ++i) {
+        double sum = b[i], with = 0.0;
+        for (int j = 0; j < 6; ++j) {
+          sum += C[6 * i + j] * w[j];
+          with += lagged.data()[6 * i + j] * w[j];
+        }
+        cw[i] = with;
+        sum += quadratic[i] * with * with + d[i];
+        for (std::size_t j = 0; j < columns.steps.size(); ++j)
+          if (raw.time[k] >= columns.step_times[j]) sum += theta[columns.steps[j] + i];
+        if (columns.slope >= 0) sum += warm * theta[columns.slope + i];
+        residual[i] = std::isfinite(value[i]) ? value[i] - sum : 0.0;
+      }
     }
   }
 
@@ -227,11 +273,24 @@ class Stretch {
   static Vector3 retarded(const Columns& columns, const Eigen::VectorXd& theta, const Vector3& g, const Vector6& nu,
                           const Vector6& a) {
     const double s = theta[columns.clock[0]], kappa = theta[columns.clock[0] + 1], gamma = theta[columns.gamma];
-    const Vector3 omega = nu.tail<3>(), first = omega.cross(g);
-    return g + gamma * (s * first + s * s * ((1.0 - kappa) * omega.cross(first) + kappa * a.tail<3>().cross(g)));
+    const Vector3 first = cross(angular(nu), g), turn = cross(angular(nu), first), spin = cross(angular(a), g);
+    Vector3 out;
+    for (int i = 0; i < 3; ++i) out[i] = g[i] + gamma * (s * first[i] + s * s * ((1.0 - kappa) * turn[i] + kappa * spin[i]));
+    return out;
   }
 
  public:
+  static BodyVector body_of(const Columns& columns, const Eigen::VectorXd& theta) {
+    BodyVector out;
+    std::copy_n(theta.data() + columns.body, kBodyParameters, out.data());
+    return out;
+  }
+  // Gravity in the root frame, tilted.
+  Vector3 root_gravity(const Columns& columns, const Eigen::VectorXd& theta, Eigen::Matrix<double, 3, 2>* by_tilt = nullptr) const {
+    Eigen::Matrix<double, 3, 2> unused;
+    if (!gravity()) return rig_->gravity;
+    return tilted(rig_->gravity, Eigen::Vector2d(theta[columns.tilt], theta[columns.tilt + 1]), by_tilt ? *by_tilt : unused);
+  }
   double warmth(Eigen::Index k) const {
     const double t = log_->temperature.size() > 0 ? log_->temperature[raw.source[static_cast<std::size_t>(k)]] : 0.0;
     return std::isfinite(t) ? t : 0.0;

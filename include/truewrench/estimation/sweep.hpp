@@ -84,8 +84,8 @@ class Sweep {
         x[static_cast<std::size_t>(i)] = y / row[i];
       }
       for (int k = 0; k < kBlock; ++k) {
-        std::copy_n(x.data() + k * m_, M_, dc.row(kBlock * g + k).data());
-        if (d_) std::copy_n(x.data() + k * m_ + M_, n_, de.row(kBlock * g + k).data());
+        std::copy_n(x.data() + k * m_, M_, dc.data() + (kBlock * g + k) * M_);
+        if (d_) std::copy_n(x.data() + k * m_ + M_, n_, de.data() + (kBlock * g + k) * n_);
       }
     }
   }
@@ -249,14 +249,14 @@ class Sweep {
     const int gradient = 2 * Wp_ + nt_;
     for (int k = 0; k < kLocal; ++k)
       for (int l = 0; l < kLocal; ++l) {
-        const double *R = smoothness_.data() + (kLocal * l + k) * M_, *c = s.c.row(interval + l).data();
+        const double *R = smoothness_.data() + (kLocal * l + k) * M_, *c = s.c.data() + (interval + l) * M_;
         for (int j = 0; j < M_; ++j) at.row[k][j * ld_ + gradient] -= R[j] * c[j];
       }
     if (!d_) return;
     for (int k = 0; k < kLocal; ++k)
       for (int l = 0; l < kLocal; ++l) {
         const double R = discrepancy_.inside(k, l) + (interval == 0 ? discrepancy_.start(k, l) : 0.0);
-        const double* e = s.e.row(interval + l).data();
+        const double* e = s.e.data() + (interval + l) * n_;
         for (int i = 0; i < n_; ++i) {
           double* row = at.row[k] + (M_ + i) * ld_;
           const double x = delta_information_[static_cast<std::size_t>(i)] * R;
@@ -279,8 +279,8 @@ class Sweep {
     const int s_at = columns.clock[i], bias = columns.bias[i], theta = 2 * Wp_;
     Eigen::Index& k = motion_next_[i];
     for (; k < m.size() && m.interval[static_cast<std::size_t>(k)] == interval; ++k) {
-      const double *b = m.basis.row(k).data(), *by_s = m.by_s.row(k).data(), *by_kappa = m.by_kappa.row(k).data();
-      const double *value = m.value.row(k).data(), *residual = m.residual.row(k).data();
+      const double *b = m.basis.data() + k * kLocal, *by_s = m.by_s.data() + k * M_, *by_kappa = m.by_kappa.data() + k * M_;
+      const double *value = m.value.data() + k * M_, *residual = m.residual.data() + k * M_;
       double here[max_components], r[max_components], t0[max_components], t1[max_components];
       for (int j = 0; j < M_; ++j) {
         here[j] = std::isfinite(value[j]) ? 1.0 : 0.0;

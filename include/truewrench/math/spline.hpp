@@ -91,16 +91,23 @@ struct Penalty {
   Gram inside = Gram::Zero();
   Gram start = Gram::Zero();
 
-  // x^T R x for a component's coefficients.
-  template <typename Column>
-  double quadratic(const Column& x) const {
+  // x^T R x for column j of coefficients (N, columns).
+  double quadratic(const double* x, Eigen::Index size, Eigen::Index columns) const {
     double sum = 0.0;
-    for (Eigen::Index i = 0; i + kLocal <= x.size(); ++i) {
-      const Basis local = x.segment(i, kLocal);
-      sum += local.dot(inside * local);
+    for (Eigen::Index i = 0; i + kLocal <= size; ++i) {
+      double local[kLocal];
+      for (int k = 0; k < kLocal; ++k) local[k] = x[(i + k) * columns];
+      for (int l = 0; l < kLocal; ++l) {
+        double row = 0.0;
+        for (int k = 0; k < kLocal; ++k) row += (inside(k, l) + (i == 0 ? start(k, l) : 0.0)) * local[k];
+        sum += row * local[l];
+      }
     }
-    const Basis first = x.head(kLocal);
-    return sum + first.dot(start * first);
+    return sum;
+  }
+  template <typename Matrix>
+  double quadratic(const Matrix& c, int j) const {
+    return quadratic(c.data() + j, c.rows(), c.cols());
   }
 };
 
@@ -115,6 +122,7 @@ class Spline {
     const double blocks = std::ceil(duration / (kBlock * h) - 1e-9);
     blocks_ = std::max<Eigen::Index>(2, static_cast<Eigen::Index>(blocks));
     h_ = duration / static_cast<double>(intervals());
+    for (std::size_t p = 1; p < scale_.size(); ++p) scale_[p] = scale_[p - 1] / h_;
   }
 
   double begin() const { return begin_; }
@@ -135,16 +143,34 @@ class Spline {
 
   // B^(p) at a place of an interval [1 / s^p].
   Basis basis(double u, int p) const {
-    const Gram& polynomial = SplineTable::get().derivative[static_cast<std::size_t>(p)];
-    Basis value = polynomial.col(kLocal - 1);
-    for (int k = kLocal - 2; k >= 0; --k) value = value * u + polynomial.col(k);
-    return value * std::pow(h_, -p);
+    Basis out;
+    bases(u, p, 1, &out);
+    return out;
+  }
+
+  // B^(p), B^(p + 1) ... at a place, `count` of them.
+  void bases(double u, int p, int count, Basis* out) const {
+    for (int q = p; q < p + count; ++q) {
+      double* value = out[q - p].data();
+      if (q > kDegree5) {
+        std::fill_n(value, kLocal, 0.0);
+        continue;
+      }
+      const double* polynomial = SplineTable::get().derivative[static_cast<std::size_t>(q)].data();  // a column a power
+      const int power = kDegree5 - q;
+      double sum[kLocal];
+      for (int l = 0; l < kLocal; ++l) sum[l] = polynomial[kLocal * power + l];
+      for (int k = power - 1; k >= 0; --k)
+        for (int l = 0; l < kLocal; ++l) sum[l] = sum[l] * u + polynomial[kLocal * k + l];
+      for (int l = 0; l < kLocal; ++l) value[l] = sum[l] * scale_[static_cast<std::size_t>(q)];
+    }
   }
 
   Gram gram(int p, int q) const {
-    const auto a = static_cast<std::size_t>(p);
-    const auto b = static_cast<std::size_t>(q);
-    return SplineTable::get().gram[a][b] * std::pow(h_, 1 - p - q);
+    Gram out = SplineTable::get().gram[static_cast<std::size_t>(p)][static_cast<std::size_t>(q)];
+    const double scale = std::pow(h_, 1 - p - q);
+    for (int k = 0; k < kLocal * kLocal; ++k) out.data()[k] *= scale;
+    return out;
   }
 
   // R_p (10.1) of one interval.
@@ -163,23 +189,29 @@ class Spline {
 
   // R_M of (10.2), or that of a random walk (10.3), at k = 1 / tau.
   Penalty discrepancy(double k, Form form) const {
-    const Basis d0 = basis(0.0, 0);
-    const Basis d1 = basis(0.0, 1);
-    if (form == Form::walk) {  // int (d' + k d)^2 / (2 k) + d(0)^2
-      const double scale = 1.0 / (2.0 * k);
-      return {scale * (gram(1, 1) + k * (gram(1, 0) + gram(0, 1)) + k * k * gram(0, 0)), d0 * d0.transpose()};
-    }
-    const double scale = 1.0 / (4.0 * k * k * k);
-    return {scale * (gram(2, 2) + 2.0 * k * (gram(2, 1) + gram(1, 2)) +
-                     k * k * (4.0 * gram(1, 1) + gram(2, 0) + gram(0, 2)) +
-                     2.0 * k * k * k * (gram(1, 0) + gram(0, 1)) + k * k * k * k * gram(0, 0)),
-            d0 * d0.transpose() + d1 * d1.transpose() / (k * k)};
+    const Basis d0 = basis(0.0, 0), d1 = basis(0.0, 1);
+    const bool walk = form == Form::walk;
+    // of the products of derivatives [p][q]
+    const double walk_of[3][3] = {{k * k, k, 0.0}, {k, 1.0, 0.0}, {0.0, 0.0, 0.0}};  // int (d' + k d)^2 / (2 k) + d(0)^2
+    const double k2 = k * k, matern_of[3][3] = {{k2 * k2, 2.0 * k * k2, k2}, {2.0 * k * k2, 4.0 * k2, 2.0 * k}, {k2, 2.0 * k, 1.0}};
+    const double scale = walk ? 1.0 / (2.0 * k) : 1.0 / (4.0 * k * k2);
+    Penalty out;
+    for (int p = 0; p < 3; ++p)
+      for (int q = 0; q < 3; ++q) {
+        const Gram G = gram(p, q);
+        const double times = scale * (walk ? walk_of[p][q] : matern_of[p][q]);
+        for (int i = 0; i < kLocal * kLocal; ++i) out.inside.data()[i] += times * G.data()[i];
+      }
+    for (int i = 0; i < kLocal; ++i)
+      for (int j = 0; j < kLocal; ++j) out.start(i, j) = d0[i] * d0[j] + (walk ? 0.0 : d1[i] * d1[j] / k2);
+    return out;
   }
 
   double logdet(const Penalty& penalty) const { return repeated_logdet(penalty.inside, penalty.start, size()); }
 
  private:
   double begin_ = 0.0, h_ = 1.0;
+  std::array<double, kLocal> scale_{1.0, 1.0, 1.0, 1.0, 1.0, 1.0};  // h^-p
   Eigen::Index blocks_ = 2;
 
   // log det of the matrix that repeats `inside` along the diagonal and adds `start` at its beginning.
