@@ -21,7 +21,8 @@ Progress = Callable[[str, float | None], None]
 
 _ROUNDS = 6  # of tightening
 _SPARE = 1e-7  # of a limit
-_TRIES = 20
+_TRIES = 10
+_HALVINGS = 6  # of the step that led within the limits
 _SMALLEST = 0.8  # of the size found: smaller motions are not tried
 _LIVE = 0.7  # use of a limit by the best random motions from which on it is kept to from the start
 _LOOKED_AT = 5  # of these motions
@@ -125,9 +126,13 @@ def search(
         )
     best, tight = min(optima, key=lambda optimum: optimum.merit), limits
     iterations = sum(optimum.iterations for optimum in optima) - best.iterations
-    for k in range(_ROUNDS):
+    seen: list[tuple[float, Solution]] = []
+    for k in range(_ROUNDS + 1):
         usage = check(motion_of(best))
-        if _size_within(usage, check(motion_of(_scaled(best, 0.0)))) >= 1.0 - effort.excess:
+        size = _size_within(usage, check(motion_of(_scaled(best, 0.0))))
+        # sigma grows as the motion is made smaller until it keeps to the limits
+        seen.append((best.value - float(np.log(max(size, 1e-3))), best))
+        if size >= 1.0 - effort.excess or k == _ROUNDS:
             break
         progress("limits between the nodes", k / _ROUNDS)
         exceeded = {use.limit for use in usage if use.share > 1.0} & set(_KINDS)
@@ -137,25 +142,43 @@ def search(
         elif best.worst <= 1.0 + effort.excess:  # what the nodes keep to is exceeded between them
             tight = tight.tightened(usage)
         best = solve(problem, best, tight, iterations=effort.again, warm=True, rounds=effort.rounds)
+    iterations += best.iterations
+    best = min(seen, key=lambda found: found[0])[1]  # a round may end further from the limits than it began
     best = _shrunk(best, lambda solution: check(motion_of(solution)))
     return Found(
         motion_of(best),
         tuple(optimum.criterion for optimum in optima),
         tuple(sorted(candidate.criterion for candidate in drawn)),
-        iterations + best.iterations,
+        iterations,
     )
 
 
 def _shrunk(solution: Solution, check: Callable[[Solution], list[Usage]]) -> Solution:
-    """The motion, a little smaller about its start, where it exceeds a limit by a little."""
+    """The motion, smaller about its start where it exceeds a limit, as little as keeps to all of them.
+
+    As it is where it would have to be much smaller.
+    """
     rest = check(_scaled(solution, 0.0))
-    for k in range(_TRIES):
-        size = _size_within(check(solution), rest)
-        if size >= 1.0 or size < _SMALLEST:
+
+    def room(size: float) -> float:
+        """How much smaller still, as if use grew linearly; 0 where all limits hold."""
+        return 1.0 - _size_within(check(_scaled(solution, size)), rest)
+
+    low, high, more = 1.0, 1.0, room(1.0)
+    if more == 0.0:
+        return solution
+    for k in range(_TRIES):  # where use falls more slowly than linearly, equal steps would never arrive
+        low *= (1.0 - min(2.0**k * more, 1.0)) * (1.0 - _SPARE)
+        if low < _SMALLEST:
+            return solution
+        more = room(low)
+        if more == 0.0:
             break
-        # where use falls more slowly than linearly, steps of the same share would never arrive
-        solution = _scaled(solution, max(1.0 - 2.0**k * (1.0 - size), _SMALLEST) * (1.0 - _SPARE))
-    return solution
+        high = low
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if room(middle) == 0.0 else (low, middle)
+    return _scaled(solution, low)
 
 
 def _scaled(solution: Solution, size: float) -> Solution:

@@ -25,8 +25,8 @@ __all__ = ["ONE_FREQUENCY", "Sinusoids", "best_sinusoids", "design_wrench", "fac
 Array = NDArray[np.float64]
 
 ONE_FREQUENCY = (
-    "every axis has one frequency: what follows the pose (a cable), and a delay where force and moment share "
-    "theirs, would pass for gain; `optimal` motions have several"
+    "every force has one frequency, and the moment about its axis the same: a delay turns one into the other "
+    "and passes for gain, and so may what follows the pose (a cable); `optimal` motions have several"
 )
 """What is to be known of the paper's motions."""
 
