@@ -59,13 +59,13 @@ class Intervals {
   std::vector<int> dense_columns;  // (nd)
 
   // of the last call of sum_raw
-  std::vector<double> G;      // (ld a row) [B, B', (B'') ; f ; (C_0 w)^2]^T phi, weighted: rows 6 orders + nf + n
-  std::vector<double> XX;     // (nd, 16 a row ...) sum of X^T Q X
-  std::vector<double> left;   // (orders M, 6) J_w^T Q
+  std::vector<double> G;      // (6 orders + nf + 2 n, ld) weighted [B, B', (B'') ; f ; (C_0 w)^2 ; V^-1 r]^T phi
+  std::vector<double> XX;     // (nd, ldx) sum of X^T Q X
+  std::vector<double> left;   // (6, orders M) Q J_w
   std::vector<double> gx;     // (6, M) gradient of the motion
   std::vector<double> gd;     // (6, n) and of the discrepancy
   std::vector<double> gt;     // (nt) and of theta
-  int ldx = 16;               // a row of XX
+  int ldx = 16;
 
   void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged, const Sizes& sizes) {
     M = s.components();
@@ -99,7 +99,7 @@ class Intervals {
     u_ = theta.data() + columns.u;
     lagged_ = lagged.data();
     next_ = 0;
-    G.resize(static_cast<std::size_t>((6 * orders + nf + n) * ld + 8));
+    G.resize(static_cast<std::size_t>((6 * orders + nf + 2 * n) * ld + 8));
     XX.resize(static_cast<std::size_t>(nd * ldx + 8));
     left.resize(static_cast<std::size_t>(6 * orders * M));
     gx.resize(static_cast<std::size_t>(kLocal * M));
@@ -133,7 +133,7 @@ class Intervals {
   }
 
  private:
-  std::vector<double> information_, mean_, slope_, phi_, weights_, jacobian_, q_;
+  std::vector<double> information_, mean_, slope_, phi_, weights_, jacobian_, X_, q_;
   Payload body_;
   Vector3 root_ = Vector3::Zero();
   Eigen::Matrix<double, 3, 2> by_tilt_;
@@ -150,7 +150,7 @@ class Intervals {
     return true;
   }
 
-  // d w (fractions of range) by [x, x', x''] (6, orders M) and by the dense parameters (6, nd), row by row, at one sample.
+  // d w (fractions of range) by [x, x', x''] (6, orders M) and by the dense parameters (6, ldx), row by row, at one sample.
   void sample_jacobians(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, Eigen::Index k, double* J,
                         double* X) const {
     const RecordedLog& log = s.log();
@@ -165,12 +165,12 @@ class Intervals {
     MotionJacobian j = motion_jacobian(body_, log.point, nu);
     const BodyJacobian by_body = body_jacobian(body_, nu, a, w);
     for (int c = 0; c < kBodyParameters; ++c)
-      for (int r = 0; r < 6; ++r) X[r * nd + c] = scale[r] * by_body(r, c);
+      for (int r = 0; r < 6; ++r) X[r * ldx + c] = scale[r] * by_body(r, c);
     int at = kBodyParameters;
     Vector3 g = Vector3::Zero();
     if (s.gravity()) {
       const auto put = [&](const double* by) {  // a parameter of gravity
-        for (int r = 0; r < 6; ++r) X[r * nd + at] = scale[r] * (j.g(r, 0) * by[0] + j.g(r, 1) * by[1] + j.g(r, 2) * by[2]);
+        for (int r = 0; r < 6; ++r) X[r * ldx + at] = scale[r] * (j.g(r, 0) * by[0] + j.g(r, 1) * by[1] + j.g(r, 2) * by[2]);
         ++at;
       };
       g = s.gravity_at(k, root_);
@@ -229,65 +229,57 @@ class Intervals {
 
   // Rows of (10.3) at `rows_`.
   void sum_raw(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, RawSums& out) {
-    const int OM = orders * M, left_rows = kLocal * orders + nf + n, ldw = dense::padded(left_rows);
+    const int OM = orders * M, left_rows = kLocal * orders + nf + 2 * n, ldw = dense::padded(left_rows);
     const auto count = static_cast<int>(rows_.size());
     out.v = information_;
     for (int i = 0; i < n; ++i)
       if (!std::isfinite(s.raw.value(rows_[0], i))) out.v[static_cast<std::size_t>(i)] = 0.0;
     const double* v = out.v.data();
     phi_.assign(static_cast<std::size_t>(count * ld + 8), 0.0);
-    weights_.assign(static_cast<std::size_t>(count * ldw + 8), 0.0);
+    X_.resize(static_cast<std::size_t>(6 * count * ldx + 8));
+    weights_.resize(static_cast<std::size_t>(count * ldw + 8));
     jacobian_.resize(static_cast<std::size_t>(6 * OM));
     std::fill(mean_.begin(), mean_.end(), 0.0);
     std::fill(gx.begin(), gx.end(), 0.0);
     std::fill(gd.begin(), gd.end(), 0.0);
-    out.z.assign(static_cast<std::size_t>(n), 0.0);
-    double cw_mean[max_components] = {}, vr[max_components] = {}, z[3 * max_components];
+    double cw_mean[max_components] = {}, z[3 * max_components], by_dense[max_components] = {};
     double total = 0.0;
     for (int r = 0; r < count; ++r) {
       const Eigen::Index k = rows_[static_cast<std::size_t>(r)];
       const double weight = s.raw.weight[k];
       total += weight;
-      double* phi = phi_.data() + r * ld;
-      double* X = phi + nf + n;
-      double* J = jacobian_.data();
+      double *phi = phi_.data() + r * ld, *X = X_.data() + 6 * r * ldx, *J = jacobian_.data();
+      double *left_row = weights_.data() + r * ldw, *vr = left_row + kLocal * orders + nf + n;  // less what they weigh
       sample_jacobians(s, columns, theta, k, J, X);
-      for (int i = 0; i < 6 * OM; ++i) mean_[static_cast<std::size_t>(i)] += weight * J[i];
+      for (int c = 0; c < 6; ++c) std::copy_n(X + c * ldx, nd, phi + nf + n + c * nd);
+      dense::add(mean_.data(), weight, J, 6 * OM);
       const double *w = s.now.w.data() + 6 * k, *cw = s.now.cw.data() + n * k, *residual = s.now.residual.data() + n * k;
       std::copy_n(w, 6, phi);
       phi[6] = 1.0;
       int at = 7;
       if (columns.slope >= 0) phi[at++] = s.warmth(k);
       for (const double begin : columns.step_times) phi[at++] = s.raw.time[k] >= begin ? 1.0 : 0.0;
-      for (int i = 0; i < n; ++i) phi[nf + i] = cw[i] * cw[i];
       // the exact gradient: J^T V^-1 r
       double y[6] = {};
       for (int i = 0; i < n; ++i) {
+        phi[nf + i] = cw[i] * cw[i];
         cw_mean[i] += weight * cw[i];
-        vr[i] = weight * v[i] * residual[i];
-        out.z[static_cast<std::size_t>(i)] += vr[i];
-        const double twice = 2.0 * u_[i] * cw[i];
-        for (int c = 0; c < 6; ++c) y[c] += vr[i] * (C_[6 * i + c] + twice * lagged_[6 * i + c]);
-        const int* at_f = feature.data() + i * nf;
-        for (int x = 0; x < nf; ++x) gt[static_cast<std::size_t>(at_f[x])] += vr[i] * phi[x];
-        gt[static_cast<std::size_t>(columns.u + i)] += vr[i] * phi[nf + i];
-      }
-      for (int x = 0; x < nd; ++x) {
-        double sum = 0.0;
-        for (int c = 0; c < 6; ++c) sum += X[c * nd + x] * y[c];
-        gt[static_cast<std::size_t>(dense_columns[static_cast<std::size_t>(x)])] += sum;
+        const double x = weight * v[i] * residual[i];
+        vr[i] = -x;
+        dense::add<6>(y, x, C_ + 6 * i);
+        dense::add<6>(y, 2.0 * u_[i] * cw[i] * x, lagged_ + 6 * i);
       }
       std::fill_n(z, OM, 0.0);
-      for (int c = 0; c < 6; ++c)
-        for (int j = 0; j < OM; ++j) z[j] += J[c * OM + j] * y[c];
-      double* left_row = weights_.data() + r * ldw;  // less what they weigh: products below are subtracted
+      for (int c = 0; c < 6; ++c) {
+        dense::add(by_dense, y[c], X + c * ldx, nd);
+        dense::add(z, y[c], J + c * OM, OM);
+      }
       for (int p = 0; p < orders; ++p) {
         const Basis& b = s.raw.basis[static_cast<std::size_t>(k)][static_cast<std::size_t>(p)];
         for (int l = 0; l < kLocal; ++l) {
           left_row[kLocal * p + l] = -weight * b[l];
-          for (int j = 0; j < M; ++j) gx[static_cast<std::size_t>(l * M + j)] += b[l] * z[p * M + j];
-          if (p == 0)
-            for (int i = 0; i < n; ++i) gd[static_cast<std::size_t>(l * n + i)] += b[l] * vr[i];
+          dense::add(gx.data() + l * M, b[l], z + p * M, M);
+          if (p == 0) dense::add(gd.data() + l * n, -b[l], vr, n);
         }
       }
       for (int x = 0; x < nf + n; ++x) left_row[kLocal * orders + x] = -weight * phi[x];
@@ -298,6 +290,14 @@ class Intervals {
         slope_[static_cast<std::size_t>(6 * i + c)] = C_[6 * i + c] + 2.0 * u_[i] * (cw_mean[i] / total) * lagged_[6 * i + c];
     std::fill(G.begin(), G.end(), 0.0);
     dense::subtract(G.data(), ld, weights_.data(), 1, ldw, phi_.data(), ld, left_rows, ld, count);
+    out.z.resize(static_cast<std::size_t>(n));
+    for (int i = 0; i < n; ++i) {
+      const double* g = G.data() + (kLocal * orders + nf + n + i) * ld;
+      out.z[static_cast<std::size_t>(i)] = g[6];
+      for (int x = 0; x < nf; ++x) gt[static_cast<std::size_t>(feature[static_cast<std::size_t>(i * nf + x)])] += g[x];
+      gt[static_cast<std::size_t>(columns.u + i)] += g[nf + i];
+    }
+    for (int x = 0; x < nd; ++x) gt[static_cast<std::size_t>(dense_columns[static_cast<std::size_t>(x)])] += by_dense[x];
     sum_bases(s, out);
     finish_raw(s, out, count);
     out.weight = total;
@@ -330,27 +330,20 @@ class Intervals {
       for (int c = 0; c < 6; ++c) {
         const double x = slope_[static_cast<std::size_t>(6 * i + c)], y = x * out.v[static_cast<std::size_t>(i)];
         out.SV[static_cast<std::size_t>(c * n + i)] = y;
-        for (int h = 0; h < 6; ++h) Q[6 * c + h] -= y * slope_[static_cast<std::size_t>(6 * i + h)];
-        for (int j = 0; j < OM; ++j) out.J[static_cast<std::size_t>(i * OM + j)] += x * mean_[static_cast<std::size_t>(c * OM + j)];
+        dense::add<6>(Q + 6 * c, -y, slope_.data() + 6 * i);
+        dense::add(out.J.data() + i * OM, x, mean_.data() + c * OM, OM);
       }
     std::fill(left.begin(), left.end(), 0.0);
-    for (int j = 0; j < OM; ++j)
-      for (int c = 0; c < 6; ++c)
-        for (int h = 0; h < 6; ++h)
-          left[static_cast<std::size_t>(6 * j + h)] -= mean_[static_cast<std::size_t>(c * OM + j)] * Q[6 * c + h];
+    for (int h = 0; h < 6; ++h)
+      for (int c = 0; c < 6; ++c) dense::add(left.data() + h * OM, -Q[6 * h + c], mean_.data() + c * OM, OM);
     std::fill(XX.begin(), XX.end(), 0.0);
-    q_.resize(static_cast<std::size_t>(6 * ldx));
+    q_.assign(static_cast<std::size_t>(6 * count * ldx + 8), 0.0);
     for (int r = 0; r < count; ++r) {
-      const double* X = phi_.data() + r * ld + nf + n;
-      const double weight = s.raw.weight[rows_[static_cast<std::size_t>(r)]];
-      std::fill(q_.begin(), q_.end(), 0.0);
-      for (int c = 0; c < 6; ++c)
-        for (int h = 0; h < 6; ++h) {
-          const double y = weight * Q[6 * c + h];
-          for (int x = 0; x < nd; ++x) q_[static_cast<std::size_t>(c * ldx + x)] += y * X[h * nd + x];
-        }
-      dense::subtract(XX.data(), ldx, X, 1, nd, q_.data(), ldx, nd, ldx, 6);
+      double weighted[36];
+      for (int c = 0; c < 36; ++c) weighted[c] = -s.raw.weight[rows_[static_cast<std::size_t>(r)]] * Q[c];
+      dense::tile<6>(q_.data() + 6 * r * ldx, ldx, weighted, 6, 1, X_.data() + 6 * r * ldx, ldx, ldx, 6, nullptr, 0, dense::Solve::none);
     }
+    dense::subtract(XX.data(), ldx, X_.data(), 1, ldx, q_.data(), ldx, nd, ldx, 6 * count);
     out.basis.resize(static_cast<std::size_t>(kLocal * orders));
     for (int p = 0; p < orders; ++p)
       for (int l = 0; l < kLocal; ++l)

@@ -71,17 +71,18 @@ class Sweep {
 
   // The step of the coefficients that belongs to a step of theta.
   void back(const Eigen::VectorXd& step, RowMatrix& dc, RowMatrix& de) const {
-    std::vector<double> x(static_cast<std::size_t>(2 * W_), 0.0);  // of a block and the next
+    // x of a block and, from Wp on, the next; then - step, and 1 for the gradient: a row of a panel times it is what is left
+    std::vector<double> x(static_cast<std::size_t>(ld_), 0.0);
+    for (int k = 0; k < nt_; ++k) x[static_cast<std::size_t>(2 * Wp_ + k)] = step[k];
+    x[static_cast<std::size_t>(2 * Wp_ + nt_)] = -1.0;
     for (int g = blocks() - 1; g >= 0; --g) {
       const double* P = panel(g);
-      std::copy_n(x.begin(), W_, x.begin() + W_);
+      std::copy_n(x.begin(), W_, x.begin() + Wp_);
+      std::fill_n(x.begin(), W_, 0.0);
       for (int i = W_ - 1; i >= 0; --i) {
-        const double *row = P + i * ld_, *theta = row + 2 * Wp_;
-        double y = theta[nt_];
-        for (int k = 0; k < nt_; ++k) y -= theta[k] * step[k];
-        for (int k = 0; k < W_; ++k) y -= row[Wp_ + k] * x[static_cast<std::size_t>(W_ + k)];
-        for (int k = i + 1; k < W_; ++k) y -= row[k] * x[static_cast<std::size_t>(k)];
-        x[static_cast<std::size_t>(i)] = y / row[i];
+        const double* row = P + i * ld_;
+        const int from = i & ~7;  // x is 0 up to i
+        x[static_cast<std::size_t>(i)] = -dense::dot(row + from, x.data() + from, ld_ - from) / row[i];
       }
       for (int k = 0; k < kBlock; ++k) {
         std::copy_n(x.data() + k * m_, M_, dc.data() + (kBlock * g + k) * M_);
@@ -277,56 +278,65 @@ class Sweep {
     int first = 0;
     for (std::size_t before = 0; before < i; ++before) first += 2 + (columns.bias[before] >= 0 ? M_ : 0);
     const int s_at = columns.clock[i], bias = columns.bias[i], theta = 2 * Wp_;
+    // sums over the samples: [residual; by s; by kappa; 1], weighted, of each knot and component; and their products
+    double of_knot[kLocal][4 * max_components], of_theta[6][max_components];
+    for (auto& x : of_knot) std::fill_n(x, 4 * M_, 0.0);
+    for (auto& x : of_theta) std::fill_n(x, M_, 0.0);
+    double plain[3][max_components] = {};  // [residual; by s; by kappa], weighted: beside the bias
     Eigen::Index& k = motion_next_[i];
     for (; k < m.size() && m.interval[static_cast<std::size_t>(k)] == interval; ++k) {
       const double *b = m.basis.data() + k * kLocal, *by_s = m.by_s.data() + k * M_, *by_kappa = m.by_kappa.data() + k * M_;
       const double *value = m.value.data() + k * M_, *residual = m.residual.data() + k * M_;
-      double here[max_components], r[max_components], t0[max_components], t1[max_components];
+      double here[max_components], x[4 * max_components];
       for (int j = 0; j < M_; ++j) {
         here[j] = std::isfinite(value[j]) ? 1.0 : 0.0;
-        const double x = here[j] * v[j];
-        r[j] = x * residual[j];
-        t0[j] = x * by_s[j];
-        t1[j] = x * by_kappa[j];
-        tt(s_at, s_at) += t0[j] * by_s[j];
-        tt(s_at, s_at + 1) += t0[j] * by_kappa[j];
-        tt(s_at + 1, s_at + 1) += t1[j] * by_kappa[j];
-        tt(s_at, nt_) += r[j] * by_s[j];
-        tt(s_at + 1, nt_) += r[j] * by_kappa[j];
-        Eigen::MatrixXd& own = clock_tt_[i][static_cast<std::size_t>(group[j])];
-        own(first, first) += t0[j] * by_s[j];
-        own(first + 1, first) += t0[j] * by_kappa[j];
-        own(first, first + 1) += t0[j] * by_kappa[j];
-        own(first + 1, first + 1) += t1[j] * by_kappa[j];
-        if (bias < 0) continue;
-        tt(bias + j, bias + j) += x;
-        tt(s_at, bias + j) += t0[j];
-        tt(s_at + 1, bias + j) += t1[j];
-        tt(bias + j, nt_) += r[j];
-        own(first + 2 + j, first + 2 + j) += x;
-        for (const int y : {0, 1}) {
-          own(first + 2 + j, first + y) += y == 0 ? t0[j] : t1[j];
-          own(first + y, first + 2 + j) += y == 0 ? t0[j] : t1[j];
-        }
+        const double weight = here[j] * v[j];
+        x[j] = weight * residual[j];
+        x[M_ + j] = weight * by_s[j];
+        x[2 * M_ + j] = weight * by_kappa[j];
+        x[3 * M_ + j] = weight;
+        of_theta[0][j] += x[M_ + j] * by_s[j];
+        of_theta[1][j] += x[M_ + j] * by_kappa[j];
+        of_theta[2][j] += x[2 * M_ + j] * by_kappa[j];
+        of_theta[3][j] += x[j] * by_s[j];
+        of_theta[4][j] += x[j] * by_kappa[j];
+        of_theta[5][j] += weight;
+        for (int c = 0; c < 3; ++c) plain[c][j] += x[c * M_ + j];
       }
       for (int l = 0; l < kLocal; ++l) {
-        for (int h = l; h < kLocal; ++h) {
-          double* sum = sums + knot_pair(l, h) * M_;
-          const double bb = b[l] * b[h];
-          for (int j = 0; j < M_; ++j) sum[j] += bb * here[j];
-        }
-        for (int j = 0; j < M_; ++j) {
-          double *row = at.row[l] + j * ld_ + theta, *own = CF + (l * M_ + j) * nc_ + first;
-          row[nt_] += b[l] * r[j];
-          row[s_at] += b[l] * t0[j];
-          row[s_at + 1] += b[l] * t1[j];
-          own[0] += b[l] * t0[j];
-          own[1] += b[l] * t1[j];
-          if (bias < 0) continue;
-          row[bias + j] += b[l] * here[j] * v[j];
-          own[2 + j] += b[l] * here[j] * v[j];
-        }
+        dense::add(of_knot[l], b[l], x, 4 * M_);
+        for (int h = l; h < kLocal; ++h) dense::add(sums + knot_pair(l, h) * M_, b[l] * b[h], here, M_);
       }
+    }
+    for (int j = 0; j < M_; ++j) {
+      Eigen::MatrixXd& own = clock_tt_[i][static_cast<std::size_t>(group[j])];
+      const auto both = [&](int a, int c, double x) {  // of two of the stream's columns
+        own(first + a, first + c) += x;
+        if (a != c) own(first + c, first + a) += x;
+        tt((a < 2 ? s_at : bias - 2) + a, (c < 2 ? s_at : bias - 2) + c) += x;
+      };
+      both(0, 0, of_theta[0][j]);
+      both(0, 1, of_theta[1][j]);
+      both(1, 1, of_theta[2][j]);
+      tt(s_at, nt_) += of_theta[3][j];
+      tt(s_at + 1, nt_) += of_theta[4][j];
+      for (int l = 0; l < kLocal; ++l) {
+        double *row = at.row[l] + j * ld_ + theta, *cross = CF + (l * M_ + j) * nc_ + first;
+        const double* x = of_knot[l] + j;
+        row[nt_] += x[0];
+        for (int c = 0; c < 2; ++c) {
+          row[s_at + c] += x[(1 + c) * M_];
+          cross[c] += x[(1 + c) * M_];
+        }
+        if (bias < 0) continue;
+        row[bias + j] += x[3 * M_];
+        cross[2 + j] += x[3 * M_];
+      }
+      if (bias < 0) continue;
+      both(2 + j, 2 + j, of_theta[5][j]);
+      both(0, 2 + j, plain[1][j]);
+      both(1, 2 + j, plain[2][j]);
+      tt(bias + j, nt_) += plain[0][j];
     }
     for (int pair = 0; pair < kPairs; ++pair)
       for (int j = 0; j < M_; ++j) band[pair * M_ + j] += v[j] * sums[pair * M_ + j];
@@ -342,22 +352,33 @@ class Sweep {
         for (int q = 0; q < orders; ++q)
           for (int j = 0; j < M; ++j) {
             const double x = sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + p * M + j)];
-            double* row = T_.data() + ((p * 3 + q) * M + j) * M;
-            const double* J = sums.J.data() + i * OM + q * M;
-            for (int h = 0; h < M; ++h) row[h] += x * J[h];
+            dense::add<fixed>(T_.data() + ((p * orders + q) * M + j) * M, x, sums.J.data() + i * OM + q * M, M);
           }
     for (int k = 0; k < kLocal; ++k)
-      for (int l = k; l < kLocal; ++l)
+      for (int l = k; l < kLocal; ++l) {
+        double x[9];
         for (int p = 0; p < orders; ++p)
           for (int q = 0; q < orders; ++q) {
             const Gram& m = sums.m[order_pair[p][q]];
-            const double x = p <= q ? m(k, l) : m(l, k);
-            for (int j = 0; j < M; ++j) {
-              double* row = at.row[k] + j * ld_ + at.column[k][l];
-              const double* T = T_.data() + ((p * 3 + q) * M + j) * M;
-              for (int h = 0; h < M; ++h) row[h] += x * T[h];
-            }
+            x[p * orders + q] = p <= q ? m(k, l) : m(l, k);
           }
+        for (int j = 0; j < M; ++j) {
+          double* row = at.row[k] + j * ld_ + at.column[k][l];
+          const double* T = T_.data() + j * M;
+          if (fixed == 6 && orders == 2) {
+            dense::Lane a = *reinterpret_cast<const dense::Lane*>(row);
+            dense::Half b = *reinterpret_cast<const dense::Half*>(row + 4);
+            for (int pq = 0; pq < 4; ++pq) {
+              a += x[pq] * *reinterpret_cast<const dense::Lane*>(T + pq * M * M);
+              b += x[pq] * *reinterpret_cast<const dense::Half*>(T + pq * M * M + 4);
+            }
+            *reinterpret_cast<dense::Lane*>(row) = a;
+            *reinterpret_cast<dense::Half*>(row + 4) = b;
+          } else {
+            for (int pq = 0; pq < orders * orders; ++pq) dense::add<fixed>(row, x[pq], T + pq * M * M, M);
+          }
+        }
+      }
   }
 
   // H_xt of the motion, and its gradient.
@@ -369,16 +390,18 @@ class Sweep {
       std::fill_n(by_dense, M * sums_.ldx, 0.0);
       for (int p = 0; p < sums_.orders; ++p) {
         const double* G = sums_.G.data() + (kLocal * p + l) * ld;
-        dense::subtract(by_dense, sums_.ldx, sums_.left.data() + 6 * p * M, 6, 1, G + nf + n_, sums_.nd, M, sums_.ldx, 6);
-        for (int i = 0; i < n_; ++i) {
-          const double v = sums.v[static_cast<std::size_t>(i)], *J = sums.J.data() + i * OM + p * M;
-          const int* f = sums_.feature.data() + i * nf;
-          if (v == 0.0) continue;
+        dense::subtract(by_dense, sums_.ldx, sums_.left.data() + p * M, 1, OM, G + nf + n_, sums_.nd, M, sums_.ldx, 6);
+      }
+      for (int i = 0; i < n_; ++i) {
+        const double v = sums.v[static_cast<std::size_t>(i)];
+        const int* f = sums_.feature.data() + i * nf;
+        if (v == 0.0) continue;
+        for (int p = 0; p < sums_.orders; ++p) {
+          const double *J = sums.J.data() + i * OM + p * M, *G = sums_.G.data() + (kLocal * p + l) * ld;
           for (int j = 0; j < M; ++j) {
             double* row = at.row[l] + j * ld_ + 2 * Wp_;
             const double x = v * J[j];
-            double* gain = row + f[0];
-            for (int c = 0; c < 6; ++c) gain[c] += x * G[c];
+            dense::add<6>(row + f[0], x, G);
             for (int c = 6; c < nf; ++c) row[f[c]] += x * G[c];
             row[columns.u + i] += x * G[nf + i];
           }

@@ -15,6 +15,19 @@ namespace truewrench::dense {
 
 using Lane = double __attribute__((vector_size(32), aligned(8), may_alias));
 
+using Half = double __attribute__((vector_size(16), aligned(8), may_alias));
+
+// y += x v. Of six values when `fixed` is 6: as vectors, whatever a compiler fears of aliases.
+template <int fixed = 0>
+inline void add(double* __restrict y, double x, const double* __restrict v, int n = fixed) {
+  if constexpr (fixed == 6) {
+    *reinterpret_cast<Lane*>(y) += x * *reinterpret_cast<const Lane*>(v);
+    *reinterpret_cast<Half*>(y + 4) += x * *reinterpret_cast<const Half*>(v + 4);
+  } else {
+    for (int i = 0; i < n; ++i) y[i] += x * v[i];
+  }
+}
+
 enum class Solve { none, forward, backward };
 
 inline constexpr int tile_rows = 6;
