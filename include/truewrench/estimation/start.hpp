@@ -3,6 +3,7 @@
 
 #include "truewrench/estimation/fit.hpp"
 #include "truewrench/math/banded.hpp"
+#include "truewrench/math/dense.hpp"
 
 #include <algorithm>
 
@@ -10,45 +11,65 @@ namespace truewrench {
 
 // Fit the motion alone: coefficients, q and the factors of the motion's noise, with clocks and biases at their means; the
 // noise held for 8 steps, else q may end in a wrong optimum. Returns -2 log L (10.7) of the motion.
-inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l, int most = 80) {
+inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
+  constexpr int held = 8, most = 80;
   const RecordedLog& recorded = *log.log;
   const int M = recorded.components();
   const auto streams = recorded.motion.size();
   struct Rows {
     std::vector<Eigen::Index> interval;
     std::vector<Basis> basis;
-    std::vector<Banded> A;  // sum B B^T / stated^2, a component
-    RowMatrix b;            // (N, M)
+    Bands A;                // sum B B^T / stated^2
+    std::vector<double> b;  // (N + 5, lanes)
   };
-  std::vector<std::vector<Rows>> rows(log.stretches.size(), std::vector<Rows>(streams));
+  struct Work {
+    std::vector<Rows> rows;
+    Bands R, H, inverse;
+    std::vector<double> x;
+  };
+  std::vector<Work> work(log.stretches.size());
   std::vector<Eigen::VectorXd> count;
   for (std::size_t i = 0; i < streams; ++i) count.push_back(Eigen::VectorXd::Zero(log.sizes.motion_factor[i].size()));
-  std::vector<std::vector<Banded>> R(log.stretches.size());
+  double held_deviance = 0.0;  // what of (10.7) no size changes
   for (std::size_t s_ = 0; s_ < log.stretches.size(); ++s_) {
     const Stretch& s = log.stretches[s_];
+    Work& w = work[s_];
+    w.R = w.H = w.inverse = Bands(s.spline.size(), M);
+    const int lanes = w.R.lanes;
+    w.x.resize(static_cast<std::size_t>((s.spline.size() + kDegree5) * lanes));
     for (int j = 0; j < M; ++j) {
-      R[s_].emplace_back(s.spline.size());
-      const Gram local = s.spline.smoothness(smoothness_order(recorded.source, j)).inside;
-      for (Eigen::Index i = 0; i < s.spline.intervals(); ++i) R[s_].back().add(i, local);
+      const int p = smoothness_order(recorded.source, j);
+      const Gram local = s.spline.smoothness(p).inside;
+      held_deviance -= s.spline.smoothness_logdet(p);
+      for (Eigen::Index i = 0; i < s.spline.intervals(); ++i)
+        for (int k = 0; k < kLocal; ++k)
+          for (int h = 0; h <= k; ++h) w.R.at(i + h, k - h)[j] += local(k, h);
     }
+    w.rows.resize(streams);
     for (std::size_t i = 0; i < streams; ++i) {
       const MotionRows& m = s.motion[i];
       const MotionStream& stream = recorded.motion[i];
       const double late = layout.mean()[layout.log(l).global[static_cast<std::size_t>(layout.log(l).clock[i])]];
-      Rows& r = rows[s_][i];
-      r.A.assign(static_cast<std::size_t>(M), Banded(s.spline.size()));
-      r.b = RowMatrix::Zero(s.spline.size(), M);
+      Rows& r = w.rows[i];
+      r.A = Bands(s.spline.size(), M);
+      r.b.assign(w.x.size(), 0.0);
+      r.interval.resize(static_cast<std::size_t>(m.size()));
+      r.basis.resize(r.interval.size());
+      double v[max_components] = {}, y[max_components] = {};
       for (Eigen::Index k = 0; k < m.size(); ++k) {
         double u = 0.0;
-        r.interval.push_back(s.spline.locate(m.time[k] + late, u));
-        r.basis.push_back(s.spline.basis(u, stream.derivative));
-        const Gram outer = r.basis.back() * r.basis.back().transpose();
+        const auto ku = static_cast<std::size_t>(k);
+        const Eigen::Index at = r.interval[ku] = s.spline.locate(m.time[k] + late, u);
+        const Basis& b = r.basis[ku] = s.spline.basis(u, stream.derivative);
         for (int j = 0; j < M; ++j) {
-          if (!std::isfinite(m.value(k, j))) continue;
-          const double v = 1.0 / (stream.sigma[j] * stream.sigma[j]);
-          r.A[static_cast<std::size_t>(j)].add(r.interval.back(), v * outer);
-          r.b.col(j).segment(r.interval.back(), kLocal) += v * m.value(k, j) * r.basis.back();
-          count[i][stream.group[j]] += 1.0;
+          const bool here = std::isfinite(m.value(k, j));
+          v[j] = here ? 1.0 / (stream.sigma[j] * stream.sigma[j]) : 0.0;
+          y[j] = here ? v[j] * m.value(k, j) : 0.0;
+          count[i][stream.group[j]] += here ? 1.0 : 0.0;
+        }
+        for (int h = 0; h < kLocal; ++h) {
+          dense::add(r.b.data() + (at + h) * lanes, b[h], y, lanes);
+          for (int g = h; g < kLocal; ++g) dense::add(r.A.at(at + h, g - h), b[h] * b[g], v, lanes);
         }
       }
     }
@@ -61,68 +82,98 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l, int
     std::vector<Eigen::VectorXd> rss, used;
     for (const auto& f : z.motion_factor)
       for (auto* v : {&rss, &used}) v->push_back(Eigen::VectorXd::Zero(f.size()));
-    Eigen::VectorXd energy = Eigen::VectorXd::Zero(M), trace = energy, size = energy;
-    deviance = 0.0;
+    double energy[max_components] = {}, trace[max_components] = {}, size[max_components] = {};
     for (std::size_t s_ = 0; s_ < log.stretches.size(); ++s_) {
       Stretch& s = log.stretches[s_];
-      for (int j = 0; j < M; ++j) {
-        const auto ju = static_cast<std::size_t>(j);
-        Banded H(s.spline.size());
-        H.a = R[s_][ju].a / z.q[j];
-        Eigen::VectorXd x = Eigen::VectorXd::Zero(s.spline.size());
-        for (std::size_t i = 0; i < streams; ++i) {
-          const double f = z.motion_factor[i][recorded.motion[i].group[j]];
-          H.a += rows[s_][i].A[ju].a / (f * f);
-          x += rows[s_][i].b.col(j) / (f * f);
+      Work& w = work[s_];
+      const int lanes = w.R.lanes;
+      double weight[max_components], most_diagonal[max_components] = {};
+      for (int j = 0; j < lanes; ++j) weight[j] = j < M ? 1.0 / z.q[j] : 0.0;
+      for (std::size_t at = 0; at < w.R.a.size(); at += static_cast<std::size_t>(lanes))
+        for (int j = 0; j < lanes; ++j) w.H.a[at + static_cast<std::size_t>(j)] = weight[j] * w.R.a[at + static_cast<std::size_t>(j)];
+      std::fill(w.x.begin(), w.x.end(), 0.0);
+      for (std::size_t i = 0; i < streams; ++i) {
+        for (int j = 0; j < M; ++j) weight[j] = std::pow(z.motion_factor[i][recorded.motion[i].group[j]], -2.0);
+        for (std::size_t at = 0; at < w.R.a.size(); at += static_cast<std::size_t>(lanes))
+          for (int j = 0; j < lanes; ++j) w.H.a[at + static_cast<std::size_t>(j)] += weight[j] * w.rows[i].A.a[at + static_cast<std::size_t>(j)];
+        for (std::size_t at = 0; at < w.x.size(); at += static_cast<std::size_t>(lanes))
+          for (int j = 0; j < lanes; ++j) w.x[at + static_cast<std::size_t>(j)] += weight[j] * w.rows[i].b[at + static_cast<std::size_t>(j)];
+      }
+      for (Eigen::Index k = 0; k < w.H.size; ++k)
+        for (int j = 0; j < lanes; ++j) {
+          if (j >= M) w.H.at(k, 0)[j] = 1.0;
+          most_diagonal[j] = std::max(most_diagonal[j], w.H.at(k, 0)[j]);
         }
-        H.a.row(0).array() += 1e-14 * H.a.row(0).maxCoeff();  // where no sample lies for a few knots
-        if (!H.factor()) return std::nan("");
-        H.solve(x);
-        s.c.col(j) = x;
-        const Eigen::MatrixXd inverse = H.inverse();
+      for (Eigen::Index k = 0; k < w.H.size; ++k)  // where no sample lies for a few knots
+        for (int j = 0; j < lanes; ++j) w.H.at(k, 0)[j] += 1e-14 * most_diagonal[j];
+      if (!w.H.factor()) return std::nan("");
+      w.H.solve(w.x);
+      w.H.inverse(w.inverse);
+      w.R.inner(w.inverse, trace);
+      for (Eigen::Index k = 0; k < s.c.rows(); ++k) std::copy_n(w.x.data() + k * lanes, M, s.c.data() + k * M);
+      for (int j = 0; j < M; ++j) {
         const int p = smoothness_order(recorded.source, j);
-        const double bend = s.spline.smoothness(p).quadratic(s.c, j);
-        energy[j] += bend;
-        trace[j] += banded_inner(R[s_][ju].a, inverse);
+        energy[j] += s.spline.smoothness(p).quadratic(s.c, j);
         size[j] += static_cast<double>(s.spline.size() - p);
-        deviance += H.logdet() + bend / z.q[j] + static_cast<double>(s.spline.size() - p) * std::log(z.q[j]) -
-                    s.spline.smoothness_logdet(p);
-        for (std::size_t i = 0; i < streams; ++i) {
-          const MotionStream& stream = recorded.motion[i];
-          const MotionRows& m = s.motion[i];
-          const Rows& r = rows[s_][i];
+      }
+      for (std::size_t i = 0; i < streams; ++i) {
+        const MotionStream& stream = recorded.motion[i];
+        const MotionRows& m = s.motion[i];
+        const Rows& r = w.rows[i];
+        double squares[max_components] = {}, inner[max_components] = {}, value[max_components];
+        for (Eigen::Index k = 0; k < m.size(); ++k) {
+          const auto ku = static_cast<std::size_t>(k);
+          Stretch::combine(r.basis[ku].data(), r.interval[ku], s.c, value);
+          for (int j = 0; j < M; ++j) {
+            const double e = m.value(k, j) - value[j];
+            squares[j] += std::isfinite(e) ? e * e : 0.0;
+          }
+        }
+        r.A.inner(w.inverse, inner);
+        for (int j = 0; j < M; ++j) {
           const int group = stream.group[j];
           const double f = z.motion_factor[i][group];
-          double sum = 0.0, n = 0.0;
-          for (Eigen::Index k = 0; k < m.size(); ++k) {
-            if (!std::isfinite(m.value(k, j))) continue;
-            const auto ku = static_cast<std::size_t>(k);
-            const double e = m.value(k, j) - r.basis[ku].dot(x.segment(r.interval[ku], kLocal));
-            sum += e * e;
-            n += 1.0;
-          }
-          sum /= stream.sigma[j] * stream.sigma[j];
-          rss[i][group] += sum;
-          used[i][group] += banded_inner(r.A[ju].a, inverse) / (f * f);
-          deviance += sum / (f * f) + 2.0 * n * std::log(f * stream.sigma[j]);
+          rss[i][group] += squares[j] / (stream.sigma[j] * stream.sigma[j]);
+          used[i][group] += inner[j] / (f * f);
         }
       }
     }
+    // the sizes that follow, and (10.7) at those that stand
+    std::vector<Eigen::VectorXd> factor = z.motion_factor;
+    Eigen::VectorXd q = z.q;
     double move = 0.0;
-    if (iteration >= 8)
+    if (iteration >= held)
       for (std::size_t i = 0; i < streams; ++i)
         for (Eigen::Index r = 0; r < rss[i].size(); ++r) {
           if (count[i][r] <= 0.0) continue;
           const double to = std::sqrt(std::max(rss[i][r], 1e-12) / std::max(count[i][r] - used[i][r], 1e-3 * count[i][r]));
           move = std::max(move, 2.0 * std::abs(std::log(to / z.motion_factor[i][r])));
-          z.motion_factor[i][r] = to;
+          factor[i][r] = to;
         }
     for (int j = 0; j < M; ++j) {
       const double to = std::max(energy[j], 1e-16) / std::max(size[j] - trace[j] / z.q[j], 1.0);
       move = std::max(move, std::abs(std::log(to / z.q[j])));
-      z.q[j] *= std::clamp(to / z.q[j], 1e-3, 1e3);
+      q[j] *= std::clamp(to / z.q[j], 1e-3, 1e3);
     }
-    if (iteration > 8 && move < 1e-3) break;
+    const bool last = (iteration > held && move < 1e-3) || iteration + 1 == most;
+    if (last) {
+      deviance = held_deviance;
+      for (const Work& w : work)
+        for (Eigen::Index k = 0; k < w.H.size; ++k)
+          for (int j = 0; j < M; ++j) deviance -= 2.0 * std::log(w.H.at(k, 0)[j]);
+      for (int j = 0; j < M; ++j) deviance += energy[j] / z.q[j] + size[j] * std::log(z.q[j]);
+      for (std::size_t i = 0; i < streams; ++i) {
+        for (Eigen::Index r = 0; r < rss[i].size(); ++r) deviance += rss[i][r] / (z.motion_factor[i][r] * z.motion_factor[i][r]);
+        const MotionStream& stream = recorded.motion[i];
+        for (const Stretch& s : log.stretches)
+          for (Eigen::Index k = 0; k < s.motion[i].size(); ++k)
+            for (int j = 0; j < M; ++j)
+              if (std::isfinite(s.motion[i].value(k, j))) deviance += 2.0 * std::log(z.motion_factor[i][stream.group[j]] * stream.sigma[j]);
+      }
+    }
+    z.motion_factor = factor;
+    z.q = q;
+    if (last) break;
   }
   return deviance;
 }
@@ -134,84 +185,87 @@ inline void regress(Fit& fit, bool cauchy) {
   const Layout& layout = fit.layout();
   fit.predict();
   const auto logs = fit.logs().size();
-  std::vector<int> offset_of(logs);  // place in theta of the offset of each log
-  for (std::size_t l = 0; l < logs; ++l) offset_of[l] = layout.log(l).global[static_cast<std::size_t>(layout.log(l).b)];
-  std::vector<int> offsets = offset_of;
+  std::vector<int> offset_of, offsets;  // place in theta of the offset of each log
+  for (std::size_t l = 0; l < logs; ++l) offset_of.push_back(layout.log(l).global[static_cast<std::size_t>(layout.log(l).b)]);
+  offsets = offset_of;
   offsets.erase(std::unique(offsets.begin(), offsets.end()), offsets.end());
-  const auto m = static_cast<Eigen::Index>(offsets.size());
-  RowMatrix scale(static_cast<Eigen::Index>(logs), n);
+  const int m = static_cast<int>(offsets.size()), size = 6 + m;
+  struct Sample {  // unmasked
+    const double *w, *raw;
+    std::size_t log;
+    int column;  // of its offset
+    double weight;
+  };
+  std::vector<Sample> samples;
   for (std::size_t l = 0; l < logs; ++l)
-    for (int i = 0; i < n; ++i) scale(static_cast<Eigen::Index>(l), i) = fit.rig().noise[i];
-  const RowMatrix stated = scale;
-  std::vector<std::vector<double>> weight(logs);
-  for (std::size_t l = 0; l < logs; ++l)
-    for (const Stretch& s : fit.logs()[l].stretches) weight[l].resize(weight[l].size() + static_cast<std::size_t>(s.raw.size()), 1.0);
-  RowMatrix found = RowMatrix::Zero(n, 6 + m);
+    for (const Stretch& s : fit.logs()[l].stretches)
+      for (Eigen::Index k = 0; k < s.raw.size(); ++k)
+        if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
+          samples.push_back({s.now.w.data() + 6 * k, s.raw.value.data() + n * k, l,
+                             6 + static_cast<int>(std::find(offsets.begin(), offsets.end(), offset_of[l]) - offsets.begin()), 1.0});
+  std::vector<std::vector<double>> scale(logs);
+  for (auto& v : scale) v.assign(fit.rig().noise.data(), fit.rig().noise.data() + n);
+  std::vector<double> found(static_cast<std::size_t>(n * size)), sizes;  // [C, offsets] of each channel
+  const auto residual = [&](const Sample& s, int i) {
+    const double* x = found.data() + i * size;
+    double r = s.raw[i] - x[s.column];
+    for (int k = 0; k < 6; ++k) r -= x[k] * s.w[k];
+    return r;
+  };
   for (int round = 0; round < (cauchy ? 15 : 1); ++round) {
     for (int i = 0; i < n; ++i) {
-      Eigen::MatrixXd A = Eigen::MatrixXd::Zero(6 + m, 6 + m);
-      Eigen::VectorXd b = Eigen::VectorXd::Zero(6 + m);
+      Eigen::MatrixXd A = Eigen::MatrixXd::Zero(size, size), inverse;
+      Eigen::VectorXd b = Eigen::VectorXd::Zero(size);
       for (int k = 0; k < 6; ++k) A(k, k) = 1.0 / fit.prior[layout.C + 6 * i + k];
-      for (Eigen::Index o = 0; o < m; ++o) A(6 + o, 6 + o) = 1.0 / fit.prior[offsets[static_cast<std::size_t>(o)] + i];
-      const Vector6 nominal = fit.rig().nominal.row(i);
-      for (std::size_t l = 0; l < logs; ++l) {
-        const Eigen::Index o =
-            6 + std::distance(offsets.begin(), std::find(offsets.begin(), offsets.end(), offset_of[l]));
-        const double v = std::pow(scale(static_cast<Eigen::Index>(l), i), -2.0);
-        std::size_t row = 0;
-        for (const Stretch& s : fit.logs()[l].stretches)
-          for (Eigen::Index k = 0; k < s.raw.size(); ++k, ++row) {
-            if (s.raw.masked[static_cast<std::size_t>(k)] != 0 || !std::isfinite(s.raw.value(k, i))) continue;
-            const double x = v * weight[l][row];
-            const Vector6 w = s.now.w.row(k);
-            const double y = s.raw.value(k, i) - nominal.dot(w);
-            A.topLeftCorner<6, 6>() += x * w * w.transpose();
-            A.row(o).head<6>() += x * w.transpose();
-            A.col(o).head<6>() += x * w;
-            A(o, o) += x;
-            b.head<6>() += x * y * w;
-            b[o] += x * y;
-          }
+      for (int o = 0; o < m; ++o) A(6 + o, 6 + o) = 1.0 / fit.prior[offsets[static_cast<std::size_t>(o)] + i];
+      const double* nominal = fit.rig().nominal.data() + 6 * i;
+      for (const Sample& s : samples) {
+        if (!std::isfinite(s.raw[i])) continue;
+        const double v = scale[s.log][static_cast<std::size_t>(i)], x = s.weight / (v * v);
+        double y = s.raw[i];
+        for (int k = 0; k < 6; ++k) y -= nominal[k] * s.w[k];
+        for (int k = 0; k < 6; ++k) {
+          dense::add<6>(A.data() + k * size, x * s.w[k], s.w);
+          A(k, s.column) += x * s.w[k];
+        }
+        dense::add<6>(b.data(), x * y, s.w);
+        A(s.column, s.column) += x;
+        b[s.column] += x * y;
       }
-      found.row(i) = A.llt().solve(b);
-      found.row(i).head<6>() += nominal.transpose();
+      for (int o = 6; o < size; ++o)
+        for (int k = 0; k < 6; ++k) A(o, k) = A(k, o);
+      double logdet = 0.0;
+      if (!dense::invert(A, inverse, logdet)) return;
+      const Eigen::VectorXd x = dense::times(inverse, b);
+      for (int k = 0; k < size; ++k) found[static_cast<std::size_t>(i * size + k)] = x[k] + (k < 6 ? nominal[k] : 0.0);
     }
     if (!cauchy) break;
-    for (std::size_t l = 0; l < logs; ++l) {
-      const Eigen::Index o = 6 + std::distance(offsets.begin(), std::find(offsets.begin(), offsets.end(), offset_of[l]));
-      std::vector<Eigen::VectorXd> residuals;
-      std::vector<std::vector<double>> sizes(static_cast<std::size_t>(n));
-      for (const Stretch& s : fit.logs()[l].stretches)
-        for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
-          Eigen::VectorXd r = s.raw.value.row(k).transpose() - found.leftCols<6>() * s.now.w.row(k).transpose() - found.col(o);
-          for (int i = 0; i < n; ++i)
-            if (std::isfinite(r[i]) && s.raw.masked[static_cast<std::size_t>(k)] == 0)
-              sizes[static_cast<std::size_t>(i)].push_back(std::abs(r[i]));
-          residuals.push_back(std::move(r));
-        }
+    for (std::size_t l = 0; l < logs; ++l)
       for (int i = 0; i < n; ++i) {
-        auto& v = sizes[static_cast<std::size_t>(i)];
-        if (v.empty()) continue;
-        const auto middle = v.begin() + static_cast<std::ptrdiff_t>(v.size() / 2);
-        std::nth_element(v.begin(), middle, v.end());
-        scale(static_cast<Eigen::Index>(l), i) = std::max(1.48 * *middle, stated(static_cast<Eigen::Index>(l), i));
+        sizes.clear();
+        for (const Sample& s : samples)
+          if (s.log == l && std::isfinite(s.raw[i])) sizes.push_back(std::abs(residual(s, i)));
+        if (sizes.empty()) continue;
+        const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
+        std::nth_element(sizes.begin(), middle, sizes.end());
+        scale[l][static_cast<std::size_t>(i)] = std::max(1.48 * *middle, fit.rig().noise[i]);
       }
-      for (std::size_t row = 0; row < residuals.size(); ++row) {
-        double chi2 = 0.0;
-        int channels = 0;
-        for (int i = 0; i < n; ++i) {
-          if (!std::isfinite(residuals[row][i])) continue;
-          const double z = residuals[row][i] / scale(static_cast<Eigen::Index>(l), i);
-          chi2 += z * z;
-          ++channels;
-        }
-        weight[l][row] = (1.0 + channels) / (1.0 + chi2);
+    for (Sample& s : samples) {
+      double chi2 = 0.0;
+      int channels = 0;
+      for (int i = 0; i < n; ++i) {
+        if (!std::isfinite(s.raw[i])) continue;
+        const double z = residual(s, i) / scale[s.log][static_cast<std::size_t>(i)];
+        chi2 += z * z;
+        ++channels;
       }
+      s.weight = (1.0 + channels) / (1.0 + chi2);
     }
   }
   for (int i = 0; i < n; ++i) {
-    fit.theta.segment<6>(layout.C + 6 * i) = found.row(i).head<6>();
-    for (Eigen::Index o = 0; o < m; ++o) fit.theta[offsets[static_cast<std::size_t>(o)] + i] = found(i, 6 + o);
+    const double* x = found.data() + i * size;
+    std::copy_n(x, 6, fit.theta.data() + layout.C + 6 * i);
+    for (int o = 0; o < m; ++o) fit.theta[offsets[static_cast<std::size_t>(o)] + i] = x[6 + o];
   }
   if (!cauchy) return;
   for (std::size_t l = 0; l < logs; ++l) {
@@ -219,7 +273,7 @@ inline void regress(Fit& fit, bool cauchy) {
     factor.setZero();
     for (int i = 0; i < n; ++i) {
       double& f = factor[raw_group(i, n)];
-      f = std::max(f, scale(static_cast<Eigen::Index>(l), i) / stated(static_cast<Eigen::Index>(l), i));
+      f = std::max(f, scale[l][static_cast<std::size_t>(i)] / fit.rig().noise[i]);
     }
   }
 }

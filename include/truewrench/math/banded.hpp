@@ -1,68 +1,97 @@
-// A symmetric positive definite band of a component's coefficients: factor, solve, the band of its inverse.
+// Symmetric positive definite bands of the coefficients of several components, side by side so that vectors span components:
+// factor, solve, the band of the inverse.
 #pragma once
 
 #include "truewrench/math/spline.hpp"
 
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
 namespace truewrench {
 
-// Lower form: row i of `a` holds the i-th subdiagonal.
-class Banded {
+class Bands {
  public:
-  Eigen::MatrixXd a;
+  // Lower form: of coefficient j the diagonal and five subdiagonals, each of all components.
+  std::vector<double> a;
+  Eigen::Index size = 0;
+  int lanes = 0;  // components, to a multiple of 4
 
-  explicit Banded(Eigen::Index size = 0) : a(Eigen::MatrixXd::Zero(kLocal, size)) {}
-
-  void add(Eigen::Index at, const Gram& local) {
-    for (int k = 0; k < kLocal; ++k)
-      for (int l = 0; l <= k; ++l) a(k - l, at + l) += local(k, l);
+  Bands() = default;
+  Bands(Eigen::Index size_, int components) : size(size_), lanes((components + 3) & ~3) {
+    a.assign(static_cast<std::size_t>((size + kDegree5) * kLocal * lanes), 0.0);  // five more, so that no column is short
   }
 
-  // L L^T in place; false where it is not positive definite.
+  double* at(Eigen::Index j, int i) { return a.data() + (j * kLocal + i) * lanes; }
+  const double* at(Eigen::Index j, int i) const { return a.data() + (j * kLocal + i) * lanes; }
+
+  // L L^T in place; false where one is not positive definite. The diagonal holds 1 / L_jj.
   bool factor() {
-    const double twice = banded_logdet(a);
-    if (!std::isfinite(twice)) return false;
-    logdet_ = twice;
-    // banded_logdet leaves the squares of the pivots on the diagonal
-    a.row(0) = a.row(0).cwiseSqrt();
-    return true;
-  }
-  double logdet() const { return logdet_; }
-
-  void solve(Eigen::Ref<Eigen::VectorXd> x) const {
-    const Eigen::Index n = a.cols();
-    for (Eigen::Index j = 0; j < n; ++j) {
-      x[j] /= a(0, j);
-      for (Eigen::Index i = 1; i < kLocal && j + i < n; ++i) x[j + i] -= a(i, j) * x[j];
-    }
-    for (Eigen::Index j = n - 1; j >= 0; --j) {
-      for (Eigen::Index i = 1; i < kLocal && j + i < n; ++i) x[j] -= a(i, j) * x[j + i];
-      x[j] /= a(0, j);
-    }
-  }
-
-  // The band of (L L^T)^-1, in the same form (Takahashi).
-  Eigen::MatrixXd inverse() const {
-    const Eigen::Index n = a.cols();
-    Eigen::MatrixXd z = Eigen::MatrixXd::Zero(kLocal, n);
-    const auto at = [&z](Eigen::Index i, Eigen::Index j) -> double& { return i >= j ? z(i - j, j) : z(j - i, i); };
-    for (Eigen::Index j = n - 1; j >= 0; --j) {
-      const Eigen::Index last = std::min<Eigen::Index>(n - 1, j + kLocal - 1);
-      for (Eigen::Index i = last; i >= j; --i) {
-        double sum = i == j ? 1.0 / a(0, j) : 0.0;
-        for (Eigen::Index k = j + 1; k <= last; ++k) sum -= a(k - j, j) * at(i, k);
-        z(i - j, j) = sum / a(0, j);
+    bool positive = true;
+    for (Eigen::Index j = 0; j < size; ++j) {
+      double* column = at(j, 0);
+      for (int c = 0; c < lanes; ++c) {
+        positive = positive && column[c] > 0.0;
+        column[c] = 1.0 / std::sqrt(column[c]);
+      }
+      for (int i = 1; i < kLocal; ++i)
+        for (int c = 0; c < lanes; ++c) column[i * lanes + c] *= column[c];
+      for (int k = 1; k < kLocal; ++k) {
+        double* to = at(j + k, 0);
+        for (int i = k; i < kLocal; ++i)
+          for (int c = 0; c < lanes; ++c) to[(i - k) * lanes + c] -= column[i * lanes + c] * column[k * lanes + c];
       }
     }
-    return z;
+    return positive;
   }
 
- private:
-  double logdet_ = 0.0;
-};
+  // x (size + 5, lanes), the last five rows 0.
+  void solve(std::vector<double>& x) const {
+    for (Eigen::Index j = 0; j < size; ++j) {
+      const double* column = at(j, 0);
+      double* own = x.data() + j * lanes;
+      for (int c = 0; c < lanes; ++c) own[c] *= column[c];
+      for (int i = 1; i < kLocal; ++i)
+        for (int c = 0; c < lanes; ++c) own[i * lanes + c] -= column[i * lanes + c] * own[c];
+    }
+    std::fill(x.begin() + size * lanes, x.end(), 0.0);
+    for (Eigen::Index j = size - 1; j >= 0; --j) {
+      const double* column = at(j, 0);
+      double* own = x.data() + j * lanes;
+      for (int i = 1; i < kLocal; ++i)
+        for (int c = 0; c < lanes; ++c) own[c] -= column[i * lanes + c] * own[i * lanes + c];
+      for (int c = 0; c < lanes; ++c) own[c] *= column[c];
+    }
+  }
 
-// <A, B> of two symmetric bands in lower form.
-inline double banded_inner(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
-  return a.row(0).dot(b.row(0)) + 2.0 * a.bottomRows(a.rows() - 1).cwiseProduct(b.bottomRows(a.rows() - 1)).sum();
-}
+  // The bands of (L L^T)^-1, in the same form (Takahashi).
+  void inverse(Bands& z) const {
+    std::fill(z.a.begin(), z.a.end(), 0.0);
+    for (Eigen::Index j = size - 1; j >= 0; --j) {
+      const double* column = at(j, 0);
+      double* out = z.at(j, 0);
+      for (int i = kDegree5; i >= 0; --i) {
+        double* to = out + i * lanes;
+        for (int k = 1; k < kLocal; ++k) {
+          const double* other = i == 0 ? out + k * lanes : z.at(j + std::min(i, k), std::abs(i - k));
+          for (int c = 0; c < lanes; ++c) to[c] -= column[k * lanes + c] * other[c];
+        }
+        for (int c = 0; c < lanes; ++c) to[c] = (to[c] + (i == 0 ? column[c] : 0.0)) * column[c];
+      }
+    }
+    std::fill(z.a.begin() + size * kLocal * lanes, z.a.end(), 0.0);
+    for (Eigen::Index j = std::max<Eigen::Index>(0, size - kDegree5); j < size; ++j)
+      for (int i = static_cast<int>(size - j); i < kLocal; ++i) std::fill_n(z.at(j, i), lanes, 0.0);
+  }
+
+  // Adds <A, B> of symmetric bands, component by component.
+  void inner(const Bands& other, double* sum) const {
+    for (Eigen::Index j = 0; j < size; ++j)
+      for (int i = 0; i < kLocal; ++i) {
+        const double *x = at(j, i), *y = other.at(j, i), twice = i == 0 ? 1.0 : 2.0;
+        for (int c = 0; c < lanes; ++c) sum[c] += twice * x[c] * y[c];
+      }
+  }
+};
 
 }  // namespace truewrench

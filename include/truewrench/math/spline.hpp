@@ -20,31 +20,35 @@ using Basis = Eigen::Matrix<double, kLocal, 1>;
 using Gram = Eigen::Matrix<double, kLocal, kLocal>;
 
 // Coefficients of u^p (column) of the uniform B-splines of a degree over an interval (row), u in [0, 1): Cox and de Boor.
-inline Eigen::MatrixXd spline_pieces(int degree) {
-  Eigen::MatrixXd pieces = Eigen::MatrixXd::Ones(1, 1);
+inline Gram spline_pieces(int degree) {
+  Gram pieces = Gram::Zero();
+  pieces(0, 0) = 1.0;
   for (int d = 1; d <= degree; ++d) {
-    Eigen::MatrixXd next = Eigen::MatrixXd::Zero(d + 1, d + 1);
-    for (int k = 0; k <= d; ++k) {
-      if (k > 0) {  // (u + d - k) / d times the function before
-        next.row(k).head(d) += (d - k) * pieces.row(k - 1) / d;
-        next.row(k).tail(d) += pieces.row(k - 1) / d;
+    Gram next = Gram::Zero();
+    for (int k = 0; k <= d; ++k)
+      for (int p = 0; p < d; ++p) {
+        if (k > 0) {  // (u + d - k) / d times the function before
+          next(k, p) += (d - k) * pieces(k - 1, p) / d;
+          next(k, p + 1) += pieces(k - 1, p) / d;
+        }
+        if (k < d) {  // (k + 1 - u) / d times the one at its place
+          next(k, p) += (k + 1) * pieces(k, p) / d;
+          next(k, p + 1) -= pieces(k, p) / d;
+        }
       }
-      if (k < d) {  // (k + 1 - u) / d times the one at its place
-        next.row(k).head(d) += (k + 1) * pieces.row(k) / d;
-        next.row(k).tail(d) -= pieces.row(k) / d;
-      }
-    }
     pieces = next;
   }
   return pieces;
 }
 
 // int_0^1 of the products of functions whose polynomials are the rows of a and b.
-inline Eigen::MatrixXd piece_products(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b) {
-  Eigen::MatrixXd power(a.cols(), b.cols());
-  for (int i = 0; i < power.rows(); ++i)
-    for (int j = 0; j < power.cols(); ++j) power(i, j) = 1.0 / (i + j + 1);
-  return a * power * b.transpose();
+inline Gram piece_products(const Gram& a, const Gram& b) {
+  Gram out = Gram::Zero();
+  for (int k = 0; k < kLocal; ++k)
+    for (int l = 0; l < kLocal; ++l)
+      for (int i = 0; i < kLocal; ++i)
+        for (int j = 0; j < kLocal; ++j) out(k, l) += a(k, i) * b(l, j) / (i + j + 1);
+  return out;
 }
 
 // The quintic pieces and their derivatives, once.
@@ -56,7 +60,8 @@ struct SplineTable {
     derivative[0] = spline_pieces(kDegree5);
     for (std::size_t p = 1; p < derivative.size(); ++p) {
       derivative[p].setZero();
-      for (int k = 1; k < kLocal; ++k) derivative[p].col(k - 1) = k * derivative[p - 1].col(k);
+      for (int k = 1; k < kLocal; ++k)
+        for (int l = 0; l < kLocal; ++l) derivative[p](l, k - 1) = k * derivative[p - 1](l, k);
     }
     for (std::size_t p = 0; p < gram.size(); ++p)
       for (std::size_t q = 0; q < gram.size(); ++q) gram[p][q] = piece_products(derivative[p], derivative[q]);
@@ -67,24 +72,6 @@ struct SplineTable {
     return table;
   }
 };
-
-// Twice the sum of the logarithms of the Cholesky factor of a symmetric band (lower form: row i holds the i-th
-// subdiagonal); NaN where it is not positive definite. The band is overwritten.
-inline double banded_logdet(Eigen::MatrixXd& band) {
-  const int width = static_cast<int>(band.rows()) - 1;
-  const Eigen::Index n = band.cols();
-  double sum = 0.0;
-  for (Eigen::Index j = 0; j < n; ++j) {
-    if (!(band(0, j) > 0.0)) return std::nan("");
-    const double root = std::sqrt(band(0, j));
-    sum += std::log(root);
-    const int below = static_cast<int>(std::min<Eigen::Index>(width, n - 1 - j));
-    for (int i = 1; i <= below; ++i) band(i, j) /= root;
-    for (int k = 1; k <= below; ++k)
-      for (int i = k; i <= below; ++i) band(i - k, j + k) -= band(i, j) * band(k, j);
-  }
-  return 2.0 * sum;
-}
 
 // A penalty that repeats on every interval, and what its start adds on the first.
 struct Penalty {
@@ -179,12 +166,10 @@ class Spline {
   // log |R_p + A^T A| with A the values of the first p derivatives at the beginning, in the coordinates (p coefficients,
   // p-th differences) where it falls apart (10.2, below (10.7)): log |G| - ((2p - 1)(N - p) + p (p - 1)) log h.
   double smoothness_logdet(int p) const {
-    const Eigen::MatrixXd pieces = spline_pieces(kDegree5 - p);
-    const Eigen::MatrixXd local = piece_products(pieces, pieces);
+    const Gram pieces = spline_pieces(kDegree5 - p), local = piece_products(pieces, pieces);
     const Eigen::Index functions = size() - p;
     const double scale = static_cast<double>((2 * p - 1) * functions + p * (p - 1));
-    return repeated_logdet(local, Eigen::MatrixXd::Zero(local.rows(), local.rows()), functions) -
-           scale * std::log(h_);
+    return repeated_logdet(local, Gram::Zero(), kLocal - p, functions) - scale * std::log(h_);
   }
 
   // R_M of (10.2), or that of a random walk (10.3), at k = 1 / tau.
@@ -207,23 +192,36 @@ class Spline {
     return out;
   }
 
-  double logdet(const Penalty& penalty) const { return repeated_logdet(penalty.inside, penalty.start, size()); }
+  double logdet(const Penalty& penalty) const { return repeated_logdet(penalty.inside, penalty.start, kLocal, size()); }
 
  private:
   double begin_ = 0.0, h_ = 1.0;
   std::array<double, kLocal> scale_{1.0, 1.0, 1.0, 1.0, 1.0, 1.0};  // h^-p
   Eigen::Index blocks_ = 2;
 
-  // log det of the matrix that repeats `inside` along the diagonal and adds `start` at its beginning.
-  static double repeated_logdet(const Eigen::MatrixXd& inside, const Eigen::MatrixXd& start, Eigen::Index size) {
-    const Eigen::Index width = inside.rows();
-    Eigen::MatrixXd band = Eigen::MatrixXd::Zero(width, size);
-    for (Eigen::Index i = 0; i < width; ++i)
-      for (Eigen::Index j = 0; j <= i; ++j) {
-        band.row(i - j).segment(j, size - width + 1).array() += inside(i, j);
-        band(i - j, j) += start(i, j);
+  // log det of the band of `size` that repeats `inside` (width, width) along the diagonal and adds `start` at its beginning;
+  // NaN where it is not positive definite.
+  static double repeated_logdet(const Gram& inside, const Gram& start, int width, Eigen::Index size) {
+    std::array<Basis, kLocal> column;  // of the coefficients under an interval: what earlier ones and intervals left
+    for (Basis& c : column) c.fill(0.0);
+    double sum = 0.0, pivots = 1.0;
+    for (Eigen::Index j = 0; j < size; ++j) {
+      if (j + width <= size)
+        for (int l = 0; l < width; ++l)
+          for (int k = l; k < width; ++k) column[static_cast<std::size_t>(l)][k - l] += inside(k, l) + (j == 0 ? start(k, l) : 0.0);
+      const Basis pivot = column[0];
+      if (!(pivot[0] > 0.0)) return std::nan("");
+      pivots *= pivot[0];
+      if (j % 4 == 3 || j + 1 == size) {
+        sum += std::log(pivots);
+        pivots = 1.0;
       }
-    return banded_logdet(band);
+      for (int k = 1; k < width; ++k)
+        for (int i = k; i < width; ++i) column[static_cast<std::size_t>(k)][i - k] -= pivot[i] * pivot[k] / pivot[0];
+      for (std::size_t l = 0; l + 1 < column.size(); ++l) column[l] = column[l + 1];
+      column.back().fill(0.0);
+    }
+    return sum;
   }
 };
 

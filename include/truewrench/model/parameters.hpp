@@ -32,16 +32,16 @@ class Layout {
   Layout(const Statement& rig, const std::vector<const RecordedLog*>& logs,
          const std::vector<std::vector<double>>& steps) {
     const int n = static_cast<int>(rig.noise.size());
-    const bool gravity = rig.gravity.squaredNorm() > 0.0;
+    const bool gravity = rig.gravity[0] != 0.0 || rig.gravity[1] != 0.0 || rig.gravity[2] != 0.0;
     const bool warm = rig.slope_prior > 0.0 && std::any_of(logs.begin(), logs.end(), [](const RecordedLog* log) {
                         return log->temperature.size() > 0;
                       });
     C = add(6 * n, rig.gain_prior);
-    for (int i = 0; i < n; ++i) mean_.segment(C + 6 * i, 6) = rig.nominal.row(i);
+    std::copy_n(rig.nominal.data(), 6 * n, mean_.data() + C);
     u = add(n, constants::quadratic_start);
     for (const auto& prior : rig.body_prior) {
       bodies.push_back(add(kBodyParameters, 0.0));
-      sigma_.tail(kBodyParameters) = prior;
+      set(sigma_, prior.data(), kBodyParameters);
     }
     if (warm) slope = add(n, rig.slope_prior);
     if (gravity) tilt = add(2, rig.tilt_prior);
@@ -58,19 +58,20 @@ class Layout {
       c.C = take(C, 6 * n);
       if (pooled < 0 || !rig.pool_offsets) {
         pooled = add(n, 0.0);
-        sigma_.tail(n) = rig.offset_prior;
+        set(sigma_, rig.offset_prior.data(), n);
       }
       c.b = take(pooled, n);
       c.u = take(u, n);
       c.body = take(bodies[static_cast<std::size_t>(log.body)], kBodyParameters);
       for (const MotionStream& stream : log.motion) {
         c.clock.push_back(take(add(2, 0.0), 2));
-        mean_.tail(2) << stream.clock_mean, stream.kappa_mean;
-        sigma_.tail(2) << stream.time_offset_prior, constants::filter_prior;
+        const double mean[2] = {stream.clock_mean, stream.kappa_mean}, width[2] = {stream.time_offset_prior, constants::filter_prior};
+        set(mean_, mean, 2);
+        set(sigma_, width, 2);
         if (stream.bias_prior.size() > 0) {
           const int m = static_cast<int>(stream.bias_prior.size());
           c.bias.push_back(take(add(m, 0.0), m));
-          sigma_.tail(m) = stream.bias_prior;
+          set(sigma_, stream.bias_prior.data(), m);
         } else {
           c.bias.push_back(-1);
         }
@@ -78,7 +79,7 @@ class Layout {
       if (gravity) c.tilt = take(tilt, 2);
       if (gravity && log.source == Source::twist) {
         c.gamma = take(add(1, constants::filter_prior), 1);
-        mean_.tail(1).setConstant(rig.gamma_mean);
+        set(mean_, &rig.gamma_mean, 1);
       }
       if (warm) c.slope = take(slope, n);
       if (l < steps.size()) {
@@ -102,12 +103,18 @@ class Layout {
   Eigen::VectorXd mean_, sigma_;  // theta_0 and the roots of diag Pi
   std::vector<Columns> logs_;
 
+  // The last values of a vector.
+  static void set(Eigen::VectorXd& v, const double* values, int count) { std::copy_n(values, count, v.data() + v.size() - count); }
+
   int add(int count, double sigma) {
-    const int at = size();
-    mean_.conservativeResize(at + count);
-    sigma_.conservativeResize(at + count);
-    mean_.tail(count).setZero();
-    sigma_.tail(count).setConstant(sigma);
+    const int at = size(), now = at + count;
+    Eigen::VectorXd mean(now), width(now);
+    for (int i = 0; i < now; ++i) {
+      mean[i] = i < at ? mean_[i] : 0.0;
+      width[i] = i < at ? sigma_[i] : sigma;
+    }
+    mean_.swap(mean);
+    sigma_.swap(width);
     return at;
   }
 };
