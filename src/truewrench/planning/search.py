@@ -141,7 +141,7 @@ def search(
             problem, tight = problem_of(live), limits
         elif best.worst <= 1.0 + effort.excess:  # what the nodes keep to is exceeded between them
             tight = tight.tightened(usage)
-        best = solve(problem, best, tight, iterations=effort.again, warm=True, rounds=effort.rounds)
+        best = solve(problem, best, tight, iterations=effort.again, warm=True, rounds=effort.rounds + 2)
     iterations += best.iterations
     best = min(seen, key=lambda found: found[0])[1]  # a round may end further from the limits than it began
     best = _shrunk(best, lambda solution: check(motion_of(solution)))
