@@ -196,11 +196,11 @@ class Estimator {
   std::shared_ptr<Fit> choose_spacing(std::size_t l, std::vector<double>& chosen, bool& unresolved, Estimate& out) {
     const std::vector<double> ladder = spacings(*recorded_[l]);
     std::vector<double> alone;
+    std::vector<Fit> starts;  // the motion alone, at each spacing
     for (std::size_t i = 0; i < ladder.size(); ++i) {
-      LogFit log = log_fit(l, ladder[i]);
       std::vector<LogFit> one;
-      one.push_back(std::move(log));
-      Fit fit(rig_, std::move(one), {}, settings_.threads);
+      one.push_back(log_fit(l, ladder[i]));
+      Fit& fit = starts.emplace_back(rig_, std::move(one), std::vector<std::vector<double>>{}, settings_.threads);
       const double deviance = motion_alone(fit.logs()[0], fit.layout(), 0);
       alone.push_back(std::isfinite(deviance) ? deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
                                               : std::numeric_limits<double>::infinity());
@@ -211,10 +211,10 @@ class Estimator {
       std::shared_ptr<Fit> lower;
       for (const bool cauchy : {true, false}) {
         if (!cauchy && !finer) break;
-        std::vector<LogFit> one;
-        one.push_back(log_fit(l, ladder[i]));
-        auto fit = started(std::move(one), {}, cauchy);
-        fit->run();
+        auto fit = std::make_shared<Fit>(starts[i]);
+        fit->robust = true;
+        regress(*fit, cauchy);
+        fit->run(lower.get());
         ++out.fits;
         if (!fit->failed && std::isfinite(fit->deviance) && (!lower || fit->deviance < lower->deviance)) lower = fit;
       }

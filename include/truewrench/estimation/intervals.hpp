@@ -235,7 +235,7 @@ class Intervals {
     for (int i = 0; i < n; ++i)
       if (!std::isfinite(s.raw.value(rows_[0], i))) out.v[static_cast<std::size_t>(i)] = 0.0;
     const double* v = out.v.data();
-    phi_.assign(static_cast<std::size_t>(count * ld + 8), 0.0);
+    phi_.resize(static_cast<std::size_t>(count * ld + 8));
     X_.resize(static_cast<std::size_t>(6 * count * ldx + 8));
     weights_.resize(static_cast<std::size_t>(count * ldw + 8));
     jacobian_.resize(static_cast<std::size_t>(6 * OM));
@@ -288,8 +288,7 @@ class Intervals {
     for (int i = 0; i < n; ++i)  // d raw / d w
       for (int c = 0; c < 6; ++c)
         slope_[static_cast<std::size_t>(6 * i + c)] = C_[6 * i + c] + 2.0 * u_[i] * (cw_mean[i] / total) * lagged_[6 * i + c];
-    std::fill(G.begin(), G.end(), 0.0);
-    dense::subtract(G.data(), ld, weights_.data(), 1, ldw, phi_.data(), ld, left_rows, ld, count);
+    dense::subtract(G.data(), ld, weights_.data(), 1, ldw, phi_.data(), ld, left_rows, ld, count, dense::Mode::fresh);
     out.z.resize(static_cast<std::size_t>(n));
     for (int i = 0; i < n; ++i) {
       const double* g = G.data() + (kLocal * orders + nf + n + i) * ld;
@@ -336,14 +335,13 @@ class Intervals {
     std::fill(left.begin(), left.end(), 0.0);
     for (int h = 0; h < 6; ++h)
       for (int c = 0; c < 6; ++c) dense::add(left.data() + h * OM, -Q[6 * h + c], mean_.data() + c * OM, OM);
-    std::fill(XX.begin(), XX.end(), 0.0);
-    q_.assign(static_cast<std::size_t>(6 * count * ldx + 8), 0.0);
+    q_.resize(static_cast<std::size_t>(6 * count * ldx + 8));
     for (int r = 0; r < count; ++r) {
       double weighted[36];
       for (int c = 0; c < 36; ++c) weighted[c] = -s.raw.weight[rows_[static_cast<std::size_t>(r)]] * Q[c];
-      dense::tile<6>(q_.data() + 6 * r * ldx, ldx, weighted, 6, 1, X_.data() + 6 * r * ldx, ldx, ldx, 6, nullptr, 0, dense::Solve::none);
+      dense::tile<6>(q_.data() + 6 * r * ldx, ldx, weighted, 6, 1, X_.data() + 6 * r * ldx, ldx, ldx, 6, nullptr, 0, dense::Mode::fresh);
     }
-    dense::subtract(XX.data(), ldx, X_.data(), 1, ldx, q_.data(), ldx, nd, ldx, 6 * count);
+    dense::subtract(XX.data(), ldx, X_.data(), 1, ldx, q_.data(), ldx, nd, ldx, 6 * count, dense::Mode::fresh);
     out.basis.resize(static_cast<std::size_t>(kLocal * orders));
     for (int p = 0; p < orders; ++p)
       for (int l = 0; l < kLocal; ++l)

@@ -185,7 +185,7 @@ class Sweep {
     const auto intervals = static_cast<std::size_t>(s.spline.intervals());
     first_.assign(intervals + 1, 0);
     T_.resize(static_cast<std::size_t>(9 * M_ * M_));
-    work_.resize(static_cast<std::size_t>(std::max(M_, n_) * sums_.ldx + kPairs * M_ + 8));
+    work_.resize(static_cast<std::size_t>(std::max(M_, n_) * sums_.ldx + kPairs * M_ + 3 * M_ * n_ + 8));
     smoothness_.resize(static_cast<std::size_t>(kLocal * kLocal * M_));
     for (int j = 0; j < M_; ++j) {
       const Gram R = s.spline.smoothness(smoothness_order(s.log().source, j)).inside;
@@ -385,26 +385,20 @@ class Sweep {
   template <int fixed>
   void add_cross(const Columns& columns, const RawSums& sums, const Places& at) {
     const int M = fixed > 0 ? fixed : M_, OM = sums_.orders * M, nf = sums_.nf, ld = sums_.ld;
-    double* by_dense = work_.data();
+    double *by_dense = work_.data(), *VJ = by_dense + M * sums_.ldx;  // (orders M, n) V^-1 J, channels side by side
+    for (int i = 0; i < n_; ++i)
+      for (int j = 0; j < OM; ++j) VJ[j * n_ + i] = sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + j)];
     for (int l = 0; l < kLocal; ++l) {
-      std::fill_n(by_dense, M * sums_.ldx, 0.0);
       for (int p = 0; p < sums_.orders; ++p) {
         const double* G = sums_.G.data() + (kLocal * p + l) * ld;
-        dense::subtract(by_dense, sums_.ldx, sums_.left.data() + p * M, 1, OM, G + nf + n_, sums_.nd, M, sums_.ldx, 6);
-      }
-      for (int i = 0; i < n_; ++i) {
-        const double v = sums.v[static_cast<std::size_t>(i)];
-        const int* f = sums_.feature.data() + i * nf;
-        if (v == 0.0) continue;
-        for (int p = 0; p < sums_.orders; ++p) {
-          const double *J = sums.J.data() + i * OM + p * M, *G = sums_.G.data() + (kLocal * p + l) * ld;
-          for (int j = 0; j < M; ++j) {
-            double* row = at.row[l] + j * ld_ + 2 * Wp_;
-            const double x = v * J[j];
-            dense::add<6>(row + f[0], x, G);
-            for (int c = 6; c < nf; ++c) row[f[c]] += x * G[c];
-            row[columns.u + i] += x * G[nf + i];
-          }
+        dense::subtract(by_dense, sums_.ldx, sums_.left.data() + p * M, 1, OM, G + nf + n_, sums_.nd, M, sums_.ldx, 6,
+                        p == 0 ? dense::Mode::fresh : dense::Mode::add);
+        for (int j = 0; j < M; ++j) {
+          double* row = at.row[l] + j * ld_ + 2 * Wp_;
+          const double* a = VJ + (p * M + j) * n_;
+          for (int i = 0; i < n_; ++i) dense::add<6>(row + columns.C + 6 * i, a[i], G);
+          for (int x = 6; x < nf; ++x) dense::add(row + sums_.feature[static_cast<std::size_t>(x)], G[x], a, n_);
+          for (int i = 0; i < n_; ++i) row[columns.u + i] += a[i] * G[nf + i];
         }
       }
       for (int j = 0; j < M; ++j) {
@@ -452,8 +446,7 @@ class Sweep {
     const int* dense_columns = sums_.dense_columns.data();
     double* by_dense = work_.data();
     for (int x = 0; x < nf; ++x) {
-      std::fill_n(by_dense, n_ * ldx, 0.0);
-      dense::subtract(by_dense, ldx, sums.SV.data(), 1, n_, F + x * ld + nf + n_, nd, n_, ldx, 6);
+      dense::subtract(by_dense, ldx, sums.SV.data(), 1, n_, F + x * ld + nf + n_, nd, n_, ldx, 6, dense::Mode::fresh);
       for (int i = 0; i < n_; ++i) {
         const int column = sums_.feature[static_cast<std::size_t>(i * nf + x)];
         for (int y = 0; y < nd; ++y) tt(column, dense_columns[y]) -= by_dense[i * ldx + y];

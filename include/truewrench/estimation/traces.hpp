@@ -53,16 +53,14 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
       }
     }
     // S_gh = - G S_hh, S_gg = R^-1 R^-T - S_gh G^T, h the next block
-    std::fill(pair.here.begin(), pair.here.end(), 0.0);
     double* here = pair.here.data();
-    if (!last) dense::subtract(here + Wp_, ldp, X.data() + Wp_, ldx, 1, pair.next.data(), ldp, W_, Wp_, W_);
+    if (!last) dense::subtract(here + Wp_, ldp, X.data() + Wp_, ldx, 1, pair.next.data(), ldp, W_, Wp_, W_, dense::Mode::fresh);
     for (int t = 0; t < W_; t += dense::tile_rows)
       dense::tile_of(std::min(dense::tile_rows, W_ - t), here + t * ldp, ldp, X.data() + t * ldx + t, ldx, 1, V.data() + t * Wp_,
-                     Wp_, Wp_, W_ - t);
+                     Wp_, Wp_, W_ - t, nullptr, 0, dense::Mode::fresh);
     if (!last) dense::subtract(here, ldp, here + Wp_, ldp, 1, V.data() + W_ * Wp_, Wp_, W_, Wp_, W_);
-    std::fill(pair.A.begin(), pair.A.end(), 0.0);
     for (int c = 0; c < nt_; c += 8)
-      dense::subtract(pair.A.data() + c, ntz, Z.data() + c, ntz, 1, root.data() + c * ntz + c, ntz, W_, 8, nt_ - c);
+      dense::subtract(pair.A.data() + c, ntz, Z.data() + c, ntz, 1, root.data() + c * ntz + c, ntz, W_, 8, nt_ - c, dense::Mode::fresh);
     for (int i = 0; i < W_; ++i)
       for (int x = 0; x < nc_; ++x)
         pair.ZP[static_cast<std::size_t>(i * nc_ + x)] =

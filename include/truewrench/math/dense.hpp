@@ -28,7 +28,8 @@ inline void add(double* __restrict y, double x, const double* __restrict v, int 
   }
 }
 
-enum class Solve { none, forward, backward };
+// What a product is taken from: what stands, 0, or what stands and then a triangular solve.
+enum class Mode { add, fresh, forward, backward };
 
 inline constexpr int tile_rows = 6;
 
@@ -37,15 +38,15 @@ inline int padded(int columns) { return (columns + 7) & ~7; }
 // Rows of C (R, n) -= A B with A(i, l) = a[i rs + l cs], then R^T X = C or R X = C with the upper triangle r, in registers.
 template <int R>
 [[gnu::noinline]] void tile(double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs, std::ptrdiff_t cs, const double* B,
-                            std::ptrdiff_t ldb, int n, int k, const double* r, std::ptrdiff_t ldr, Solve solve) {
+                            std::ptrdiff_t ldb, int n, int k, const double* r, std::ptrdiff_t ldr, Mode mode) {
   double inverse[R] = {};
-  if (solve != Solve::none)
+  if (mode == Mode::forward || mode == Mode::backward)
     for (int i = 0; i < R; ++i) inverse[i] = 1.0 / r[i * ldr + i];
   for (int c = 0; c < n; c += 8) {
     Lane x[R][2];
     for (int i = 0; i < R; ++i) {
-      x[i][0] = *reinterpret_cast<const Lane*>(C + i * ldc + c);
-      x[i][1] = *reinterpret_cast<const Lane*>(C + i * ldc + c + 4);
+      x[i][0] = mode == Mode::fresh ? Lane{} : *reinterpret_cast<const Lane*>(C + i * ldc + c);
+      x[i][1] = mode == Mode::fresh ? Lane{} : *reinterpret_cast<const Lane*>(C + i * ldc + c + 4);
     }
     const double *a = A, *b = B + c;
     for (int l = 0; l < k; ++l, a += cs, b += ldb) {
@@ -55,7 +56,7 @@ template <int R>
         x[i][1] -= a[i * rs] * b1;
       }
     }
-    if (solve == Solve::forward)
+    if (mode == Mode::forward)
       for (int i = 0; i < R; ++i) {
         x[i][0] *= inverse[i];
         x[i][1] *= inverse[i];
@@ -64,7 +65,7 @@ template <int R>
           x[j][1] -= r[i * ldr + j] * x[i][1];
         }
       }
-    else if (solve == Solve::backward)
+    else if (mode == Mode::backward)
       for (int i = R - 1; i >= 0; --i) {
         x[i][0] *= inverse[i];
         x[i][1] *= inverse[i];
@@ -82,22 +83,22 @@ template <int R>
 
 inline void tile_of(int rows, double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs, std::ptrdiff_t cs,
                     const double* B, std::ptrdiff_t ldb, int n, int k, const double* r = nullptr, std::ptrdiff_t ldr = 0,
-                    Solve solve = Solve::none) {
+                    Mode mode = Mode::add) {
   switch (rows) {
-    case 6: return tile<6>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, solve);
-    case 5: return tile<5>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, solve);
-    case 4: return tile<4>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, solve);
-    case 3: return tile<3>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, solve);
-    case 2: return tile<2>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, solve);
-    default: return tile<1>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, solve);
+    case 6: return tile<6>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 5: return tile<5>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 4: return tile<4>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 3: return tile<3>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 2: return tile<2>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    default: return tile<1>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
   }
 }
 
-// C (m, n) -= A B with A(i, l) = a[i rs + l cs] (m, k), B (k, n); n a multiple of 8.
+// C (m, n) -= A B, or - A B (fresh), with A(i, l) = a[i rs + l cs] (m, k), B (k, n); n a multiple of 8.
 inline void subtract(double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs, std::ptrdiff_t cs, const double* B,
-                     std::ptrdiff_t ldb, int m, int n, int k) {
+                     std::ptrdiff_t ldb, int m, int n, int k, Mode mode = Mode::add) {
   for (int t = 0; t < m; t += tile_rows)
-    tile_of(std::min(tile_rows, m - t), C + t * ldc, ldc, A + t * rs, rs, cs, B, ldb, n, k);
+    tile_of(std::min(tile_rows, m - t), C + t * ldc, ldc, A + t * rs, rs, cs, B, ldb, n, k, nullptr, 0, mode);
 }
 
 // R^T R of the symmetric matrix whose upper triangle leads the rows of `a`, in place, and R^-T times the columns after it, to
@@ -122,7 +123,7 @@ inline bool factor(double* a, std::ptrdiff_t ld, int rows, double& logdet) {
       for (int l = i + 1; l < m; ++l)
         for (int j = l; j < m; ++j) d[8 * l + j] -= d[8 * i + l] * d[8 * i + j];
     }
-    tile_of(m, a + t * ld + c, ld, a + t, 1, ld, a + c, ld, static_cast<int>(ld) - c, t, d, 8, Solve::forward);
+    tile_of(m, a + t * ld + c, ld, a + t, 1, ld, a + c, ld, static_cast<int>(ld) - c, t, d, 8, Mode::forward);
   }
   return true;
 }
@@ -132,14 +133,14 @@ inline void solve_upper(const double* r, std::ptrdiff_t ldr, int rows, double* X
   for (int t = (rows - 1) / tile_rows * tile_rows; t >= 0; t -= tile_rows) {
     const int m = std::min(tile_rows, rows - t), after = t + m;
     tile_of(m, X + t * ldx, ldx, r + t * ldr + after, ldr, 1, X + after * ldx, ldx, n, rows - after, r + t * ldr + t, ldr,
-            Solve::backward);
+            Mode::backward);
   }
 }
 
 // X <- R^-T X.
 inline void solve_transposed(const double* r, std::ptrdiff_t ldr, int rows, double* X, std::ptrdiff_t ldx, int n) {
   for (int t = 0; t < rows; t += tile_rows)
-    tile_of(std::min(tile_rows, rows - t), X + t * ldx, ldx, r + t, 1, ldr, X, ldx, n, t, r + t * ldr + t, ldr, Solve::forward);
+    tile_of(std::min(tile_rows, rows - t), X + t * ldx, ldx, r + t, 1, ldr, X, ldx, n, t, r + t * ldr + t, ldr, Mode::forward);
 }
 
 // Of vectors of a multiple of 8.
