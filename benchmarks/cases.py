@@ -105,6 +105,7 @@ def rig_of(name: str, cell: tuple[float, float], **simulation: Any) -> Rig:
             "gain_prior": case["gain_prior"],
             "offset_prior": 0,
             "time_offset_prior": 0,
+            "discrepancy": 0,  # nothing follows the pose in free flight: (10.10) is off
         },
         "payloads": {"default": payload},
         "motion": {"source": "twist", "of": "com", "noise": [sv] * 6},

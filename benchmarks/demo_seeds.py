@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import demo
-from truewrench.estimate.ekf import estimate_ekf
+from truewrench.estimation.ekf import estimate_ekf
 from truewrench.motion.trajectory import WrenchMotion, integrate_wrench
 
 PAIRS = tuple(product(demo.LINEAR_DENSITIES, demo.ANGULAR_DENSITIES))

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 import truewrench as tw
-from truewrench.estimate.ekf import estimate_ekf
+from truewrench.estimation.ekf import estimate_ekf
 
 Array = NDArray[np.float64]
 
@@ -70,9 +70,7 @@ class Drawn:
     outcomes: list[Outcome]
 
 
-def run_seed(
-    name: str, cell: tuple[float, float], estimators: list[str], window: float | None, seed: int
-) -> Drawn:
+def run_seed(name: str, cell: tuple[float, float], estimators: list[str], seed: int) -> Drawn:
     """All estimators on the problem of one seed."""
     problem = cases.problem(name, cell, seed)
     outcomes: list[Outcome] = []
@@ -82,7 +80,7 @@ def run_seed(
         elif estimator == "known":
             outcomes.append(with_known_motion(name, cell, seed, problem))
         else:
-            outcomes.append(calibrated(problem, estimator, window))
+            outcomes.append(calibrated(problem, estimator))
     if name in NO_BOUND:
         return Drawn(np.nan, np.nan, np.nan, np.nan, outcomes)
     bound, oracle = (cases.bound(name, cell, seed, oracle=oracle) for oracle in (False, True))
@@ -129,12 +127,10 @@ def with_known_motion(name: str, cell: tuple[float, float], seed: int, problem: 
     return Outcome("regression, motion known", squared, nees, False, time.perf_counter() - start)
 
 
-def calibrated(problem: cases.Problem, label: str, window: float | None) -> Outcome:
+def calibrated(problem: cases.Problem, label: str) -> Outcome:
     """What `truewrench calibrate` makes of it."""
     options: dict[str, Any] = {"estimator": label}
-    if label == "online":
-        options["window"] = window
-    elif label == "spline":
+    if label == "spline":
         options, label = {"estimator": "ls", "smooth": "spline"}, "ls --smooth spline"
     start = time.perf_counter()
     calibration = tw.calibrate(problem.rig, problem.logs, threads=1, **options)
@@ -153,7 +149,7 @@ def score(problem: cases.Problem, gain: Array, covariance: Array) -> tuple[float
     return float(np.mean(error**2)), nees
 
 
-def report(cell: tuple[float, float], drawn: list[Drawn], window: float | None) -> list[str]:
+def report(cell: tuple[float, float], drawn: list[Drawn]) -> list[str]:
     """Print the rows of one noise cell; return the commonest reasons why results are not to be used."""
     bound, oracle, expected = (
         np.sqrt(np.mean([getattr(d, key) for d in drawn]))
@@ -177,7 +173,7 @@ def report(cell: tuple[float, float], drawn: list[Drawn], window: float | None) 
         shares = [f"{rms / bound:.3f} ({expected / bound:.3f})", f"{nees.mean():.3g} ({expected_nees:.2f})"]
         cells = [
             f"{cell[0]:g}, {cell[1]:g}",
-            f"online, {window:g} s windows" if label == "online" and window else label,
+            label,
             *numbers,
             *(shares if np.isfinite(bound) else ["-", f"{nees.mean():.3g}"]),
             f"{honest} [{low:.2f}, {high:.2f}]",
@@ -215,9 +211,6 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--estimators", default="map,online,ekf,ls,spline")
     parser.add_argument("--cells", help="which noise cells, from 0, comma separated; all if left out")
-    parser.add_argument(
-        "--window", type=float, help="window of `online` [s]; chosen by the motion if left out"
-    )
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
     estimators = options.estimators.split(",")
@@ -232,9 +225,9 @@ def main() -> None:
     reasons: list[str] = []
     with ProcessPoolExecutor(options.processes) as pool:
         for cell in cells:
-            job = partial(run_seed, options.case, cell, estimators, options.window)
+            job = partial(run_seed, options.case, cell, estimators)
             drawn = list(pool.map(job, seeds, chunksize=4))
-            reasons += report(cell, drawn, options.window)
+            reasons += report(cell, drawn)
     if reasons:
         print("\nNot to be used:\n\n" + "\n".join(reasons))
 

@@ -196,8 +196,8 @@ def counts(row: runs.Row) -> bool:
 
 
 def good(row: runs.Row) -> bool:
-    """Usable, with nearly all of its windows."""
-    return bool(row["usable"]) and row["used"] >= 0.95 and row["windows_fitted"] >= 0.95 * row["windows"]
+    """Usable, with nearly all of its samples."""
+    return bool(row["usable"]) and row["used"] >= 0.95
 
 
 def ratio(rows: Sequence[runs.Row]) -> str:
@@ -228,7 +228,7 @@ def line(name: str, rows: Sequence[runs.Row]) -> list[Any]:
 def report(rows: list[runs.Row]) -> None:
     """The tables."""
     header = (
-        "runs of", "runs", "count", "usable, all windows", "RMS / bound", "worst run", "NEES / dof",
+        "runs of", "runs", "count", "usable, all samples", "RMS / bound", "worst run", "NEES / dof",
         "wrong and confident", "s",
     )  # fmt: skip
     groups: list[tuple[str, Callable[[runs.Row], bool]]] = [("all", lambda r: True)]
@@ -260,7 +260,7 @@ def report(rows: list[runs.Row]) -> None:
         f"\n{len(below)} runs have a bound below {BOUND}: {vague} leave a direction undetermined, "
         f"{fast} have motion that no spline follows, "
         f"{crooked} have an ill-conditioned gain. Of all these {share} "
-        "are usable, with all windows."
+        "are usable, with all samples."
     )
     bad = [r for r in counted if not good(r)]
     print(f"\nWhy {len(bad)} of {len(counted)} runs that count are not usable (some for several reasons):\n")

@@ -148,8 +148,6 @@ def calibrated(
         "reasons": list(found.verdict.reasons),
         "seconds": seconds,
         "used": used / max(1, total),
-        "windows": figures.get("windows"),
-        "windows_fitted": figures.get("windows_fitted"),
         "knot_spacing": figures.get("knot_spacing"),
         "iterations": figures.get("iterations"),
         **score(found, gain),
@@ -180,22 +178,13 @@ def score(found: Calibration, gain: Array) -> Row:
 
 
 REASONS = (
-    ("no window", "no window fits"),
-    ("rejected windows", "rejected windows"),
-    ("left out as contact", "too many left out"),
-    ("did not converge", "not converged"),
     ("could not be solved", "not solved"),
-    ("do not match the stated noise", "chi-square"),
-    ("depends on the knot", "depends on knots"),
-    ("depends on the length", "depends on windows"),
-    ("ill-conditioned", "ill-conditioned"),
+    ("is not resolved", "not resolved"),
+    ("were left out as", "too many left out"),
+    ("parts of the record disagree", "parts disagree"),
+    ("nothing was learnt", "nothing learnt"),
     ("singular", "singular"),
-    ("directions of the gain", "undetermined"),
-    ("an offset that wanders", "offset wanders"),
-    ("behind a low-pass filter", "unstated filter"),
-    ("the time offset is known only", "clock not told"),
     ("accuracy", "accuracy"),
-    ("sigma from what the rig states", "parameter off its prior"),
     ("suspected set-up error", "suspected set-up error"),
 )
 

@@ -28,9 +28,8 @@ from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
 from truewrench import _core, robots
-from truewrench.arm.track import track
-from truewrench.estimate.ekf import estimate_ekf
-from truewrench.estimate.windows import estimate_windows
+from truewrench.estimation.ekf import estimate_ekf
+from truewrench.estimation.estimator import estimate
 from truewrench.log import Log
 from truewrench.motion_noise import twist_noise
 from truewrench.rig import Rig, load_rig
@@ -59,14 +58,11 @@ def main() -> None:
     part = slice(0, min(arguments.filterpy_rows, rows))
     short = replace(log, time_ns=log.time_ns[part], raw=log.raw[part], twist=log.twist[part])
 
-    one_thread = _core.EstimatorSettings()
-    one_thread.threads = 1
     per_sample = {
         "filterpy": seconds(lambda: filterpy_state(rig, short), 1) / len(short.raw),
         "ekf": seconds(lambda: estimate_ekf(rig, [log]), arguments.repeat) / rows,
-        "online": seconds(lambda: estimate_windows(rig, [log], "online", one_thread), arguments.repeat)
-        / rows,
-        "map": seconds(lambda: estimate_windows(rig, [log], "map", one_thread), 1) / rows,
+        "online": seconds(lambda: estimate(rig, [log], threads=1, online=True), arguments.repeat) / rows,
+        "map": seconds(lambda: estimate(rig, [log], threads=1), 1) / rows,
     }
     print(f"{rows} rows, one thread, core `{_core.variant}`\n")
     print("| estimator | µs per sample | over `ekf` | filterpy over it |")
@@ -90,15 +86,10 @@ def joints_against_twist(name: str, duration: float, rate: float, repeat: int) -
     of_twist = {"source": "twist", "of": "sensor", "noise": twist_noise(joints, log).tolist()}
     twist = Rig.from_mapping(settings | {"motion": of_twist, "limits": {}}, path)
     bare = replace(log, tracking=None)
-    one_thread = _core.EstimatorSettings()
-    one_thread.threads = 1
     print(f"{len(log.raw)} rows of `{name}`, one thread, core `{_core.variant}`; µs per row\n")
-    print("| log | following the joints | online | map |\n|---|---|---|---|")
-    for label, rig, one in (("joints", joints, log), ("twist", twist, bare)):
-        times = [seconds(lambda: track(joints, bare), 1)] if one is log else [0.0]
-        for method in ("online", "map"):
-            work = partial(estimate_windows, rig, [one], method, one_thread)
-            times.append(seconds(work, repeat))
+    print("| log | map |\n|---|---|")
+    for label, rig, one in (("joints", joints, bare), ("twist", twist, bare)):
+        times = [seconds(partial(estimate, rig, [one], threads=1), repeat)]
         print(f"| {label} | " + " | ".join(f"{1e6 * t / len(log.raw):.1f}" for t in times) + " |")
 
 

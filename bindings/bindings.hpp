@@ -13,13 +13,13 @@
 namespace truewrench::python {
 
 namespace nb = nanobind;
+using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 // Read-only, C-contiguous double arrays from NumPy; anything else is converted by the Python side.
 using Array1 = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Array2 = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Array3 = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
-using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using ArrayOut = nb::ndarray<nb::numpy, double, nb::c_contig>;
 
 // A new NumPy array of the given shape that owns its storage.
@@ -47,6 +47,8 @@ void bind_payload(nb::module_& m);
 void bind_sensor(nb::module_& m);
 void bind_ekf(nb::module_& m);
 void bind_corrector(nb::module_& m);
-void bind_estimator(nb::module_& m);
+void bind_record(nb::module_& m);
+void bind_fit(nb::module_& m);
+void bind_incremental(nb::module_& m);
 
 }  // namespace truewrench::python

@@ -144,10 +144,10 @@ void bind_fit(nb::module_& m) {
       .def("set_discrepancy",
            [](Fit& f, std::size_t l, std::size_t s, const RowMatrix& e) { f.logs().at(l).stretches.at(s).e = e; })
       .def("set_mask",
-           [](Fit& f, std::size_t l, const std::vector<char>& mask) {
+           [](Fit& f, std::size_t l, const std::vector<bool>& mask) {
              std::size_t at = 0;
              for (Stretch& s : f.logs().at(l).stretches)
-               for (char& x : s.raw.masked) x = mask.at(at++);
+               for (char& x : s.raw.masked) x = mask.at(at++) ? 1 : 0;
            })
       .def("predict", &Fit::predict)
       .def("reweigh", &Fit::reweigh)
@@ -170,13 +170,14 @@ void bind_fit(nb::module_& m) {
              out["motion_share"] = t.motion_share;
              out["q"] = t.q;
              return out;
-           })
+           },
+           nb::sig("def traces(self, log: int, stretch: int, /) -> dict[str, object]"))
       .def("gradient",
            [](const Fit& f) {
              Eigen::VectorXd g = f.S() * f.step();
              return g;
            })
-      .def("rows", &rows_of)
+      .def("rows", &rows_of, nb::sig("def rows(self, log: int, /) -> dict[str, object]"))
       .def("motion_residual", &motion_residual);
   m.def(
       "make_fit",
@@ -189,7 +190,7 @@ void bind_fit(nb::module_& m) {
           int dropped = 0;
           log.log = logs[l];
           log.h = h[l];
-          log.period = median_period(logs[l]->time);
+          log.period = median_period(sensor_times(*logs[l]));
           for (const Piece& p : pieces_of(*logs[l], std::max(h[l], constants::knot_spacing), dropped))
             log.stretches.emplace_back(*logs[l], *shared, p.begin, p.end, log.period, h[l]);
           fits.push_back(std::move(log));

@@ -59,7 +59,8 @@ void bind_record(nb::module_& m) {
       .def_rw("R_sensor_root", &RecordedLog::R_sensor_root)
       .def_rw("temperature", &RecordedLog::temperature)
       .def_rw("motion", &RecordedLog::motion)
-      .def("set_map", [](RecordedLog& log, nb::callable function) { log.map = wrapped(std::move(function)); });
+      .def("set_map", [](RecordedLog& log, nb::callable function) { log.map = wrapped(std::move(function)); },
+           nb::sig("def set_map(self, function: collections.abc.Callable[..., object], /) -> None"));
   nb::class_<Statement>(m, "Statement", "What a rig states, normalised.")
       .def(nb::init<>())
       .def_rw("range", &Statement::range)

@@ -13,38 +13,14 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.calibration import AXES, Bound, Calibration, LogReport, Verdict
-from truewrench.estimate.fits import group_fits
-from truewrench.estimate.window_estimate import PayloadDeparture, WindowEstimate
 from truewrench.estimation.bound import oracle_rms
-from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.estimate import Estimate, PayloadDeparture
 from truewrench.log import Log
 from truewrench.rig import PayloadSpec, Rig
 
-__all__ = ["assemble", "assemble_motion", "assemble_windows", "motion_figures", "window_figures"]
+__all__ = ["assemble", "assemble_motion", "motion_figures"]
 
 Array = NDArray[np.float64]
-
-
-def assemble_windows(
-    rig: Rig, logs: Sequence[Log], estimator: str, estimate: WindowEstimate, verdict: Verdict
-) -> Calibration:
-    """The calibration that an estimate from windows of motion is."""
-    stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
-    return assemble(
-        rig,
-        estimator,
-        estimate.gain,
-        estimate.covariance,
-        verdict,
-        [_log_report(log, k, estimate) for k, log in enumerate(logs)],
-        offset_temperature=estimate.offset_temperature,
-        time_offset=float(estimate.time_offsets[-1]),
-        time_offset_std=float(estimate.time_offsets_std[-1]),
-        payload_posterior={
-            name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
-        },
-        bound=Bound(oracle_rms(rig, estimate.wrench), float(np.sqrt(stated.mean()))),
-    )
 
 
 def assemble_motion(
@@ -167,43 +143,6 @@ def _inverse(rig: Rig, gain: Array) -> Array:
         return np.full((6, rig.sensor.n), np.nan)
 
 
-def _log_report(log: Log, k: int, estimate: WindowEstimate) -> LogReport:
-    samples = Counter[str]()
-    for w in estimate.windows:
-        if w.log == k:
-            samples[w.status.name.replace("_", " ")] += w.samples
-    rows, left_out = estimate.wrench_rows[k], estimate.left_out[k]
-    masked = Counter(
-        {
-            "disturbance of the sensor": int(left_out.sum()),
-            "disturbance of the motion": estimate.motion_left_out[k],
-        }
-    )
-    used = max(0, samples.pop("fitted", 0) - masked["disturbance of the sensor"])
-    sensed = int(np.isfinite(log.raw).any(axis=1).sum())
-    samples["outside every window"] = max(0, sensed - used - int(left_out.sum()) - samples.total())
-    return LogReport(
-        log.path,
-        log.sha256,
-        log.payload,
-        estimate.offsets[k],
-        estimate.offsets_std[k],
-        time_offset=float(estimate.time_offsets[k]),
-        used=used,
-        masked=dict(+masked),
-        rejected=dict(+samples),
-        disturbances=_intervals(log.time[rows], left_out),
-        dropped_rows=log.dropped_rows,
-        nan_counts=log.nan_counts,
-    )
-
-
-def _intervals(time: Array, marked: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
-    """Begin and end of every run of marked rows."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]])))
-    return tuple((float(time[a]), float(time[b - 1])) for a, b in edges.reshape(-1, 2))
-
-
 def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, Any]:
     """What the data say of a payload, in the terms of the rig."""
     inertia = stated.inertia_matrix
@@ -220,31 +159,4 @@ def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, An
             name: float(inertia[at]) + mean[4 + k] * unit[name] for k, (name, at) in enumerate(places.items())
         },
         "inertia_std": {name: std[4 + k] * unit[name] for k, name in enumerate(places)},
-    }
-
-
-def window_figures(rig: Rig, estimate: WindowEstimate) -> dict[str, Any]:
-    """Figures of a calibration from windows of motion, as calibration.yaml has them."""
-    fitted = [w for w in estimate.windows if w.status == _core.WindowStatus.fitted]
-    sensor = rig.sensor
-    posed = _core.conditioning(
-        estimate.gain, sensor.noise_array, sensor.nominal_gain_array, sensor.range_array
-    )
-    return {
-        "windows": len(estimate.windows),
-        "windows_fitted": len(fitted),
-        "knot_spacing": float(np.median([(w.end - w.begin) / w.intervals for w in fitted]))
-        if fitted
-        else None,
-        "samples_per_coefficient": min((w.samples_per_coefficient for w in fitted), default=None),
-        "chi_square": {name: fit.chi_square for name, fit in group_fits(estimate.windows).items()},
-        "knot_dependence_sigma": estimate.knot_dependence,
-        "window_dependence_sigma": estimate.window_dependence,
-        "condition_number": posed.condition_number,
-        "departure_norm": posed.departure_norm,
-        "iterations": estimate.iterations,
-        "limited_by": {
-            source: dict(zip(AXES, np.sqrt(np.mean(sigma**2, axis=0)).tolist(), strict=True))
-            for source, sigma in estimate.contributions.items()
-        },
     }

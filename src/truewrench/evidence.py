@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from truewrench.estimate.ekf import EkfEstimate
-from truewrench.estimate.least_squares import LeastSquaresEstimate
+from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.known_wrench import KnownWrenchEstimate
+from truewrench.estimation.least_squares import LeastSquaresEstimate
 from truewrench.log import Log
 
 __all__ = ["Evidence"]

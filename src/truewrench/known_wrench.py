@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.calibration import AXES, AxisImprovement, LogReport, Verdict
+from truewrench.calibration import AXES, AxisImprovement, LogReport
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimate.fits import chi_square_deviate
+from truewrench.estimation.estimate import Estimate, no_rows
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
+from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.temperature import at_reference_temperature
 from truewrench.validation import CHANGE
 from truewrench.validation.comparison import Comparison
-from truewrench.verdict import CHI_SQUARE, CHI_SQUARE_LOW, DEVIATE, gain_reasons
-from truewrench.verdict.setup_errors import setup_errors_in_estimate
-from truewrench.verdict.silence import channel_faults
 
 __all__ = [
     "compare_known_wrench",
@@ -63,17 +61,11 @@ def wrench_is_known(rig: Rig, logs: Sequence[Log], estimator: str) -> bool:
     return True
 
 
-def judge_known_wrench(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate) -> Verdict:
-    """The verdict on what reference wrenches say of the gain.
-
-    Residuals are held against the stated noise, unless their errors last: the sizes found explain these, and
-    the notes say so.
-    """
-    faults = [fault for fault in channel_faults(rig, logs) if fault.silent]
-    silent = {fault.channel for fault in faults}
-    reasons = [fault.words for fault in faults]
-    if not silent:  # whose gains look like any mistake
-        reasons += [s.words for s in setup_errors_in_estimate(rig, [], estimate.gain, estimate.covariance)]
+def judge_known_wrench(
+    rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate, compared: Comparison
+) -> Judgement:
+    """The verdict on what reference wrenches say of the gain: of the one function that decides."""
+    reasons = []
     if not estimate.converged:
         reasons.append("the estimate did not converge")
     if estimate.contradicting:
@@ -87,28 +79,61 @@ def judge_known_wrench(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstim
         reasons.append(
             f"too few {rows} for their residuals to show a mistake: a few more than unknowns are needed"
         )
-    for i, (channel, total, freedom) in enumerate(
-        zip(rig.sensor.channels, estimate.sum_of_squares, estimate.freedom, strict=True)
-    ):
-        if i in silent:
-            continue
-        chi_square = total / freedom
-        deviate = chi_square_deviate(chi_square, freedom)
-        above = chi_square > CHI_SQUARE and deviate > DEVIATE
-        if above or (chi_square < CHI_SQUARE_LOW and deviate < -DEVIATE):
-            reasons.append(
-                f"residuals of {channel} do not match the stated noise of sensor and reference: chi-square "
-                f"{chi_square:.3g} per degree of freedom ({deviate:.1f} sigma from 1)"
-            )
-    found, undetermined = gain_reasons(
+    held_out = any(axis.held_out for axis in compared.improvement.values())
+    gain = _as_estimate(rig, estimate)
+    return judge(
+        gain,
+        Comparisons(
+            improvement=compared.improvement if held_out else {},
+            worse=(*reasons, *compared.reasons),
+            not_held_out="" if held_out else str(compared.figures.get("none_because", "")),
+            setup=setup_errors(gain, rig, logs),
+        ),
         rig,
-        estimate.gain,
-        estimate.normalised_covariance,
-        "larger or more reference wrenches on that axis help",
-        silent,
+        logs,
     )
-    reasons += found
-    return Verdict(not reasons, tuple(reasons), undetermined)
+
+
+def _as_estimate(rig: Rig, found: KnownWrenchEstimate) -> Estimate:
+    """What is judged of it: gain and covariance; there is no motion, and nothing follows a pose."""
+    n, count = rig.sensor.n, len(found.offsets)
+    return Estimate(
+        solved=True,
+        gain=found.gain,
+        covariance=found.covariance,
+        normalised_covariance=found.normalised_covariance,
+        before_pose=found.normalised_covariance[: 6 * n, : 6 * n],
+        gain_prior=np.full(6 * n, rig.sensor.gain_prior),
+        offsets=found.offsets,
+        offsets_std=found.offsets_std,
+        clocks=((),) * count,
+        payloads={},
+        tilt=None,
+        tilt_std=None,
+        offset_temperature=found.offset_temperature,
+        quadratic=np.zeros(n),
+        quadratic_std=np.zeros(n),
+        discrepancy=np.zeros(n),
+        noise=((),) * count,
+        slow=((),) * count,
+        events=((),) * count,
+        steps=((),) * count,
+        spacing=np.full(count, np.nan),
+        unresolved=np.zeros(count, dtype=bool),
+        dropped=np.zeros(count, dtype=np.int64),
+        rows=(no_rows(n),) * count,
+        sources={},
+        A=0.0,
+        ww=np.zeros((6, 6)),
+        p_halves=1.0,
+        p_quarters=1.0,
+        converged=True,
+        iterations=found.iterations,
+        fits=1,
+        history_time=np.zeros(0),
+        history_log=np.zeros(0, np.int64),
+        history_gain=np.zeros((0, n, 6)),
+    )
 
 
 def compare_known_wrench(

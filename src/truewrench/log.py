@@ -105,8 +105,8 @@ class Log:
     time_ns: npt.NDArray[np.int64]
     raw: FloatArray
     twist: FloatArray | None = None
-    angular_velocity: FloatArray | None = None
     gravity: FloatArray | None = None
+    angular_velocity: FloatArray | None = None
     attitude: FloatArray | None = None
     acceleration: FloatArray | None = None
     specific_force: FloatArray | None = None

@@ -5,29 +5,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench import _core
 from truewrench.arm.track import tracked
-from truewrench.assembly import assemble, assemble_windows, window_figures
+from truewrench.assembly import assemble, assemble_motion, motion_figures
 from truewrench.calibration import Bound, Calibration, LogReport, Verdict
 from truewrench.compensation import uncompensated
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimate.attempts import Attempts
-from truewrench.estimate.clock import clock_doubts, delay_excluded
-from truewrench.estimate.ekf import estimate_ekf
-from truewrench.estimate.fits import ENOUGH, fitted_share, mostly_unexplained
-from truewrench.estimate.least_squares import least_squares
-from truewrench.estimate.moving_offset import end_notes, jump_notes
-from truewrench.estimate.noise import hidden_delay, noise_figures, noise_notes
-from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimation.bound import oracle_rms
+from truewrench.estimation.ekf import estimate_ekf
+from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.estimator import estimate as estimate_motion
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
+from truewrench.estimation.least_squares import least_squares
 from truewrench.evidence import Evidence
+from truewrench.judging import Comparisons, findings, judge, setup_errors
+from truewrench.judging.channels import still_motion
 from truewrench.known_wrench import (
     compare_known_wrench,
     judge_known_wrench,
@@ -38,8 +34,6 @@ from truewrench.known_wrench import (
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.validation.comparison import Comparison, compare_held_out, compare_in_sample
-from truewrench.verdict import judge_reference, judge_windows
-from truewrench.verdict.silence import still_bases, still_twists
 
 __all__ = ["calibrate"]
 
@@ -54,10 +48,8 @@ def calibrate(
     logs: Log | Sequence[Log],
     estimator: EstimatorName = "map",
     *,
-    window: float | None = None,
     threads: int | None = None,
     held_out: bool = True,
-    rescale_noise: bool = False,
     published: bool = False,
     smooth: Literal["spline"] | None = None,
     process_density: float | None = None,
@@ -72,11 +64,9 @@ def calibrate(
         rig: sensor, payloads and motion.
         logs: pooled into one gain, with an offset for each (or one for all: `sensor.pool_offsets`).
         estimator: `map`, `online`, or one of the references `ekf` and `ls`, whose verdict is never usable.
-        window: shortest window of motion [s]; the default is the core's.
-        threads: of the window estimators, all by default; no effect on the result.
+        threads: of `map` and `online`, all by default; no effect on the result.
         held_out: compare nominal and new gain on a part of the record that a second run of the estimator
             does not see; without it they are compared on what was fitted, in half the time.
-        rescale_noise: take the noise of sensor and motion from the residuals, where it was not well known.
         published: `ekf` starts from C = I and P = I in SI units.
         smooth: `ls` differentiates a spline and not the samples.
         process_density: of `ekf`.
@@ -90,13 +80,9 @@ def calibrate(
     records = [logs] if isinstance(logs, Log) else list(logs)
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
-    if window is not None and not window > 0.0:
-        raise InputError.at(None, "window", f"{window:g} s", "a positive length")
     _check_supported(rig, estimator)
     _check_options(
         estimator,
-        window=window,
-        rescale_noise=rescale_noise,
         published=published,
         smooth=smooth,
         process_density=process_density,
@@ -104,90 +90,83 @@ def calibrate(
     report = progress or (lambda phase, share: None)
     show = evidence or (lambda found: None)
     started = time.perf_counter()
-    records = uncompensated(rig, tracked(rig, records))
+    if estimator in ("ekf", "ls") or rig.sensor.subtracted is not None:
+        records = tracked(rig, records)
+    records = uncompensated(rig, records)
     if wrench_is_known(rig, records, estimator):
-        if window is not None:
-            raise UnsupportedError.at(None, "window", f"{window:g} s", "nothing for logs with ref_* columns")
         return _from_known_wrench(rig, records, held_out, report, show)
     _check_motion(rig, estimator)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
-        return _from_windows(rig, records, estimator, window, threads, held_out, rescale_noise, report, show)
+        return _from_motion(rig, records, estimator, threads, held_out, report, show)
     return _from_reference(rig, records, estimator, published, smooth, process_density, started, show)
 
 
-def _from_windows(
+def _from_motion(
     rig: Rig,
     logs: Sequence[Log],
     estimator: Literal["map", "online"],
-    window: float | None,
     threads: int | None,
     held_out: bool,
-    rescale_noise: bool,
     report: Progress,
     show: Show,
 ) -> Calibration:
-    settings = _core.EstimatorSettings()
-    settings.window = settings.window if window is None else window
-    settings.threads = threads or 0
     clock = [time.perf_counter()]
-    attempts = Attempts(logs, estimator, settings)
-    found = attempts.explain(rig, rescale_noise)
-    estimate, noise = found.estimate, found.noise
-    logs = attempts.logs  # cut where their offsets jump
+    online = estimator == "online"
+    estimate = estimate_motion(rig, logs, threads=threads or 0, online=online)
     clock.append(time.perf_counter())
-    report("judging", None)
-
-    delay = hidden_delay(rig, noise, logs)
-    if not mostly_unexplained(estimate.windows) and fitted_share(estimate.windows) < ENOUGH:
-        delay = 0.0  # the colour is that of what disturbs some windows
-    if delay > 0.0 and delay_excluded(found.as_found, delay, attempts.quick):
-        delay = 0.0
-    verdict = judge_windows(rig, estimate, logs, noise, delay, found.moving)
-    poor = noise.resized or found.moving is not None or mostly_unexplained(estimate.windows)
-    if verdict.usable or poor:  # a delay spoils a good sensor's fit
-        begun = partial(attempts.begun_at, estimate)
-        doubts = clock_doubts(found.rig if noise.resized else found.as_found, logs, begun)
-        verdict = replace(verdict, usable=verdict.usable and not doubts, reasons=(*verdict.reasons, *doubts))
-    calibration = assemble_windows(rig, logs, estimator, estimate, verdict)
-    clock.append(time.perf_counter())
+    provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
-        again = attempts.without(kept, found.as_found, estimate)
-        return assemble_windows(rig, kept, estimator, again, Verdict(True)) if again.solved else None
+        again = estimate_motion(rig, kept, threads=threads or 0, online=online)
+        return assemble_motion(rig, kept, estimator, again, Verdict(True)) if again.solved else None
 
     compared: Comparison | str = "not asked for"
-    if not estimate.solved or np.isnan(np.concatenate(estimate.wrench)).all():
-        compared = "no window of motion fits"
+    if not estimate.solved:
+        compared = "nothing of the record could be fitted"
     elif held_out:
         report("comparing", None)
-        undisturbed = [estimate.undisturbed(log, k) for k, log in enumerate(logs)]
+        undisturbed = [_undisturbed(log, estimate, k) for k, log in enumerate(logs)]
         compared = compare_held_out(rig, undisturbed, without_the_part)
     if isinstance(compared, str):
-        compared = compare_in_sample(rig, logs, estimate, calibration.inverse, compared)
+        compared = compare_in_sample(rig, logs, estimate, provisional.inverse, compared)
+    clock.append(time.perf_counter())
+    report("judging", None)
+    judgement = judge(estimate, _comparisons(estimate, compared, rig, logs), rig, logs)
+    assumed = findings(estimate, rig, logs)
     clock.append(time.perf_counter())
     show(Evidence(tuple(logs), estimate))
-    reasons = (*verdict.reasons, *compared.reasons)
     return replace(
-        calibration,
-        verdict=replace(verdict, usable=not reasons, reasons=reasons),
+        provisional,
+        verdict=judgement.verdict,
+        axes=judgement.axes,
+        assumed=assumed,
         improvement=compared.improvement,
         figures={
-            **window_figures(rig, estimate),
-            "noise": noise_figures(rig, noise),
+            **motion_figures(rig, estimate),
             "held_out": compared.figures,
-            "notes": [
-                *_log_notes(logs),
-                *still_twists(logs),
-                *still_bases(logs),
-                *noise_notes(rig, noise),
-                *_clock_notes(estimate),
-                *jump_notes(rig, attempts.jumps),
-                *end_notes(logs, estimate),
-            ],
+            "notes": [*_log_notes(logs), *still_motion(logs), *judgement.notes],
         },
-        timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
+        timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
     )
+
+
+def _comparisons(estimate: Estimate, compared: Comparison, rig: Rig, logs: Sequence[Log]) -> Comparisons:
+    held_out = any(axis.held_out for axis in compared.improvement.values())
+    return Comparisons(
+        improvement=compared.improvement if held_out else {},
+        worse=compared.reasons,
+        not_held_out="" if held_out else str(compared.figures.get("none_because", "nothing was compared")),
+        setup=setup_errors(estimate, rig, logs) if estimate.solved else (),
+    )
+
+
+def _undisturbed(log: Log, estimate: Estimate, k: int) -> Log:
+    """The log without the samples that were left out, cut where its offset steps."""
+    raw = log.raw.copy()
+    raw[estimate.rows[k].rows[estimate.rows[k].masked]] = np.nan
+    jumps = tuple(int(log.time_ns[0] + round(1e9 * step.time)) for step in estimate.steps[k])
+    return replace(log, raw=raw, offset_jumps_ns=jumps)
 
 
 def _from_known_wrench(
@@ -197,32 +176,39 @@ def _from_known_wrench(
     clock = [time.perf_counter()]
     estimate = estimate_from_known_wrench(rig, logs)
     clock.append(time.perf_counter())
-    report("judging", None)
-    verdict = judge_known_wrench(rig, logs, estimate)
-    clock.append(time.perf_counter())
+    report("comparing", None)
     compared = compare_known_wrench(rig, logs, estimate, held_out)
     clock.append(time.perf_counter())
+    report("judging", None)
+    judgement = judge_known_wrench(rig, logs, estimate, compared)
+    clock.append(time.perf_counter())
     show(Evidence(tuple(logs), estimate))
-    reasons = (*verdict.reasons, *compared.reasons)
     stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
     wrenches = [
         np.zeros((0, 6)) if log.reference is None else log.reference[rows]
         for log, rows in zip(logs, estimate.rows, strict=True)
     ]
+    figures = known_wrench_figures(rig, logs, estimate)
+    notes = [*_log_notes(logs), *figures.pop("notes"), *judgement.notes]
     return assemble(
         rig,
         "reference",
         estimate.gain,
         estimate.covariance,
-        replace(verdict, usable=not reasons, reasons=reasons),
+        judgement.verdict,
         known_wrench_reports(rig, logs, estimate),
-        assumed=estimate.findings,
         offset_temperature=estimate.offset_temperature,
         time_offset_std=rig.sensor.time_offset_prior,  # rows are synchronous: nothing was learnt of it
+        axes=judgement.axes,
+        assumed=estimate.findings,
         improvement=compared.improvement,
         bound=Bound(oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
-        figures={**known_wrench_figures(rig, logs, estimate), "held_out": compared.figures},
-        timings=dict(zip(("estimate", "judge", "compare"), np.diff(clock).tolist(), strict=True)),
+        figures={
+            **figures,
+            "held_out": compared.figures,
+            "notes": notes,
+        },
+        timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
     )
 
 
@@ -267,20 +253,11 @@ def _from_reference(
         estimator,
         gain,
         covariance,
-        judge_reference(rig, gain),
+        Verdict(False, ("reference estimator",)),
         reports,
         figures=figures,
         timings={"estimate": time.perf_counter() - started},
     )
-
-
-def _clock_notes(estimate: WindowEstimate) -> list[str]:
-    if not estimate.clock_untold:
-        return []
-    return [
-        "in this motion a change of time looks like a change of the gain: nothing was learnt of the time "
-        f"offset, and sigma contains what its prior leaves ({1e3 * estimate.time_offsets_std[-1]:.2g} ms)"
-    ]
 
 
 def _log_notes(logs: Sequence[Log]) -> list[str]:
@@ -297,22 +274,20 @@ def _check_supported(rig: Rig, estimator: EstimatorName) -> None:
     if sensor.lowpass_hz is not None:
         found = f"{sensor.lowpass_hz:g}"
         raise refuse("sensor.lowpass_hz", found, f"null: `{estimator}` knows no filtered sensor")
-    for key, walk in (("offset_walk", sensor.offset_walk_array.max()), ("gain_walk", sensor.gain_walk)):
-        if walk > 0.0:
-            raise refuse(f"sensor.{key}", f"{walk:g}", f"0: `{estimator}` knows no drift")
 
 
 def _check_motion(rig: Rig, estimator: EstimatorName) -> None:
-    """Refuse what only logs with a wrench known from elsewhere can be calibrated with."""
-    if rig.motion.source == "imu":
+    """Refuse motions that an estimator does not know."""
+    if rig.motion.source == "joints" and estimator == "online":
+        expected = "`twist` or `imu`: of joints `map` alone makes a calibration"
+        raise UnsupportedError.at(rig.path, "motion.source", "`joints`", expected)
+    if rig.motion.source == "imu" and estimator in ("ekf", "ls"):
         expected = f"`twist` or `joints`: `{estimator}` knows no motion of an IMU"
         raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
 
 
 def _check_options(estimator: EstimatorName, **options: Any) -> None:
     belongs = {
-        "window": ("map", "online"),
-        "rescale_noise": ("map", "online"),
         "published": ("ekf",),
         "process_density": ("ekf",),
         "smooth": ("ls",),

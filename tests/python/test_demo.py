@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from truewrench.estimate.windows import estimate_windows
 
 from truewrench import demo
 from truewrench.calibration import load_calibration
-from truewrench.estimate.windows import estimate_windows
 from truewrench.io.tables import read_log
 from truewrench.motion.trajectory import integrate_wrench
 from truewrench.rig import load_rig

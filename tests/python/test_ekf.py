@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimate.ekf import estimate_ekf
+from truewrench.estimation.ekf import estimate_ekf
 from truewrench.log import Log
 from truewrench.rig import Rig
 

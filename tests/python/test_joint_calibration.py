@@ -14,6 +14,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from truewrench.estimate.window_estimate import WindowEstimate
+from truewrench.estimate.windows import estimate_windows
 
 import truewrench as tw
 from truewrench.arm.robot import robot_of
@@ -21,8 +23,6 @@ from truewrench.arm.track import tracked
 from truewrench.calibration import Calibration
 from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimate.window_estimate import WindowEstimate
-from truewrench.estimate.windows import estimate_windows
 from truewrench.estimation.bound import bound
 from truewrench.log import Log
 from truewrench.motion.trajectory_joint import SplineJoints

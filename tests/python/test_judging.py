@@ -121,7 +121,6 @@ def estimate_of(
         history_time=np.zeros(0),
         history_log=np.zeros(0, np.int64),
         history_gain=np.zeros((0, n, 6)),
-        history_std=np.zeros((0, n, 6)),
     )
     return found, log
 

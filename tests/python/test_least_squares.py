@@ -10,7 +10,7 @@ import pytest
 from rigs import changed, two_payloads
 
 from truewrench.errors import UnsupportedError
-from truewrench.estimate.least_squares import least_squares
+from truewrench.estimation.least_squares import least_squares
 from truewrench.log import Log
 from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.rig import Rig

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from truewrench.verdict.silence import channel_faults, still_twists
 
 from truewrench.calibration import AXES
 from truewrench.log import Log
@@ -14,7 +15,6 @@ from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.pipeline import calibrate
 from truewrench.rig import Rig
 from truewrench.simulation.free_body import default_trajectory, simulate
-from truewrench.verdict.silence import channel_faults, still_twists
 
 
 @pytest.fixture(scope="module")

@@ -48,6 +48,16 @@ inline double median_period(const Eigen::VectorXd& time) {
   return *middle;
 }
 
+// Stamps at which the sensor has a sample.
+inline Eigen::VectorXd sensor_times(const RecordedLog& log) {
+  Eigen::VectorXd out(log.time.size());
+  Eigen::Index count = 0;
+  for (Eigen::Index k = 0; k < log.time.size(); ++k)
+    if (log.raw.row(k).array().isFinite().any()) out[count++] = log.time[k];
+  out.conservativeResize(count);
+  return out;
+}
+
 // Of the fastest motion stream [s].
 inline double motion_period(const RecordedLog& log) {
   double out = 0.0;
@@ -59,9 +69,9 @@ inline double motion_period(const RecordedLog& log) {
 }
 
 inline std::vector<Piece> pieces_of(const RecordedLog& log, double h, int& dropped) {
-  std::vector<double> sensor, motion;
-  for (Eigen::Index k = 0; k < log.time.size(); ++k)
-    if (log.raw.row(k).array().isFinite().any()) sensor.push_back(log.time[k]);
+  std::vector<double> motion;
+  const Eigen::VectorXd stamps = sensor_times(log);
+  const std::vector<double> sensor(stamps.data(), stamps.data() + stamps.size());
   for (const MotionStream& m : log.motion)
     for (Eigen::Index k = 0; k < m.time.size(); ++k)
       if (m.value.row(k).array().isFinite().any()) motion.push_back(m.time[k]);
@@ -74,7 +84,7 @@ inline std::vector<Piece> pieces_of(const RecordedLog& log, double h, int& dropp
     }
     return out;
   };
-  const std::vector<Piece> a = covered(sensor, median_period(log.time)), b = covered(motion, motion_period(log));
+  const std::vector<Piece> a = covered(sensor, median_period(stamps)), b = covered(motion, motion_period(log));
   std::vector<Piece> out;
   dropped = 0;
   for (std::size_t i = 0, j = 0; i < a.size() && j < b.size();) {
@@ -164,7 +174,7 @@ class Estimator {
     LogFit out;
     out.log = recorded_[l];
     out.h = h;
-    out.period = median_period(recorded_[l]->time);
+    out.period = median_period(sensor_times(*recorded_[l]));
     for (const Piece& p : pieces_[l]) out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, out.period, h);
     return out;
   }

@@ -63,7 +63,8 @@ inline double Fit::resize() {
       q_trace += t.q;
     }
     const auto resize_factor = [&move](double& factor, double rss, double rows, double used) {
-      const double to = std::sqrt(std::max(rss, 1e-300) / std::max(rows - used, 1e-3 * std::max(rows, 1.0)));
+      if (rows - used < constants::fewest_freedom) return;  // nothing is left to find it by
+      const double to = std::max(std::sqrt(rss / (rows - used)), constants::factor_floor);
       const double ratio = std::clamp(to / factor, 0.2, 5.0);
       factor *= ratio;
       move = std::max(move, std::abs(std::log(ratio)));

@@ -145,7 +145,7 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
     if (iteration >= held)
       for (std::size_t i = 0; i < streams; ++i)
         for (Eigen::Index r = 0; r < rss[i].size(); ++r) {
-          if (count[i][r] <= 0.0) continue;
+          if (count[i][r] - used[i][r] < constants::fewest_freedom) continue;
           const double to = std::sqrt(std::max(rss[i][r], 1e-12) / std::max(count[i][r] - used[i][r], 1e-3 * count[i][r]));
           move = std::max(move, 2.0 * std::abs(std::log(to / z.motion_factor[i][r])));
           factor[i][r] = to;

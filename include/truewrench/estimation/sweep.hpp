@@ -251,7 +251,8 @@ class Sweep {
     for (int k = 0; k < kLocal; ++k)
       for (int l = 0; l < kLocal; ++l) {
         const double *R = smoothness_.data() + (kLocal * l + k) * M_, *c = s.c.data() + (interval + l) * M_;
-        for (int j = 0; j < M_; ++j) at.row[k][j * ld_ + gradient] -= R[j] * c[j];
+        const double* from = s.c.data() + interval * M_;  // R annihilates a constant, which would drown the rest in rounding
+        for (int j = 0; j < M_; ++j) at.row[k][j * ld_ + gradient] -= R[j] * (c[j] - from[j]);
       }
     if (!d_) return;
     for (int k = 0; k < kLocal; ++k)

@@ -77,13 +77,14 @@ struct SplineTable {
 struct Penalty {
   Gram inside = Gram::Zero();
   Gram start = Gram::Zero();
+  bool of_derivative = false;  // it annihilates a constant, beside which what it measures would drown in rounding
 
   // x^T R x for column j of coefficients (N, columns).
   double quadratic(const double* x, Eigen::Index size, Eigen::Index columns) const {
     double sum = 0.0;
     for (Eigen::Index i = 0; i + kLocal <= size; ++i) {
       double local[kLocal];
-      for (int k = 0; k < kLocal; ++k) local[k] = x[(i + k) * columns];
+      for (int k = 0; k < kLocal; ++k) local[k] = x[(i + k) * columns] - (of_derivative ? x[i * columns] : 0.0);
       for (int l = 0; l < kLocal; ++l) {
         double row = 0.0;
         for (int k = 0; k < kLocal; ++k) row += (inside(k, l) + (i == 0 ? start(k, l) : 0.0)) * local[k];
@@ -161,7 +162,7 @@ class Spline {
   }
 
   // R_p (10.1) of one interval.
-  Penalty smoothness(int p) const { return {gram(p, p), Gram::Zero()}; }
+  Penalty smoothness(int p) const { return {gram(p, p), Gram::Zero(), true}; }
 
   // log |R_p + A^T A| with A the values of the first p derivatives at the beginning, in the coordinates (p coefficients,
   // p-th differences) where it falls apart (10.2, below (10.7)): log |G| - ((2p - 1)(N - p) + p (p - 1)) log h.

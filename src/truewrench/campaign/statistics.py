@@ -230,7 +230,7 @@ def _figures(columns: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> Tab
         ("coverage of 95 % intervals", lambda s: percent(s["coverage"])),
         ("  its 95 % confidence [%]", lambda s: interval(s["coverage_95"], 100.0)),
         ("largest |error| / sigma", lambda s: number(s["largest_deviation"])),
-        ("windows fitted", lambda s: percent(s["windows_fitted_share"])),
+        ("samples left out", lambda s: percent(s["masked"])),
     ]
     for name, cell in cells:
         table.add_row(name, *(cell(column) for column in columns))
@@ -254,7 +254,6 @@ def _statistics(rows: pa.Table, chosen: Flags) -> dict[str, Any]:
     judged = chosen & np.isfinite(_column(rows, "nees"))
     squared, freedom = _column(rows, "nees")[judged], _column(rows, "nees_dof")[judged]
     shares, sizes = column("coverage"), [len(e) for e in rows["error"].to_pylist() if e is not None]
-    fitted, windows = column("windows_fitted").sum(), column("windows").sum()
     largest = column("largest_deviation")
     return {
         "trials": int(chosen.sum()),
@@ -272,12 +271,10 @@ def _statistics(rows: pa.Table, chosen: Flags) -> dict[str, Any]:
         "coverage": float(shares.mean()) if shares.size else None,
         "coverage_95": list(cluster_interval(shares, max(sizes))) if shares.size else None,
         "largest_deviation": float(largest.max()) if largest.size else None,
-        "chi_square": {
-            name.removeprefix("chi_square_"): mean(name)
-            for name in rows.column_names
-            if name.startswith("chi_square_")
+        "noise_found": {
+            name.removeprefix("noise_"): mean(name) for name in rows.column_names if name.startswith("noise_")
         },
-        "windows_fitted_share": float(fitted / windows) if windows else None,
+        "masked": mean("masked"),
     }
 
 

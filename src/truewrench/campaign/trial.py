@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +22,7 @@ from truewrench.simulation.free_body import Truth, simulate
 
 __all__ = ["SCHEMA", "STREAMS", "Row", "make_row", "nees", "run_trial", "trial_seed"]
 
-STREAMS = ("force", "moment", "v", "Omega")
+STREAMS = {"force": "force", "moment": "moment", "v": "velocities v", "Omega": "velocities Omega"}
 
 Array = NDArray[np.float64]
 Outcome = Literal["calibrated", "refused", "fault"]
@@ -33,7 +33,8 @@ _WITHIN_95 = float(ndtri(0.975))
 
 _NUMBERS = (
     *("rms_error", "rms_stated", "rms_oracle", "nees", "largest_deviation", "coverage"),
-    *(f"chi_square_{stream}" for stream in STREAMS),
+    *(f"noise_{stream}" for stream in STREAMS),
+    "masked",
     *("time_offset_error", "time_offset_std", "seconds"),
 )
 SCHEMA = pa.schema(
@@ -44,10 +45,7 @@ SCHEMA = pa.schema(
         pa.field("usable", pa.bool_()),
         pa.field("reasons", pa.list_(pa.string())),
         *(pa.field(name, pa.float64()) for name in _NUMBERS),
-        *(
-            pa.field(name, pa.int64())
-            for name in ("nees_dof", "windows", "windows_fitted", "windows_rejected")
-        ),
+        pa.field("nees_dof", pa.int64()),
         # normalised, row by row of the gain
         pa.field("error", pa.list_(pa.float64())),
         pa.field("std", pa.list_(pa.float64())),
@@ -119,8 +117,9 @@ def _judge(found: Calibration, truth: Truth) -> Row:
     std = np.sqrt(np.diag(covariance))
     deviation = np.abs(error) / std
     squared, freedom = nees(error, covariance)
-    chi_square = found.figures.get("chi_square")
-    windows, fitted = found.figures.get("windows"), found.figures.get("windows_fitted")
+    noise = (found.figures.get("noise_found") or [{}])[-1]
+    left_out = sum(sum(log.masked.values()) for log in found.logs)
+    total = left_out + sum(log.used for log in found.logs)
     values: Row = {
         "rms_error": np.sqrt(np.mean(error**2)),
         "rms_stated": np.sqrt(np.mean(std**2)),
@@ -131,15 +130,12 @@ def _judge(found: Calibration, truth: Truth) -> Row:
         "time_offset_error": found.time_offset - truth.time_offset,
         "time_offset_std": found.time_offset_std,
     }
-    if isinstance(chi_square, Mapping):
-        values |= {f"chi_square_{stream}": chi_square.get(stream) for stream in STREAMS}
+    values |= {f"noise_{stream}": noise.get(name) for stream, name in STREAMS.items()}
+    values["masked"] = left_out / total if total else None
     known = {name: float(x) for name, x in values.items() if x is not None and np.isfinite(x)}
     return known | {
         "usable": found.verdict.usable,
         "nees_dof": freedom,
-        "windows": windows,
-        "windows_fitted": fitted,
-        "windows_rejected": None if windows is None or fitted is None else windows - fitted,
         "error": error.tolist(),
         "std": std.tolist(),
     }

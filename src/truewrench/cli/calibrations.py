@@ -41,14 +41,8 @@ def calibrate(
     ] = "map",
     published: Annotated[bool, typer.Option("--published", help="ekf: start from P = I in SI.")] = False,
     smooth: Annotated[Literal["spline"] | None, typer.Option(help="ls: differentiate a spline.")] = None,
-    window: Annotated[
-        float | None, typer.Option(min=0.0, help="Length of a window of motion in seconds.")
-    ] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
     process_density: Annotated[float | None, typer.Option(min=0.0, help="ekf: of the acceleration.")] = None,
-    rescale_noise: Annotated[
-        bool, typer.Option("--rescale-noise", help="Take the noise of sensor and motion from the residuals.")
-    ] = False,
     held_out: Annotated[
         bool,
         typer.Option("--held-out/--no-held-out", help="Compare with the nominal gain on unseen data."),
@@ -73,10 +67,8 @@ def calibrate(
             settings,
             records,
             estimator,
-            window=window,
             threads=threads,
             held_out=held_out,
-            rescale_noise=rescale_noise,
             published=published,
             smooth=smooth,
             process_density=process_density,

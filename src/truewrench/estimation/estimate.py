@@ -7,7 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Clock", "Estimate", "Event", "FoundNoise", "LogRows", "PayloadDeparture", "Slow", "Step"]
+__all__ = [
+    "Clock",
+    "Estimate",
+    "Event",
+    "FoundNoise",
+    "LogRows",
+    "PayloadDeparture",
+    "Slow",
+    "Step",
+    "no_rows",
+]
 
 Array = NDArray[np.float64]
 
@@ -148,6 +158,15 @@ class LogRows:
     stretch: NDArray[np.int64]
 
 
+def no_rows(n: int) -> LogRows:
+    """Of a log of n channels that holds no motion."""
+    none = np.zeros(0, np.int64)
+    empty = np.zeros((0, 6))
+    return LogRows(
+        none, np.zeros(0), np.zeros(0, bool), np.zeros((0, n)), np.zeros((0, n)), empty, empty, empty, none
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """Gain, offsets and all that was estimated with them.
@@ -191,7 +210,6 @@ class Estimate:
         history_time: (B,) [s] of the blocks of `online`; empty for `map`.
         history_log: (B,) which log each belongs to.
         history_gain: (B, n, 6) the gain after it.
-        history_std: (B, n, 6).
     """
 
     solved: bool
@@ -229,7 +247,6 @@ class Estimate:
     history_time: Array
     history_log: NDArray[np.int64]
     history_gain: Array
-    history_std: Array
 
     @property
     def time_offsets(self) -> Array:

@@ -19,7 +19,9 @@ from truewrench.estimation.estimate import (
     PayloadDeparture,
     Slow,
     Step,
+    no_rows,
 )
+from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
 from truewrench.log import Log
 from truewrench.rig import Rig
@@ -49,8 +51,11 @@ def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = 
     settings = _core.Settings()
     settings.threads = threads
     settings.discrepancy = assumed.discrepancy
-    run = _core.estimate_online if online else _core.estimate
-    found = run(statement, records, settings)
+    found: Any
+    if online:
+        found = found_online(statement, records, assumed.discrepancy)
+    else:
+        found = _core.estimate(statement, records, settings)
     if found.status != _core.Status.ok:
         return _unsolved(rig, assumed, logs, found)
     return _solved(rig, assumed, logs, found, records)
@@ -88,7 +93,8 @@ def _solved(
     if columns[0].slope >= 0:
         slope = np.array(columns[0].at)[columns[0].slope : columns[0].slope + n]
     rows = tuple(_rows(rig, log, fit.rows(k)) for k, log in enumerate(logs))
-    history = getattr(found, "history", None)
+    history: History | None = getattr(found, "history", None)
+    unit = scale[:, None] / span
     return Estimate(
         solved=True,
         gain=theta[: 6 * n].reshape(n, 6) * scale[:, None] / span,
@@ -121,13 +127,12 @@ def _solved(
         ww=np.asarray(found.pose.ww),
         p_halves=float(found.halves.p),
         p_quarters=float(found.quarters.p),
-        converged=bool(fit.converged),
+        converged=history is not None or bool(fit.converged),
         iterations=int(fit.iterations),
         fits=int(found.fits),
-        history_time=_NOTHING if history is None else np.asarray(history.time),
-        history_log=np.zeros(0, np.int64) if history is None else np.asarray(history.log, np.int64),
-        history_gain=np.zeros((0, n, 6)) if history is None else np.asarray(history.gain),
-        history_std=np.zeros((0, n, 6)) if history is None else np.asarray(history.std),
+        history_time=_NOTHING if history is None else history.time,
+        history_log=np.zeros(0, np.int64) if history is None else history.log,
+        history_gain=np.zeros((0, n, 6)) if history is None else history.gain * unit,
     )
 
 
@@ -139,17 +144,6 @@ def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -
     normalised = np.diag(prior**2)
     units = np.append((scale[:, None] / span).ravel(), scale)
     offset_std = np.tile(rig.sensor.offset_prior_array, (count, 1))
-    nothing = LogRows(
-        np.zeros(0, np.int64),
-        _NOTHING,
-        np.zeros(0, bool),
-        np.zeros((0, n)),
-        np.zeros((0, n)),
-        np.zeros((0, 6)),
-        np.zeros((0, 6)),
-        np.zeros((0, 6)),
-        np.zeros(0, np.int64),
-    )
     unresolved = np.zeros(count, dtype=bool)
     unresolved[: len(found.unresolved)] = found.unresolved
     dropped = np.zeros(count, dtype=np.int64)
@@ -178,7 +172,7 @@ def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -
         spacing=np.full(count, np.nan),
         unresolved=unresolved,
         dropped=dropped,
-        rows=(nothing,) * count,
+        rows=(no_rows(n),) * count,
         sources={},
         A=0.0,
         ww=np.zeros((6, 6)),
@@ -190,7 +184,6 @@ def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -
         history_time=_NOTHING,
         history_log=np.zeros(0, np.int64),
         history_gain=np.zeros((0, n, 6)),
-        history_std=np.zeros((0, n, 6)),
     )
 
 

@@ -189,7 +189,7 @@ def solve(problem: Problem, parts: Sequence[Part]) -> Solution:
         scatter /= np.sqrt(np.outer(np.diag(noise), np.diag(noise)))
         np.fill_diagonal(scatter, np.diag(inverse))
         varies = np.einsum("ij,ijab->iajb", scatter, products).reshape(n * p, n * p) + np.diag(prior)
-        covariance = covariance @ varies @ covariance + np.outer(shifted, shifted)
+        covariance = np.asarray(covariance @ varies @ covariance + np.outer(shifted, shifted), np.float64)
     followed: Array = np.linalg.pinv(shaped.T @ sums.mean @ shaped, hermitian=True)
     return Solution(
         parameters,

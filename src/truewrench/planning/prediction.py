@@ -27,12 +27,12 @@ from truewrench.estimation.pose import (
     pose_share,
     with_pose,
 )
+from truewrench.judging.undetermined import undetermined_directions
 from truewrench.log import Log
 from truewrench.motion.trajectory import SplineTwist, Trajectory
 from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.planning.check import Preview
 from truewrench.rig import PayloadSpec, Rig, SimulateSpec
-from truewrench.verdict import undetermined_directions
 
 __all__ = ["HEAVIER", "LONGER", "POSE", "Prediction", "figures", "hidden", "predict"]
 
@@ -160,7 +160,7 @@ def predict(
         heavier_rms=rms(sigma(heavier, 1.0 / share)),
         heavier_wrench=HEAVIER * used,
         undetermined=undetermined_directions(
-            known.covariance(1.0 / share), sensor.gain_prior, sensor.channels
+            known.covariance(1.0 / share), np.full(6 * sensor.n, sensor.gain_prior), sensor.channels
         ),
         pose=pose,
         blind_to=blind_to(pose, delay, ceiling=sensor.gain_prior),

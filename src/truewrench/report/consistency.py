@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from truewrench.estimate.ekf import EkfEstimate
+from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.known_wrench import KnownWrenchEstimate
 from truewrench.evidence import Evidence

@@ -194,8 +194,6 @@ def _residuals(c: Calibration, record: Record) -> Section:
         )
     if len(record.logs) > 1:
         words.append("The logs stand one after the other, in their order, a grey line where each begins.")
-    if record.source != "fit" and c.rig.sensor.offset_walk_array.any():
-        words.append("The drift of the offset within a log is contained in these residuals.")
     caption = (
         "Residuals of the six wrench axes [N, N m]. Dashed grey: ±2 expected sigma, between which 95 % of "
         f"single samples belong. {_SHADES} {_decimation(curve)}"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.calibration import Calibration
-from truewrench.estimate.ekf import EkfEstimate
+from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
 from truewrench.evidence import Evidence
 from truewrench.report.series import Record

@@ -109,8 +109,6 @@ class SensorSpec(Section):
     ) = None  # 10% of channel_scale
     pool_offsets: Switch = False
     time_offset_prior: NonNegative = 5.0e-3
-    offset_walk: NonNegatives | None = None  # 1 sigma of the offset's random walk, raw units per sqrt(s)
-    gain_walk: NonNegative = 0.0  # of every gain's, normalised, per sqrt(day)
     lowpass_hz: Positive | None = None
     discrepancy: Annotated[
         float | Literal["auto"], word_or_number("auto", "a fraction of range of at least 0", 0.0)
@@ -130,10 +128,6 @@ class SensorSpec(Section):
                 raise refuse(f"channels.{i}", shown(name), "every channel name once")
         if len(self.noise) != n:
             raise refuse("noise", f"{len(self.noise)} entries", f"{n}: one per channel")
-        if self.offset_walk is not None and len(self.offset_walk) != n:
-            raise refuse("offset_walk", f"{len(self.offset_walk)} entries", f"{n}: one per channel")
-        if self.pool_offsets and (self.gain_walk > 0.0 or any(self.offset_walk or ())):
-            raise refuse("pool_offsets", "true", "false: one offset for all logs cannot walk")
         if self.compensated is True:
             raise refuse(
                 "compensated",
@@ -203,11 +197,6 @@ class SensorSpec(Section):
         """(n,) full scale of each channel, |nominal_gain| @ range [raw units]."""
         scale: FloatArray = np.abs(self.nominal_gain_array) @ self.range_array
         return scale
-
-    @property
-    def offset_walk_array(self) -> FloatArray:
-        """(n,) 1 sigma of the offset's random walk, raw units per sqrt(s)."""
-        return np.zeros(self.n) if self.offset_walk is None else np.array(self.offset_walk)
 
     @property
     def offset_prior_array(self) -> FloatArray:

@@ -180,11 +180,7 @@ def readings(
 ) -> Array:
     """Raw channels (N, n) on all rows, from the wrench (M, 6) of the payload on the sensor at its samples."""
     noise = rig.sensor.noise_array * rng.standard_normal((len(wrench), rig.sensor.n))
-    # the offset walks to what the truth says, which is its value at the end
-    steps = np.sqrt(np.diff(stamps.shown, append=stamps.shown[-1]))[:, None] * rig.sensor.offset_walk_array
-    steps = steps * np.random.default_rng([truth.seed, 3]).standard_normal(steps.shape)
-    offset = truth.offset - np.cumsum(steps[::-1], axis=0)[::-1]
-    ideal = rig.sensor.sign * wrench @ truth.gain.T + offset
+    ideal = rig.sensor.sign * wrench @ truth.gain.T + truth.offset
     return stamps.rows_of(stamps.sensor_ns, readout.channels(ideal, noise))
 
 

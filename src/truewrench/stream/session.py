@@ -1,8 +1,7 @@
 """A calibration while its log still grows (docs/live.md).
 
-The estimators work on whole logs. `online` takes one window of motion after the other, but begins with the
-choice of knots and clock for all of them and ends with all windows at the final gain; it is run anew whenever
-the record has grown by a quarter, so that all runs together cost a few times the last.
+On the way `online` (of joints: `map`) is run on the record so far, anew whenever that has grown by a quarter,
+so that all runs together cost a few times the last; what is written at the end is `map` on the whole record.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy.typing as npt
 
@@ -105,7 +104,7 @@ class LiveCalibration:
         return None
 
     def finish(self, folder: Path | None) -> Progress:
-        """The calibration from the whole record, as `calibrate --estimator online` makes it of a log.
+        """The calibration from the whole record, as `calibrate` makes it of a log.
 
         Args:
             folder: gets the record, which the result names as its log, and `calibration.yaml`; without one
@@ -122,7 +121,7 @@ class LiveCalibration:
         target = None if folder is None else folder / RECORD
         with self._written(columns) as path:
             log = replace(self._read(path), path=target)
-            calibration = calibrate(self.rig, log, "online", evidence=self.evidence.append)
+            calibration = calibrate(self.rig, log, "map", evidence=self.evidence.append)
             if target is not None:
                 with atomic_output(target) as whole:
                     shutil.copyfile(path, whole)
@@ -133,7 +132,8 @@ class LiveCalibration:
         try:
             with self._written(columns) as path:
                 log = replace(self._read(path), path=None)
-            found = calibrate(self.rig, log, "online", threads=1, held_out=False)
+            way: Literal["map", "online"] = "map" if self.rig.motion.source == "joints" else "online"
+            found = calibrate(self.rig, log, way, threads=1, held_out=False)
         except InputError as error:
             return self._progress(columns, samples, reason=str(error))
         except Exception as error:  # no fault on the way may cost the record

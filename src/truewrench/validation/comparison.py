@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.calibration import AXES, AxisImprovement, Calibration
 from truewrench.errors import InputError
-from truewrench.estimate.window_estimate import WindowEstimate
 from truewrench.estimation.estimate import Estimate
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.split import between_jumps, held_out
-from truewrench.temperature import at_reference_temperature
 from truewrench.validation import CHANGE, LOSS, validate, worse
 
 __all__ = ["Comparison", "compare_held_out", "compare_in_sample"]
@@ -81,7 +79,7 @@ def compare_held_out(
 
 
 def compare_in_sample(
-    rig: Rig, logs: Sequence[Log], estimate: Estimate | WindowEstimate, inverse: Array, why: str
+    rig: Rig, logs: Sequence[Log], estimate: Estimate, inverse: Array, why: str
 ) -> Comparison:
     """Compare on the data the gain was fitted to, with the payload's wrench by the fitted motion.
 
@@ -95,10 +93,7 @@ def compare_in_sample(
         inverse: (6, n) of the gain.
         why: nothing was held out.
     """
-    if isinstance(estimate, WindowEstimate):
-        old, new = _errors_by_windows(rig, logs, estimate, inverse)
-    else:
-        old, new = _errors(rig, logs, estimate, inverse)
+    old, new = _errors(rig, logs, estimate, inverse)
     if not old or not np.isfinite(inverse).all():
         return Comparison({}, (), {"none_because": why})
     before, after = (np.sqrt(np.mean(np.concatenate(x) ** 2, axis=0)) for x in (old, new))
@@ -131,26 +126,4 @@ def _errors(
         old.append(nominal)
         quadratic = estimate.quadratic * (wrench @ estimate.gain.T / scale) ** 2
         new.append(((rows.residual + rows.discrepancy)[used] + quadratic) * scale @ inverse.T)
-    return old, new
-
-
-def _errors_by_windows(
-    rig: Rig, logs: Sequence[Log], estimate: WindowEstimate, inverse: Array
-) -> tuple[list[Array], list[Array]]:
-    """The same, as long as there is an estimate from windows."""
-    nominal_inverse = _core.generalised_inverse(rig.sensor.nominal_gain_array, rig.sensor.noise_array)
-    old, new = [], []
-    for log, path, wrench, rows in zip(
-        logs, estimate.offset_path, estimate.wrench, estimate.wrench_rows, strict=True
-    ):
-        known = np.isfinite(wrench).all(axis=1) & np.isfinite(log.raw[rows]).all(axis=1)
-        if not known.any():
-            continue
-        raw = log.raw[rows][known]
-        nominal = raw @ nominal_inverse.T - wrench[known]
-        if rig.sensor.offset_prior_array.any():
-            nominal -= nominal.mean(axis=0)
-        old.append(nominal)
-        compensated = at_reference_temperature(estimate.offset_temperature, rig, log).raw[rows][known]
-        new.append((compensated - path.at(log.time[rows][known])) @ inverse.T - wrench[known])
     return old, new

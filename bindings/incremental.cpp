@@ -1,0 +1,254 @@
+// The estimator as samples arrive: include/truewrench/estimation/incremental.hpp.
+#include "bindings.hpp"
+
+#include "truewrench/estimation/estimator.hpp"
+#include "truewrench/estimation/incremental.hpp"
+
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <memory>
+#include <optional>
+#include <vector>
+
+namespace truewrench::python {
+namespace {
+
+// What `estimate` tells, as far as it exists without a second look at the record.
+struct OnlineEstimate {
+  Status status = Status::ok;
+  Eigen::VectorXd theta, mean, prior;
+  std::vector<int> active;
+  Eigen::MatrixXd covariance, added, gain_covariance;
+  Eigen::VectorXd discrepancy2;
+  std::vector<std::vector<Moment>> moments;  // by log and group
+  PoseShare pose;
+  Agreement halves, quarters;  // halves: not told
+  std::vector<bool> unresolved;
+  std::vector<int> dropped;
+  std::vector<double> spacing;
+  std::vector<Sizes> sizes;                       // by log
+  std::vector<Eigen::VectorXd> own;               // by log: theta as its record ended
+  std::vector<std::vector<bool>> masked;          // by log: rows
+  std::vector<Eigen::VectorXd> history_time;      // by log: [s] ends of blocks
+  std::vector<RowMatrix> history_gain;            // (blocks, 6n)
+  std::vector<std::int64_t> samples;              // by log: that were used or masked
+  Columns columns;                                // of the last log
+  std::int64_t blocks = 0;
+};
+
+RecordedLog without_samples(const RecordedLog& log) {
+  RecordedLog out = log;
+  out.time.resize(0);
+  out.raw.resize(0, log.raw.cols());
+  out.R_sensor_root.resize(0, 9);
+  if (out.temperature.size() > 1) out.temperature.conservativeResize(1);
+  for (MotionStream& m : out.motion) {
+    m.time.resize(0);
+    m.value.resize(0, m.value.cols());
+  }
+  return out;
+}
+
+double rate_of(const Eigen::VectorXd& time) {
+  double least = 1e300;  // half of the samples are closer than twice the median
+  if (time.size() < 2) return 1.0;
+  least = median_period(time);
+  return 1.5 / std::max(least, 1e-6);
+}
+
+// All samples of a log in the order of time.
+Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out) {
+  std::vector<Eigen::Index> at(log.motion.size(), 0);
+  Eigen::Index k = 0;
+  Status worst = Status::ok;
+  std::vector<double> time;
+  std::vector<Eigen::VectorXd> gain;
+  std::int64_t blocks = online.blocks();
+  const auto note = [&](Status s, double t) {
+    if (s != Status::ok && s != Status::not_finite) worst = s;
+    if (out == nullptr || online.blocks() == blocks || !online.ready()) return;
+    blocks = online.blocks();
+    time.push_back(t);
+    const auto C = online.gain();
+    gain.emplace_back(Eigen::Map<const Eigen::VectorXd>(C.data(), C.size()));
+  };
+  for (;;) {
+    double next = k < log.time.size() ? log.time[k] : 1e300;
+    int stream = -1;
+    for (std::size_t i = 0; i < at.size(); ++i)
+      if (at[i] < log.motion[i].time.size() && log.motion[i].time[at[i]] <= next) {
+        next = log.motion[i].time[at[i]];
+        stream = static_cast<int>(i);
+      }
+    if (next == 1e300) break;
+    if (stream >= 0) {
+      const auto i = static_cast<std::size_t>(stream);
+      const Vector6 v = log.motion[i].value.row(at[i]);
+      note(online.push_motion(i, next, v.data()), next);
+      ++at[i];
+    } else {
+      const double* R = log.R_sensor_root.rows() > 0 ? log.R_sensor_root.row(k).data() : nullptr;
+      note(online.push_raw(next, log.raw.row(k).data(), R, log.temperature.size() > 0 ? log.temperature[k] : 0.0), next);
+      ++k;
+    }
+  }
+  note(online.finish(), log.time.size() > 0 ? log.time[log.time.size() - 1] : 0.0);
+  if (out != nullptr) {
+    out->history_time.emplace_back(Eigen::Map<const Eigen::VectorXd>(time.data(), static_cast<Eigen::Index>(time.size())));
+    RowMatrix all(static_cast<Eigen::Index>(gain.size()), gain.empty() ? 0 : gain[0].size());
+    for (std::size_t i = 0; i < gain.size(); ++i) all.row(static_cast<Eigen::Index>(i)) = gain[i].transpose();
+    out->history_gain.push_back(std::move(all));
+  }
+  return worst;
+}
+
+OnlineEstimate estimate_online(const Statement& rig, const std::vector<const RecordedLog*>& logs, IncrementalSettings settings) {
+  if (logs.empty()) throw nb::value_error("estimate_online: no logs");
+  for (const RecordedLog* log : logs) {
+    if (log->source == Source::mapped || log->components() != kComponents)
+      throw nb::value_error("estimate_online: a log of twists or of an IMU is expected");
+    if (log->raw.cols() > kMostChannels || log->motion.size() > kMostStreams)
+      throw nb::value_error("estimate_online: more channels or streams than there are places");
+    settings.rate = std::max(settings.rate, rate_of(log->time));
+    for (const MotionStream& m : log->motion) settings.rate = std::max(settings.rate, rate_of(m.time));
+  }
+  OnlineEstimate out;
+  auto online = std::make_unique<Incremental>(rig, without_samples(*logs[0]), settings);
+  for (std::size_t l = 0; l < logs.size(); ++l) {
+    const RecordedLog& log = *logs[l];
+    if (l > 0) online->next_log(without_samples(log));
+    const std::int64_t before = online->samples();
+    const int dropped = online->dropped();
+    online->clear_masked();
+    const Status status = feed(*online, log, &out);
+    if (status != Status::ok) out.status = status;
+    online->covariance();
+    out.moments.emplace_back(online->moments().begin(), online->moments().begin() + raw_groups(static_cast<int>(rig.noise.size())));
+    out.unresolved.push_back(online->unresolved());
+    out.dropped.push_back(online->dropped() - dropped);
+    out.spacing.push_back(online->spacing());
+    out.sizes.push_back(online->sizes());
+    out.own.push_back(online->theta());
+    out.samples.push_back(online->samples() - before);
+    std::vector<bool> masked(static_cast<std::size_t>(log.time.size()), false);
+    Eigen::Index k = 0;
+    std::vector<MaskedSpan> spans;
+    for (std::size_t i = 0; i < online->masked_spans(); ++i) spans.push_back(online->masked_span(i));
+    std::sort(spans.begin(), spans.end(), [](const MaskedSpan& a, const MaskedSpan& b) { return a.begin < b.begin; });
+    for (const MaskedSpan& s : spans) {
+      while (k < log.time.size() && log.time[k] < s.begin - 1e-9) ++k;
+      for (Eigen::Index j = k; j < log.time.size() && log.time[j] <= s.end + 1e-9; ++j) masked[static_cast<std::size_t>(j)] = true;
+    }
+    out.masked.push_back(std::move(masked));
+  }
+  out.theta = online->theta();
+  out.mean = online->lag().layout().mean();
+  out.prior = online->prior();
+  for (std::size_t i = 0; i < online->active().size(); ++i)
+    if (online->active()[i] != 0) out.active.push_back(static_cast<int>(i));
+  out.covariance = online->theta_covariance();
+  out.gain_covariance = online->covariance();
+  out.added = online->added();
+  out.discrepancy2 = online->discrepancy2();
+  out.pose = online->pose();
+  out.quarters = online->agreement();
+  out.columns = online->lag().layout().log(0);
+  out.blocks = online->blocks();
+  return out;
+}
+
+}  // namespace
+
+void bind_incremental(nb::module_& m) {
+  nb::class_<IncrementalSettings>(m, "IncrementalSettings", "Of the estimator as samples arrive.")
+      .def(nb::init<>())
+      .def_rw("lag", &IncrementalSettings::lag)
+      .def_rw("rate", &IncrementalSettings::rate)
+      .def_rw("spacing", &IncrementalSettings::spacing)
+      .def_rw("finest", &IncrementalSettings::finest)
+      .def_rw("discrepancy", &IncrementalSettings::discrepancy);
+  nb::class_<Incremental>(m, "Incremental", "The estimator as samples arrive: fixed lag, fixed memory.")
+      .def("__init__",
+           [](Incremental* self, const Statement& rig, const RecordedLog& about, const IncrementalSettings& settings) {
+             if (about.source == Source::mapped || about.components() != kComponents || about.motion.size() > kMostStreams ||
+                 rig.noise.size() > kMostChannels)
+               throw nb::value_error("Incremental: twists or an IMU, at most 3 streams and 12 channels");
+             new (self) Incremental(rig, without_samples(about), settings);
+           },
+           nb::arg("rig"), nb::arg("about"), nb::arg("settings"))
+      .def(
+          "push_motion",
+          [](Incremental& self, std::size_t stream, const Array1& time, const Array2& value) {
+            expect_shape(value, time.shape(0), kComponents, "value");
+            std::vector<Status> out;
+            for (std::size_t k = 0; k < time.shape(0); ++k) out.push_back(self.push_motion(stream, time(k), value.data() + 6 * k));
+            return out;
+          },
+          nb::arg("stream"), nb::arg("time"), nb::arg("value"))
+      .def(
+          "push_raw",
+          [](Incremental& self, const Array1& time, const Array2& raw, const std::optional<Array2>& R) {
+            expect_shape(raw, time.shape(0), static_cast<std::size_t>(self.lag().channels()), "raw");
+            if (R) expect_shape(*R, time.shape(0), 9, "R_sensor_root");
+            std::vector<Status> out;
+            for (std::size_t k = 0; k < time.shape(0); ++k)
+              out.push_back(self.push_raw(time(k), raw.data() + raw.shape(1) * k, R ? R->data() + 9 * k : nullptr));
+            return out;
+          },
+          nb::arg("time"), nb::arg("raw"), nb::arg("R_sensor_root") = nb::none())
+      .def("feed", [](Incremental& self, const RecordedLog& log) { return feed(self, log, nullptr); }, nb::arg("log"),
+           nb::call_guard<nb::gil_scoped_release>(), "All samples of a log in the order of time, and its end.")
+      .def("finish", &Incremental::finish)
+      .def("next_log", [](Incremental& self, const RecordedLog& about) { return self.next_log(without_samples(about)); })
+      .def_prop_ro("ready", &Incremental::ready)
+      .def_prop_ro("blocks", &Incremental::blocks)
+      .def_prop_ro("samples", &Incremental::samples)
+      .def_prop_ro("masked_samples", &Incremental::masked_samples)
+      .def_prop_ro("dropped", &Incremental::dropped)
+      .def_prop_ro("unresolved", &Incremental::unresolved)
+      .def_prop_ro("status", [](const Incremental& self) { return self.status(); })
+      .def_prop_ro("spacing", &Incremental::spacing)
+      .def_prop_ro("theta", [](const Incremental& self) { return self.theta(); })
+      .def_prop_ro("gain", [](const Incremental& self) { return RowMatrix(self.gain()); })
+      .def_prop_ro("offset", [](const Incremental& self) { return Eigen::VectorXd(self.offset()); })
+      .def_prop_ro("covariance", [](Incremental& self) { return self.covariance(); })
+      .def_prop_ro("theta_covariance", [](Incremental& self) { return self.theta_covariance(); })
+      .def_prop_ro("moments", [](const Incremental& self) { return self.moments(); })
+      .def_prop_ro("pose", &Incremental::pose)
+      .def_prop_ro("sizes", [](const Incremental& self) { return self.sizes(); })
+      .def("agreement", &Incremental::agreement);
+  nb::class_<OnlineEstimate>(m, "OnlineEstimate", "What the estimator found as samples arrived.")
+      .def_ro("status", &OnlineEstimate::status)
+      .def_ro("theta", &OnlineEstimate::theta)
+      .def_ro("mean", &OnlineEstimate::mean)
+      .def_ro("prior", &OnlineEstimate::prior)
+      .def_ro("active", &OnlineEstimate::active)
+      .def_ro("covariance", &OnlineEstimate::covariance)
+      .def_ro("added", &OnlineEstimate::added)
+      .def_ro("gain_covariance", &OnlineEstimate::gain_covariance)
+      .def_ro("discrepancy2", &OnlineEstimate::discrepancy2)
+      .def_ro("moments", &OnlineEstimate::moments)
+      .def_ro("pose", &OnlineEstimate::pose)
+      .def_ro("halves", &OnlineEstimate::halves)
+      .def_ro("quarters", &OnlineEstimate::quarters)
+      .def_ro("unresolved", &OnlineEstimate::unresolved)
+      .def_ro("dropped", &OnlineEstimate::dropped)
+      .def_ro("spacing", &OnlineEstimate::spacing)
+      .def_ro("sizes", &OnlineEstimate::sizes)
+      .def_ro("own", &OnlineEstimate::own)
+      .def_ro("masked", &OnlineEstimate::masked)
+      .def_ro("history_time", &OnlineEstimate::history_time)
+      .def_ro("history_gain", &OnlineEstimate::history_gain)
+      .def_ro("samples", &OnlineEstimate::samples)
+      .def_ro("columns", &OnlineEstimate::columns)
+      .def_ro("blocks", &OnlineEstimate::blocks);
+  m.def("estimate_online", &estimate_online, nb::arg("rig"), nb::arg("logs"), nb::arg("settings"),
+        nb::call_guard<nb::gil_scoped_release>(),
+        "Logs through the estimator as samples arrive, each in the order of time.");
+}
+
+}  // namespace truewrench::python

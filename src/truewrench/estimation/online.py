@@ -1,0 +1,107 @@
+"""The estimate as samples arrive (METHOD 10.6), in the terms of the one that looks at the whole record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+
+__all__ = ["History", "OnlineFound", "found_online"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """The gain after every block: time (B,) [s of its log], log (B,), gain (B, n, 6) normalised."""
+
+    time: Array
+    log: NDArray[np.int64]
+    gain: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnlineFound:
+    """What the core's `Estimate` holds, of an estimate that looked at every sample once.
+
+    `fit` stands at the final parameters, its motion that of the velocities alone: what left the lag was not
+    revisited, and its motion not kept. Offsets and clocks of logs before the last have no covariance of their
+    own: theirs is the prior's.
+    """
+
+    fit: Any
+    status: Any
+    covariance: Array
+    added: Array
+    gain_covariance: Array
+    discrepancy2: Array
+    moments: Sequence[Any]
+    pose: Any
+    halves: Any
+    quarters: Any
+    unresolved: Sequence[bool]
+    dropped: Sequence[int]
+    history: History
+    fits: int = 1
+
+
+def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> OnlineFound:
+    """Run the logs through the core in the order of time.
+
+    Args:
+        statement: of the rig.
+        records: the core's logs, of twists or an IMU.
+        discrepancy: as stated; -1 for auto.
+    """
+    settings = _core.IncrementalSettings()
+    settings.discrepancy = discrepancy
+    found = _core.estimate_online(statement, list(records), settings)
+    n = len(statement.noise)
+    if found.status != _core.Status.ok or not len(found.own):
+        nothing = History(np.zeros(0), np.zeros(0, np.int64), np.zeros((0, n, 6)))
+        none = np.zeros((0, 0))
+        status = found.status if found.status != _core.Status.ok else _core.Status.wrong_size
+        return OnlineFound(
+            None, status, none, none, none, none, (), found.pose, found.halves, found.quarters,
+            found.unresolved, found.dropped, nothing,
+        )  # fmt: skip
+    fit = _core.make_fit(statement, list(records), list(found.spacing), [[] for _ in records])
+    theta, at = np.array(fit.theta), np.array(found.columns.at)
+    for k, own in enumerate(found.own):
+        theta[np.array(fit.columns(k).at)] = np.asarray(own)[at]
+        sizes, found_sizes = fit.sizes(k), found.sizes[k]
+        sizes.raw_factor, sizes.motion_factor = found_sizes.raw_factor, found_sizes.motion_factor
+    last = np.array(fit.columns(len(records) - 1).at)
+    theta[last] = np.asarray(found.theta)[at]
+    fit.theta = theta
+    fit.lagged = theta[: 6 * n].reshape(n, 6)
+    fit.predict()
+    for k, masked in enumerate(found.masked):
+        fit.set_mask(k, np.array(masked)[np.asarray(fit.rows(k)["source"], np.int64)].tolist())
+    covariance = np.diag(np.asarray(fit.stated))
+    covariance[np.ix_(last, last)] = np.asarray(found.covariance)[np.ix_(at, at)]
+    counts = [len(time) for time in found.history_time]
+    return OnlineFound(
+        fit=fit,
+        status=found.status,
+        covariance=covariance,
+        added=np.asarray(found.added),
+        gain_covariance=np.asarray(found.gain_covariance),
+        discrepancy2=np.asarray(found.discrepancy2),
+        moments=found.moments,
+        pose=found.pose,
+        halves=found.halves,
+        quarters=found.quarters,
+        unresolved=found.unresolved,
+        dropped=found.dropped,
+        history=History(
+            np.concatenate(found.history_time),
+            np.repeat(np.arange(len(counts)), counts),
+            np.concatenate([np.asarray(g).reshape(-1, n, 6) for g in found.history_gain]),
+        ),
+    )
