@@ -102,8 +102,8 @@ def test_row_is_what_simulating_and_calibrating_by_hand_gives(rig: Rig) -> None:
     assert row["rms_oracle"] == found.bound.oracle_rms
     assert row["largest_deviation"] == pytest.approx(deviation.max(), rel=1e-9)
     assert row["coverage"] == pytest.approx(np.mean(deviation < 1.959964))
-    assert row["chi_square_v"] == found.figures["chi_square"]["v"]
-    assert row["windows_fitted"] + row["windows_rejected"] == row["windows"] > 0
+    assert row["noise_v"] == found.figures["noise_found"][0]["velocities v"]
+    assert row["masked"] < 0.01
     assert np.reshape(row["error"], (6, 6)) == pytest.approx(error, rel=1e-9)
     # log p at the mean minus log p at the error: half the NEES
     covariance = found.covariance[:36, :36] / np.outer(found.gain_std, found.gain_std)
@@ -219,7 +219,7 @@ def drawn_rows(trials: int, factor: float = 1.0, **changes: Any) -> pa.Table:
             "trial": trial, "seed": trial, "outcome": "calibrated", "usable": True, "reasons": [],
             "rms_error": np.sqrt(np.mean((z * std) ** 2)), "rms_stated": 1e-3, "rms_oracle": 0.8e-3,
             "nees": squared, "nees_dof": freedom, "largest_deviation": np.abs(z).max(),
-            "coverage": np.mean(np.abs(z) <= 1.96), "windows": 4, "windows_fitted": 3, "seconds": 0.5,
+            "coverage": np.mean(np.abs(z) <= 1.96), "masked": 0.25, "seconds": 0.5,
             "error": z * std, "std": std,
         }  # fmt: skip
         rows.append(row | changes)
@@ -233,7 +233,7 @@ def test_honest_estimator_passes_and_an_overconfident_one_does_not(rig: Rig) -> 
     assert honest["coverage_95"][0] < 0.95 < honest["coverage_95"][1]
     assert honest["rms_over_stated"] == pytest.approx(1.0, abs=0.1)
     assert honest["efficiency"] == pytest.approx(0.64, abs=0.1)
-    assert honest["windows_fitted_share"] == 0.75
+    assert honest["masked"] == pytest.approx(0.25)
     bold = summarise(rig, drawn_rows(500, 1.3), "map", 0).summary["usable_trials"]
     assert bold["nees_mean"] > bold["nees_honest_95"][1]
     assert bold["coverage_95"][1] < 0.95

@@ -79,25 +79,23 @@ def test_usable_calibration_is_written_with_status_0(
 def test_unusable_calibration_is_written_with_status_3_and_its_reasons(
     run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
 ) -> None:
-    pipeline.verdict = Verdict(usable=False, reasons=("windows rejected: 3",))  # type: ignore[attr-defined]
+    pipeline.verdict = Verdict(usable=False, reasons=("samples left out: 3",))  # type: ignore[attr-defined]
     status, out, _ = run("calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out")
     assert status == 3
-    assert out.startswith("NOT TO BE USED AS IT STANDS\n  - windows rejected: 3\n")
+    assert out.startswith("NOT TO BE USED AS IT STANDS\n  - samples left out: 3\n")
     assert (tmp_path / "out" / "calibration.yaml").exists()
 
 
 def test_options_reach_the_pipeline(
     run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
 ) -> None:
-    words = "--estimator ekf --published --window 2.5 --threads 2 --process-density 1e-1 --smooth spline"
-    words += " --rescale-noise"
+    words = "--estimator ekf --published --threads 2 --process-density 1e-1 --smooth spline"
     status, *_ = run("calibrate", rig_file, csv_of(cells), "-o", tmp_path / "out", *words.split())
     options = pipeline.asked[3]
     del options["progress"], options["evidence"]
     assert status == 0
     assert options == {
-        "published": True, "window": 2.5, "threads": 2, "process_density": 0.1, "smooth": "spline",
-        "held_out": True, "rescale_noise": True,
+        "published": True, "threads": 2, "process_density": 0.1, "smooth": "spline", "held_out": True,
     }  # fmt: skip
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from truewrench.estimate.windows import estimate_windows
 
 from truewrench import demo
 from truewrench.calibration import load_calibration
+from truewrench.estimation.estimator import estimate
 from truewrench.io.tables import read_log
 from truewrench.motion.trajectory import integrate_wrench
 from truewrench.rig import load_rig
@@ -56,7 +56,7 @@ def test_written_rig_and_log_read_back(folder: Path, shown: dict[str, Any]) -> N
     assert log.raw.shape == (10000, 6)
 
 
-def test_gain_error_falls_from_about_2_to_below_5_hundredths_with_windows(shown: dict[str, Any]) -> None:
+def test_gain_error_falls_from_about_2_to_below_5_hundredths(shown: dict[str, Any]) -> None:
     figures = shown["figures"]
     assert figures["good_sensor_online"] < 0.05
     assert figures["good_sensor_map"] < 0.05
@@ -81,6 +81,6 @@ def test_median_error_of_online_over_20_seeds_is_below_5_hundredths() -> None:
     ends = []
     for seed in range(20):
         rig, run = demo.simulate_case("good sensor", motion, seed)
-        estimate = estimate_windows(rig, [run.log], "online")
-        ends.append(np.linalg.norm(estimate.gain - run.truth.gain, np.inf))
+        found = estimate(rig, [run.log], online=True)
+        ends.append(np.linalg.norm(found.gain - run.truth.gain, np.inf))
     assert np.median(ends) <= 0.05
