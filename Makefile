@@ -16,7 +16,7 @@ PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check --quiet install 
 HEADERS := $(wildcard include/truewrench/*.hpp)
 # What the compiled modules are made of.
 CORE_SOURCES := pyproject.toml CMakeLists.txt $(wildcard cmake/*) \
-  $(HEADERS) $(wildcard bindings/*)
+  $(HEADERS) $(wildcard include/truewrench/*/*.hpp) $(wildcard bindings/*)
 CXX_FILES = $(shell git ls-files -co --exclude-standard '*.hpp' '*.cpp')
 
 .PHONY: help demo test test-cpp test-python test-benchmarks bench campaigns docs lint lint-python lint-cpp tidy format stubs lock figures clean

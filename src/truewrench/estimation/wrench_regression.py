@@ -190,7 +190,7 @@ def solve(problem: Problem, parts: Sequence[Part]) -> Solution:
         np.fill_diagonal(scatter, np.diag(inverse))
         varies = np.einsum("ij,ijab->iajb", scatter, products).reshape(n * p, n * p) + np.diag(prior)
         covariance = np.asarray(covariance @ varies @ covariance + np.outer(shifted, shifted), np.float64)
-    followed: Array = np.linalg.pinv(shaped.T @ sums.mean @ shaped, hermitian=True)
+    followed = np.asarray(np.linalg.pinv(shaped.T @ sums.mean @ shaped, hermitian=True))
     return Solution(
         parameters,
         covariance,
