@@ -50,12 +50,10 @@ inline double median_period(const Eigen::VectorXd& time) {
 
 // Stamps at which the sensor has a sample.
 inline Eigen::VectorXd sensor_times(const RecordedLog& log) {
-  Eigen::VectorXd out(log.time.size());
-  Eigen::Index count = 0;
+  std::vector<double> at;
   for (Eigen::Index k = 0; k < log.time.size(); ++k)
-    if (log.raw.row(k).array().isFinite().any()) out[count++] = log.time[k];
-  out.conservativeResize(count);
-  return out;
+    if (log.raw.row(k).array().isFinite().any()) at.push_back(log.time[k]);
+  return Eigen::Map<const Eigen::VectorXd>(at.data(), static_cast<Eigen::Index>(at.size()));
 }
 
 // Of the fastest motion stream [s].
