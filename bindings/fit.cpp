@@ -22,7 +22,8 @@ nb::dict rows_of(const Fit& fit, std::size_t l) {
   const int n = fit.channels();
   Eigen::VectorXi source(count), stretch(count);
   Eigen::VectorXd time(count), weight(count), masked(count);
-  RowMatrix residual(count, n), w(count, 6), cw(count, n), nu(count, 6), a(count, 6), g(count, 3), d = RowMatrix::Zero(count, n);
+  RowMatrix residual(count, n), w(count, 6), cw(count, n), nu(count, 6), a(count, 6), g(count, 3),
+      d = RowMatrix::Zero(count, n);
   Eigen::Index at = 0;
   for (std::size_t i = 0; i < log.stretches.size(); ++i) {
     const Stretch& s = log.stretches[i];
@@ -130,19 +131,25 @@ void bind_fit(nb::module_& m) {
       .def_prop_ro("S", &Fit::S)
       .def_prop_ro("step", &Fit::step)
       .def("columns", [](const Fit& f, std::size_t l) { return f.layout().log(l); })
-      .def("sizes", [](Fit& f, std::size_t l) -> Sizes& { return f.logs().at(l).sizes; }, nb::rv_policy::reference_internal)
+      .def(
+          "sizes", [](Fit& f, std::size_t l) -> Sizes& { return f.logs().at(l).sizes; },
+          nb::rv_policy::reference_internal)
       .def("spacing", [](const Fit& f, std::size_t l) { return f.logs().at(l).stretches.front().spline.h(); })
       .def("pieces",
            [](const Fit& f, std::size_t l) {
              std::vector<std::vector<double>> out;
-             for (const Stretch& s : f.logs().at(l).stretches) out.push_back({s.spline.begin(), s.spline.end()});
+             for (const Stretch& s : f.logs().at(l).stretches)
+               out.push_back({s.spline.begin(), s.spline.end()});
              return out;
            })
-      .def("motion", [](const Fit& f, std::size_t l, std::size_t s) { return f.logs().at(l).stretches.at(s).c; })
-      .def("set_motion", [](Fit& f, std::size_t l, std::size_t s, const RowMatrix& c) { f.logs().at(l).stretches.at(s).c = c; })
-      .def("discrepancy", [](const Fit& f, std::size_t l, std::size_t s) { return f.logs().at(l).stretches.at(s).e; })
-      .def("set_discrepancy",
-           [](Fit& f, std::size_t l, std::size_t s, const RowMatrix& e) { f.logs().at(l).stretches.at(s).e = e; })
+      .def("motion",
+           [](const Fit& f, std::size_t l, std::size_t s) { return f.logs().at(l).stretches.at(s).c; })
+      .def("set_motion", [](Fit& f, std::size_t l, std::size_t s,
+                            const RowMatrix& c) { f.logs().at(l).stretches.at(s).c = c; })
+      .def("discrepancy",
+           [](const Fit& f, std::size_t l, std::size_t s) { return f.logs().at(l).stretches.at(s).e; })
+      .def("set_discrepancy", [](Fit& f, std::size_t l, std::size_t s,
+                                 const RowMatrix& e) { f.logs().at(l).stretches.at(s).e = e; })
       .def("set_mask",
            [](Fit& f, std::size_t l, const std::vector<bool>& mask) {
              std::size_t at = 0;
@@ -155,23 +162,25 @@ void bind_fit(nb::module_& m) {
       .def("solve", &Fit::solve, nb::arg("frozen") = false)
       .def("advance", &Fit::advance)
       .def("resize", &Fit::resize)
-      .def("run", [](Fit& f) { f.run(); }, nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "run", [](Fit& f) { f.run(); }, nb::call_guard<nb::gil_scoped_release>())
       .def("objective", &Fit::objective)
       .def("likelihood", &Fit::likelihood)
       .def("log_determinant", &Fit::log_determinant)
-      .def("traces",
-           [](Fit& f, std::size_t l, std::size_t s) {
-             LogFit& log = f.logs().at(l);
-             const Eigen::MatrixXd P = Fit::gather(f.P(), f.layout().log(l).global);
-             const Traces t = log.sweeps.at(s).traces(log.stretches.at(s), f.layout().log(l), log.sizes, P);
-             nb::dict out;
-             out["raw"] = t.raw;
-             out["motion"] = t.motion;
-             out["motion_share"] = t.motion_share;
-             out["q"] = t.q;
-             return out;
-           },
-           nb::sig("def traces(self, log: int, stretch: int, /) -> dict[str, object]"))
+      .def(
+          "traces",
+          [](Fit& f, std::size_t l, std::size_t s) {
+            LogFit& log = f.logs().at(l);
+            const Eigen::MatrixXd P = Fit::gather(f.P(), f.layout().log(l).global);
+            const Traces t = log.sweeps.at(s).traces(log.stretches.at(s), f.layout().log(l), log.sizes, P);
+            nb::dict out;
+            out["raw"] = t.raw;
+            out["motion"] = t.motion;
+            out["motion_share"] = t.motion_share;
+            out["q"] = t.q;
+            return out;
+          },
+          nb::sig("def traces(self, log: int, stretch: int, /) -> dict[str, object]"))
       .def("gradient",
            [](const Fit& f) {
              Eigen::VectorXd g = f.S() * f.step();
@@ -221,7 +230,9 @@ void bind_fit(nb::module_& m) {
       .def_ro("pose", &Estimate::pose)
       .def_ro("halves", &Estimate::halves)
       .def_ro("quarters", &Estimate::quarters)
-      .def_prop_ro("unresolved", [](const Estimate& e) { return std::vector<bool>(e.unresolved.begin(), e.unresolved.end()); })
+      .def_prop_ro(
+          "unresolved",
+          [](const Estimate& e) { return std::vector<bool>(e.unresolved.begin(), e.unresolved.end()); })
       .def_ro("dropped", &Estimate::dropped)
       .def_ro("fits", &Estimate::fits)
       .def_ro("share", &Estimate::share);

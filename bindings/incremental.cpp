@@ -30,13 +30,13 @@ struct OnlineEstimate {
   std::vector<bool> unresolved;
   std::vector<int> dropped;
   std::vector<double> spacing;
-  std::vector<Sizes> sizes;                       // by log
-  std::vector<Eigen::VectorXd> own;               // by log: theta as its record ended
-  std::vector<std::vector<bool>> masked;          // by log: rows
-  std::vector<Eigen::VectorXd> history_time;      // by log: [s] ends of blocks
-  std::vector<RowMatrix> history_gain;            // (blocks, 6n)
-  std::vector<std::int64_t> samples;              // by log: that were used or masked
-  Columns columns;                                // of the last log
+  std::vector<Sizes> sizes;                   // by log
+  std::vector<Eigen::VectorXd> own;           // by log: theta as its record ended
+  std::vector<std::vector<bool>> masked;      // by log: rows
+  std::vector<Eigen::VectorXd> history_time;  // by log: [s] ends of blocks
+  std::vector<RowMatrix> history_gain;        // (blocks, 6n)
+  std::vector<std::int64_t> samples;          // by log: that were used or masked
+  Columns columns;                            // of the last log
   std::int64_t blocks = 0;
 };
 
@@ -92,13 +92,16 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out) {
       ++at[i];
     } else {
       const double* R = log.R_sensor_root.rows() > 0 ? log.R_sensor_root.row(k).data() : nullptr;
-      note(online.push_raw(next, log.raw.row(k).data(), R, log.temperature.size() > 0 ? log.temperature[k] : 0.0), next);
+      note(online.push_raw(next, log.raw.row(k).data(), R,
+                           log.temperature.size() > 0 ? log.temperature[k] : 0.0),
+           next);
       ++k;
     }
   }
   note(online.finish(), log.time.size() > 0 ? log.time[log.time.size() - 1] : 0.0);
   if (out != nullptr) {
-    out->history_time.emplace_back(Eigen::Map<const Eigen::VectorXd>(time.data(), static_cast<Eigen::Index>(time.size())));
+    out->history_time.emplace_back(
+        Eigen::Map<const Eigen::VectorXd>(time.data(), static_cast<Eigen::Index>(time.size())));
     RowMatrix all(static_cast<Eigen::Index>(gain.size()), gain.empty() ? 0 : gain[0].size());
     for (std::size_t i = 0; i < gain.size(); ++i) all.row(static_cast<Eigen::Index>(i)) = gain[i].transpose();
     out->history_gain.push_back(std::move(all));
@@ -106,7 +109,8 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out) {
   return worst;
 }
 
-OnlineEstimate estimate_online(const Statement& rig, const std::vector<const RecordedLog*>& logs, IncrementalSettings settings) {
+OnlineEstimate estimate_online(const Statement& rig, const std::vector<const RecordedLog*>& logs,
+                               IncrementalSettings settings) {
   if (logs.empty()) throw nb::value_error("estimate_online: no logs");
   for (const RecordedLog* log : logs) {
     if (log->source == Source::mapped || log->components() != kComponents)
@@ -127,7 +131,8 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     const Status status = feed(*online, log, &out);
     if (status != Status::ok) out.status = status;
     online->covariance();
-    out.moments.emplace_back(online->moments().begin(), online->moments().begin() + raw_groups(static_cast<int>(rig.noise.size())));
+    out.moments.emplace_back(online->moments().begin(),
+                             online->moments().begin() + raw_groups(static_cast<int>(rig.noise.size())));
     out.unresolved.push_back(online->unresolved());
     out.dropped.push_back(online->dropped() - dropped);
     out.spacing.push_back(online->spacing());
@@ -138,10 +143,12 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     Eigen::Index k = 0;
     std::vector<MaskedSpan> spans;
     for (std::size_t i = 0; i < online->masked_spans(); ++i) spans.push_back(online->masked_span(i));
-    std::sort(spans.begin(), spans.end(), [](const MaskedSpan& a, const MaskedSpan& b) { return a.begin < b.begin; });
+    std::sort(spans.begin(), spans.end(),
+              [](const MaskedSpan& a, const MaskedSpan& b) { return a.begin < b.begin; });
     for (const MaskedSpan& s : spans) {
       while (k < log.time.size() && log.time[k] < s.begin - 1e-9) ++k;
-      for (Eigen::Index j = k; j < log.time.size() && log.time[j] <= s.end + 1e-9; ++j) masked[static_cast<std::size_t>(j)] = true;
+      for (Eigen::Index j = k; j < log.time.size() && log.time[j] <= s.end + 1e-9; ++j)
+        masked[static_cast<std::size_t>(j)] = true;
     }
     out.masked.push_back(std::move(masked));
   }
@@ -172,20 +179,23 @@ void bind_incremental(nb::module_& m) {
       .def_rw("finest", &IncrementalSettings::finest)
       .def_rw("discrepancy", &IncrementalSettings::discrepancy);
   nb::class_<Incremental>(m, "Incremental", "The estimator as samples arrive: fixed lag, fixed memory.")
-      .def("__init__",
-           [](Incremental* self, const Statement& rig, const RecordedLog& about, const IncrementalSettings& settings) {
-             if (about.source == Source::mapped || about.components() != kComponents || about.motion.size() > kMostStreams ||
-                 rig.noise.size() > kMostChannels)
-               throw nb::value_error("Incremental: twists or an IMU, at most 3 streams and 12 channels");
-             new (self) Incremental(rig, without_samples(about), settings);
-           },
-           nb::arg("rig"), nb::arg("about"), nb::arg("settings"))
+      .def(
+          "__init__",
+          [](Incremental* self, const Statement& rig, const RecordedLog& about,
+             const IncrementalSettings& settings) {
+            if (about.source == Source::mapped || about.components() != kComponents ||
+                about.motion.size() > kMostStreams || rig.noise.size() > kMostChannels)
+              throw nb::value_error("Incremental: twists or an IMU, at most 3 streams and 12 channels");
+            new (self) Incremental(rig, without_samples(about), settings);
+          },
+          nb::arg("rig"), nb::arg("about"), nb::arg("settings"))
       .def(
           "push_motion",
           [](Incremental& self, std::size_t stream, const Array1& time, const Array2& value) {
             expect_shape(value, time.shape(0), kComponents, "value");
             std::vector<Status> out;
-            for (std::size_t k = 0; k < time.shape(0); ++k) out.push_back(self.push_motion(stream, time(k), value.data() + 6 * k));
+            for (std::size_t k = 0; k < time.shape(0); ++k)
+              out.push_back(self.push_motion(stream, time(k), value.data() + 6 * k));
             return out;
           },
           nb::arg("stream"), nb::arg("time"), nb::arg("value"))
@@ -196,14 +206,18 @@ void bind_incremental(nb::module_& m) {
             if (R) expect_shape(*R, time.shape(0), 9, "R_sensor_root");
             std::vector<Status> out;
             for (std::size_t k = 0; k < time.shape(0); ++k)
-              out.push_back(self.push_raw(time(k), raw.data() + raw.shape(1) * k, R ? R->data() + 9 * k : nullptr));
+              out.push_back(
+                  self.push_raw(time(k), raw.data() + raw.shape(1) * k, R ? R->data() + 9 * k : nullptr));
             return out;
           },
           nb::arg("time"), nb::arg("raw"), nb::arg("R_sensor_root") = nb::none())
-      .def("feed", [](Incremental& self, const RecordedLog& log) { return feed(self, log, nullptr); }, nb::arg("log"),
-           nb::call_guard<nb::gil_scoped_release>(), "All samples of a log in the order of time, and its end.")
+      .def(
+          "feed", [](Incremental& self, const RecordedLog& log) { return feed(self, log, nullptr); },
+          nb::arg("log"), nb::call_guard<nb::gil_scoped_release>(),
+          "All samples of a log in the order of time, and its end.")
       .def("finish", &Incremental::finish)
-      .def("next_log", [](Incremental& self, const RecordedLog& about) { return self.next_log(without_samples(about)); })
+      .def("next_log",
+           [](Incremental& self, const RecordedLog& about) { return self.next_log(without_samples(about)); })
       .def_prop_ro("ready", &Incremental::ready)
       .def_prop_ro("blocks", &Incremental::blocks)
       .def_prop_ro("samples", &Incremental::samples)

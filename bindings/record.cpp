@@ -37,7 +37,8 @@ void bind_record(nb::module_& m) {
       .value("twist", Source::twist)
       .value("imu", Source::imu)
       .value("mapped", Source::mapped);
-  nb::class_<MotionStream>(m, "MotionStream", "Measurements of a derivative of the motion spline (NaN: missing).")
+  nb::class_<MotionStream>(m, "MotionStream",
+                           "Measurements of a derivative of the motion spline (NaN: missing).")
       .def(nb::init<>())
       .def_rw("derivative", &MotionStream::derivative)
       .def_rw("time", &MotionStream::time)
@@ -48,7 +49,8 @@ void bind_record(nb::module_& m) {
       .def_rw("time_offset_prior", &MotionStream::time_offset_prior)
       .def_rw("clock_mean", &MotionStream::clock_mean)
       .def_rw("kappa_mean", &MotionStream::kappa_mean);
-  nb::class_<RecordedLog>(m, "RecordedLog", "A log as the estimator reads it; channels in fractions of their scale.")
+  nb::class_<RecordedLog>(m, "RecordedLog",
+                          "A log as the estimator reads it; channels in fractions of their scale.")
       .def(nb::init<>())
       .def_rw("source", &RecordedLog::source)
       .def_rw("payload", &RecordedLog::payload)
@@ -59,8 +61,9 @@ void bind_record(nb::module_& m) {
       .def_rw("R_sensor_root", &RecordedLog::R_sensor_root)
       .def_rw("temperature", &RecordedLog::temperature)
       .def_rw("motion", &RecordedLog::motion)
-      .def("set_map", [](RecordedLog& log, nb::callable function) { log.map = wrapped(std::move(function)); },
-           nb::sig("def set_map(self, function: collections.abc.Callable[..., object], /) -> None"));
+      .def(
+          "set_map", [](RecordedLog& log, nb::callable function) { log.map = wrapped(std::move(function)); },
+          nb::sig("def set_map(self, function: collections.abc.Callable[..., object], /) -> None"));
   nb::class_<Statement>(m, "Statement", "What a rig states, normalised.")
       .def(nb::init<>())
       .def_rw("range", &Statement::range)

@@ -17,7 +17,8 @@ namespace {
 // Cox and de Boor's recursion for the function that starts at knot i of a uniform sequence with spacing 1.
 double cox_de_boor(int i, int degree, double x) {
   if (degree == 0) return x >= i && x < i + 1 ? 1.0 : 0.0;
-  return (x - i) / degree * cox_de_boor(i, degree - 1, x) + (i + degree + 1 - x) / degree * cox_de_boor(i + 1, degree - 1, x);
+  return (x - i) / degree * cox_de_boor(i, degree - 1, x) +
+         (i + degree + 1 - x) / degree * cox_de_boor(i + 1, degree - 1, x);
 }
 
 // The whole penalty (N, N) of a spline.

@@ -4,37 +4,40 @@
 
 namespace truewrench::constants {
 
-inline constexpr double knot_spacing = 0.05;      // [s] coarsest h; finer where (10.7) asks: 20 Hz ripple NEES 0.9, 1.0 x bound
-inline constexpr double periods_per_knot = 2.5;   // samples a knot at least, at the coarsest h
-inline constexpr double halving_cost = 6.0;       // added to (10.7) a halving: never fired in 88 disturbed records
-inline constexpr double smoothness_start = 1e3;   // q, SI: tolerance
-inline constexpr double freedom = 4.0;            // of the Student-t weights: 1 % of spikes at NEES 1.03
-inline constexpr double mask_weight = 0.3;        // share of clean samples masked: 0.0003 of six channels
-inline constexpr double mask_join = 0.030;        // [s] gaps closed
-inline constexpr double mask_length = 0.030;      // [s] what lasts as long is widened
-inline constexpr double mask_margin = 0.020;      // [s] each side
-inline constexpr double most_masked = 0.2;        // share of the samples beyond which a result is refused
-inline constexpr double filter_prior = 0.5;       // 1 sigma of kappa and gamma
-inline constexpr double filter_information = 16;  // of the data alone, below which kappa and gamma are held: NEES 27 -> 1.1
-inline constexpr double fewest_freedom = 3.0;     // left to a factor on noise, below which it is held: tolerance
-inline constexpr double factor_floor = 0.02;      // of a factor on noise: tolerance
-inline constexpr double quadratic_start = 0.1;    // upsilon, fraction of range: tolerance
-inline constexpr double quadratic_floor = 1e-4;   // tolerance
-inline constexpr double step_start = 0.02;        // alpha, fraction of range: tolerance
-inline constexpr double step_floor = 1e-6;        // tolerance
-inline constexpr double theta_move = 0.05;        // of sigma (RMS), converged: tolerance
-inline constexpr double size_move = 0.05;         // of the sizes as standard deviations, converged: tolerance
-inline constexpr int most_iterations = 25;        // tolerance
-inline constexpr int most_halvings = 5;           // of a step: tolerance
+inline constexpr double knot_spacing =
+    0.05;  // [s] coarsest h; finer where (10.7) asks: 20 Hz ripple NEES 0.9, 1.0 x bound
+inline constexpr double periods_per_knot = 2.5;  // samples a knot at least, at the coarsest h
+inline constexpr double halving_cost = 6.0;  // added to (10.7) a halving: never fired in 88 disturbed records
+inline constexpr double smoothness_start = 1e3;  // q, SI: tolerance
+inline constexpr double freedom = 4.0;           // of the Student-t weights: 1 % of spikes at NEES 1.03
+inline constexpr double mask_weight = 0.3;       // share of clean samples masked: 0.0003 of six channels
+inline constexpr double mask_join = 0.030;       // [s] gaps closed
+inline constexpr double mask_length = 0.030;     // [s] what lasts as long is widened
+inline constexpr double mask_margin = 0.020;     // [s] each side
+inline constexpr double most_masked = 0.2;       // share of the samples beyond which a result is refused
+inline constexpr double filter_prior = 0.5;      // 1 sigma of kappa and gamma
+inline constexpr double filter_information =
+    16;  // of the data alone, below which kappa and gamma are held: NEES 27 -> 1.1
+inline constexpr double fewest_freedom = 3.0;  // left to a factor on noise, below which it is held: tolerance
+inline constexpr double factor_floor = 0.02;   // of a factor on noise: tolerance
+inline constexpr double quadratic_start = 0.1;   // upsilon, fraction of range: tolerance
+inline constexpr double quadratic_floor = 1e-4;  // tolerance
+inline constexpr double step_start = 0.02;       // alpha, fraction of range: tolerance
+inline constexpr double step_floor = 1e-6;       // tolerance
+inline constexpr double theta_move = 0.05;       // of sigma (RMS), converged: tolerance
+inline constexpr double size_move = 0.05;        // of the sizes as standard deviations, converged: tolerance
+inline constexpr int most_iterations = 25;       // tolerance
+inline constexpr int most_halvings = 5;          // of a step: tolerance
 inline constexpr double taus[] = {0.1, 0.3, 1.0};  // [s] of (10.9): d entered in 1 of 8 clean records
-inline constexpr double discrepancy_cap = 3.0;    // sigma of the fit without d: without it d explains the wrench itself
-inline constexpr double discrepancy_power = 1.5;  // of (10.6): tolerance
+inline constexpr double discrepancy_cap =
+    3.0;  // sigma of the fit without d: without it d explains the wrench itself
+inline constexpr double discrepancy_power = 1.5;   // of (10.6): tolerance
 inline constexpr double discrepancy_floor = 0.02;  // sigma: tolerance
-inline constexpr double step_gain = 12.0;         // of (10.7) for a step where the mask would hide too much
-inline constexpr double scan_level = 1e-3;        // p * intervals of (10.8)
-inline constexpr double scan_longest = 30.0;      // [s]
-inline constexpr double agreement_level = 5e-4;   // p of (10.11) each: clean records refused 0 of 104
-inline constexpr double noise_told = 2.0;         // factor on the stated sigma that is told
-inline constexpr double undetermined = 0.5;       // share of the prior's sigma: words only (METHOD 6)
+inline constexpr double step_gain = 12.0;          // of (10.7) for a step where the mask would hide too much
+inline constexpr double scan_level = 1e-3;         // p * intervals of (10.8)
+inline constexpr double scan_longest = 30.0;       // [s]
+inline constexpr double agreement_level = 5e-4;    // p of (10.11) each: clean records refused 0 of 104
+inline constexpr double noise_told = 2.0;          // factor on the stated sigma that is told
+inline constexpr double undetermined = 0.5;        // share of the prior's sigma: words only (METHOD 6)
 
 }  // namespace truewrench::constants

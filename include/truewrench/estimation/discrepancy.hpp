@@ -177,8 +177,8 @@ inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
           outside += KK(q, q);
           for (Eigen::Index p = 0; p < rank; ++p) norm += S(p, q) * S(p, q);
         }
-        t1[t] += n - trace;                                 // tr M K
-        t2[t] += K[t].squares() - 2.0 * outside + norm;     // tr M K M K
+        t1[t] += n - trace;                              // tr M K
+        t2[t] += K[t].squares() - 2.0 * outside + norm;  // tr M K M K
       }
       nu += n - static_cast<double>(rank);
       rss += squares;
@@ -197,7 +197,8 @@ inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
 
 // What (10.9) adds to the covariance of C (6n, 6n) where the samples that `keep` names determine it:
 // delta^2 (X^T X)^-1 X^T K X (X^T X)^-1, the prior's information beside X^T X.
-inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Moment>>& found, const Keep& keep) {
+inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Moment>>& found,
+                              const Keep& keep) {
   const int n = fit.channels();
   const Layout& layout = fit.layout();
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(6 * n, 6 * n);
@@ -217,12 +218,14 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
     Eigen::MatrixXd A = Eigen::MatrixXd::Zero(7 + m, 7 + m), B = A;  // of [C_i, u_i, offsets]
     for (int k = 0; k < 6; ++k) A(k, k) = 1.0 / fit.prior[layout.C + 6 * i + k];
     A(6, 6) = 1.0 / fit.prior[layout.u + i];
-    for (Eigen::Index o = 0; o < m; ++o) A(7 + o, 7 + o) = 1.0 / fit.prior[offsets[static_cast<std::size_t>(o)] + i];
+    for (Eigen::Index o = 0; o < m; ++o)
+      A(7 + o, 7 + o) = 1.0 / fit.prior[offsets[static_cast<std::size_t>(o)] + i];
     for (std::size_t l = 0; l < fit.logs().size(); ++l) {
       const ChannelRows rows = channel_rows(fit, l, i, keep);
       if (rows.time.size() == 0) continue;
       const Moment& moment = found[l][static_cast<std::size_t>(raw_group(i, n))];
-      const auto o = static_cast<Eigen::Index>(7 + std::distance(offsets.begin(), std::find(offsets.begin(), offsets.end(), offset_of[l])));
+      const auto o = static_cast<Eigen::Index>(
+          7 + std::distance(offsets.begin(), std::find(offsets.begin(), offsets.end(), offset_of[l])));
       const auto to = [o](Eigen::Index c) { return c < 6 ? c : (c == 6 ? o : Eigen::Index{6}); };
       const auto add = [&](Eigen::MatrixXd& sum, double v, const Eigen::MatrixXd& part) {
         for (Eigen::Index c = 0; c < 8; ++c)
@@ -231,7 +234,9 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
       const double v = std::pow(fit.sigma(l, i), -2.0);
       add(A, v, tall_product(rows.X, rows.X));
       if (!(moment.delta2 > 0.0)) continue;
-      auto at = std::find_if(known.begin(), known.end(), [&](const Known& k) { return k.tau == moment.tau && same_times(k.time, rows.time); });
+      auto at = std::find_if(known.begin(), known.end(), [&](const Known& k) {
+        return k.tau == moment.tau && same_times(k.time, rows.time);
+      });
       if (at == known.end()) {
         known.push_back({rows.time, moment.tau, Correlation(rows.time, moment.tau)});
         at = known.end() - 1;
@@ -257,7 +262,8 @@ struct PoseShare {
 };
 
 inline Matrix3 rotation(const Vector3& turn) {
-  const double angle = turn.norm(), a = angle > 1e-8 ? std::sin(angle) / angle : 1.0, b = angle > 1e-8 ? (1.0 - std::cos(angle)) / (angle * angle) : 0.5;
+  const double angle = turn.norm(), a = angle > 1e-8 ? std::sin(angle) / angle : 1.0,
+               b = angle > 1e-8 ? (1.0 - std::cos(angle)) / (angle * angle) : 0.5;
   const Matrix3 x = cross_matrix(turn);
   return Matrix3::Identity() + a * x + b * (x * x);
 }
@@ -304,7 +310,8 @@ inline RowMatrix pose_of(const Stretch& s) {
   for (int c = 0; c < 6; ++c) {
     double least = 0.0, most = 0.0;
     for (Eigen::Index k = 1; k < n; ++k) {
-      pose(k, c) = pose(k - 1, c) + 0.5 * (s.raw.time[k] - s.raw.time[k - 1]) * (s.now.nu(k, c) + s.now.nu(k - 1, c));
+      pose(k, c) =
+          pose(k - 1, c) + 0.5 * (s.raw.time[k] - s.raw.time[k - 1]) * (s.now.nu(k, c) + s.now.nu(k - 1, c));
       least = std::min(least, pose(k, c));
       most = std::max(most, pose(k, c));
     }
@@ -367,7 +374,8 @@ inline PoseShare pose_share(const Fit& fit) {
               centred[i][j] += d * (s.now.w(k, j) - w_mean[j] / rows);
               wp[i][j] += d * (pose(k, j) - p_mean[j] / rows);
             }
-            const double p = pose(k, i) - p_mean[i] / rows, change = k > 0 ? (w - s.now.w(k - 1, i)) / dt : 0.0;
+            const double p = pose(k, i) - p_mean[i] / rows,
+                         change = k > 0 ? (w - s.now.w(k - 1, i)) / dt : 0.0;
             pp[i] += p * p;
             rate[i] += change * change;
           }
@@ -412,8 +420,8 @@ inline PoseShare pose_share(const Fit& fit) {
 
 // (10.10): Cov(C_i) += f_i^2 A / (1 - A) (E w w^T)^-1 / 6, what is added to element ij multiplied by g_i g_j so that no gain's
 // variance rises above its prior's. P, prior: (6n, 6n) and (6n); f2: (n).
-inline Eigen::MatrixXd add_pose(const Eigen::MatrixXd& P, const Eigen::VectorXd& prior, const Eigen::VectorXd& f2,
-                                const PoseShare& share) {
+inline Eigen::MatrixXd add_pose(const Eigen::MatrixXd& P, const Eigen::VectorXd& prior,
+                                const Eigen::VectorXd& f2, const PoseShare& share) {
   Eigen::MatrixXd ww = share.ww, inverse, out = P;
   const double least = 1e-12 * std::max(share.ww.trace(), 1e-12);
   for (int i = 0; i < 6; ++i) ww(i, i) += least;
@@ -424,7 +432,8 @@ inline Eigen::MatrixXd add_pose(const Eigen::MatrixXd& P, const Eigen::VectorXd&
     double g[6];
     for (int c = 0; c < 6; ++c) {
       const Eigen::Index at = 6 * i + c;
-      g[c] = std::sqrt(std::clamp((prior[at] - P(at, at)) / std::max(times * f2[i] * inverse(c, c), 1e-300), 0.0, 1.0));
+      g[c] = std::sqrt(
+          std::clamp((prior[at] - P(at, at)) / std::max(times * f2[i] * inverse(c, c), 1e-300), 0.0, 1.0));
     }
     for (int c = 0; c < 6; ++c)
       for (int d = 0; d < 6; ++d) out(6 * i + c, 6 * i + d) += g[c] * g[d] * times * f2[i] * inverse(c, d);

@@ -22,16 +22,16 @@ struct Estimate {
   std::shared_ptr<Fit> fit;
   Status status = Status::ok;
   std::vector<std::vector<Moment>> moments;  // by log and group
-  Eigen::MatrixXd covariance;        // of theta, held parameters with their prior's width
-  Eigen::MatrixXd added;             // (10.9) (6n, 6n), 0 where d is in the fit
-  Eigen::MatrixXd gain_covariance;   // of C: with (10.9) and (10.10)
-  Eigen::VectorXd discrepancy2;      // (n) delta_i^2 for (10.10)
+  Eigen::MatrixXd covariance;                // of theta, held parameters with their prior's width
+  Eigen::MatrixXd added;                     // (10.9) (6n, 6n), 0 where d is in the fit
+  Eigen::MatrixXd gain_covariance;           // of C: with (10.9) and (10.10)
+  Eigen::VectorXd discrepancy2;              // (n) delta_i^2 for (10.10)
   PoseShare pose;
   Agreement halves, quarters;
-  std::vector<char> unresolved;      // by log: (10.7) still falls at one knot a sample
-  std::vector<int> dropped;          // by log: stretches too short
+  std::vector<char> unresolved;  // by log: (10.7) still falls at one knot a sample
+  std::vector<int> dropped;      // by log: stretches too short
   int fits = 0;
-  double share = 0.0;                // largest ratio of (10.9) to a gain's variance
+  double share = 0.0;  // largest ratio of (10.9) to a gain's variance
 };
 
 // Where a record is cut: where all motion streams, or the sensor, are silent for five periods and six knots (METHOD 10.6).
@@ -77,19 +77,23 @@ inline std::vector<Piece> pieces_of(const RecordedLog& log, double h, int& dropp
   const auto covered = [h](const std::vector<double>& time, double period) {
     std::vector<Piece> out;
     for (std::size_t k = 0; k < time.size(); ++k) {
-      if (k == 0 || time[k] - time[k - 1] > std::max(5.0 * period, 6.0 * h)) out.push_back({time[k], time[k]});
+      if (k == 0 || time[k] - time[k - 1] > std::max(5.0 * period, 6.0 * h))
+        out.push_back({time[k], time[k]});
       out.back().end = time[k];
     }
     return out;
   };
-  const std::vector<Piece> a = covered(sensor, median_period(stamps)), b = covered(motion, motion_period(log));
+  const std::vector<Piece> a = covered(sensor, median_period(stamps)),
+                           b = covered(motion, motion_period(log));
   std::vector<Piece> out;
   dropped = 0;
   for (std::size_t i = 0, j = 0; i < a.size() && j < b.size();) {
     const Piece both{std::max(a[i].begin, b[j].begin), std::min(a[i].end, b[j].end)};
     if (both.end > both.begin) {
-      if (both.end - both.begin >= 12.0 * h) out.push_back(both);
-      else ++dropped;
+      if (both.end - both.begin >= 12.0 * h)
+        out.push_back(both);
+      else
+        ++dropped;
     }
     (a[i].end < b[j].end ? i : j) += 1;
   }
@@ -116,7 +120,8 @@ class Estimator {
     out.unresolved.assign(count, 0);
     out.dropped.assign(count, 0);
     for (std::size_t l = 0; l < count; ++l) {
-      const double coarsest = std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*recorded_[l]));
+      const double coarsest =
+          std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*recorded_[l]));
       pieces_.push_back(pieces_of(*recorded_[l], coarsest, out.dropped[l]));
       if (pieces_.back().empty()) {
         out.status = Status::wrong_size;
@@ -173,7 +178,8 @@ class Estimator {
     out.log = recorded_[l];
     out.h = h;
     out.period = median_period(sensor_times(*recorded_[l]));
-    for (const Piece& p : pieces_[l]) out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, out.period, h);
+    for (const Piece& p : pieces_[l])
+      out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, out.period, h);
     return out;
   }
 
@@ -192,7 +198,8 @@ class Estimator {
   }
 
   // START.
-  std::shared_ptr<Fit> started(std::vector<LogFit> logs, const std::vector<std::vector<double>>& steps, bool cauchy) const {
+  std::shared_ptr<Fit> started(std::vector<LogFit> logs, const std::vector<std::vector<double>>& steps,
+                               bool cauchy) const {
     auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
     fit->robust = true;
     for (std::size_t l = 0; l < fit->logs().size(); ++l) motion_alone(fit->logs()[l], fit->layout(), l);
@@ -201,19 +208,23 @@ class Estimator {
   }
 
   // h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving; again from there (10.2).
-  std::shared_ptr<Fit> choose_spacing(std::size_t l, std::vector<double>& chosen, bool& unresolved, Estimate& out) {
+  std::shared_ptr<Fit> choose_spacing(std::size_t l, std::vector<double>& chosen, bool& unresolved,
+                                      Estimate& out) {
     const std::vector<double> ladder = spacings(*recorded_[l]);
     std::vector<double> alone;
     std::vector<Fit> starts;  // the motion alone, at each spacing
     for (std::size_t i = 0; i < ladder.size(); ++i) {
       std::vector<LogFit> one;
       one.push_back(log_fit(l, ladder[i]));
-      Fit& fit = starts.emplace_back(rig_, std::move(one), std::vector<std::vector<double>>{}, settings_.threads);
+      Fit& fit =
+          starts.emplace_back(rig_, std::move(one), std::vector<std::vector<double>>{}, settings_.threads);
       const double deviance = motion_alone(fit.logs()[0], fit.layout(), 0);
-      alone.push_back(std::isfinite(deviance) ? deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
-                                              : std::numeric_limits<double>::infinity());
+      alone.push_back(std::isfinite(deviance)
+                          ? deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
+                          : std::numeric_limits<double>::infinity());
     }
-    const auto best_alone = static_cast<std::size_t>(std::min_element(alone.begin(), alone.end()) - alone.begin());
+    const auto best_alone =
+        static_cast<std::size_t>(std::min_element(alone.begin(), alone.end()) - alone.begin());
     std::map<std::size_t, std::shared_ptr<Fit>> fits;
     const auto fitted = [&](std::size_t i, bool finer) {
       std::shared_ptr<Fit> lower;
@@ -224,7 +235,8 @@ class Estimator {
         regress(*fit, cauchy);
         fit->run(lower.get());
         ++out.fits;
-        if (!fit->failed && std::isfinite(fit->deviance) && (!lower || fit->deviance < lower->deviance)) lower = fit;
+        if (!fit->failed && std::isfinite(fit->deviance) && (!lower || fit->deviance < lower->deviance))
+          lower = fit;
       }
       return lower;
     };
@@ -255,7 +267,8 @@ class Estimator {
       for (Stretch& s : log.stretches) {
         const Eigen::Index n = s.raw.size();
         std::vector<char> low(static_cast<std::size_t>(n), 0);
-        for (Eigen::Index k = 0; k < n; ++k) low[static_cast<std::size_t>(k)] = s.raw.weight[k] < constants::mask_weight;
+        for (Eigen::Index k = 0; k < n; ++k)
+          low[static_cast<std::size_t>(k)] = s.raw.weight[k] < constants::mask_weight;
         Eigen::Index last = -1;
         for (Eigen::Index k = 0; k < n; ++k) {
           if (low[static_cast<std::size_t>(k)] == 0) continue;
@@ -296,7 +309,8 @@ class Estimator {
       for (Stretch& s : log.stretches) std::fill(s.raw.masked.begin(), s.raw.masked.end(), char{0});
   }
 
-  std::shared_ptr<Fit> robust_from(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out) const {
+  std::shared_ptr<Fit> robust_from(const Fit& like, const std::vector<std::vector<double>>& steps,
+                                   Estimate& out) const {
     std::vector<LogFit> logs = bare(like);
     clear_mask(logs);
     auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
@@ -307,7 +321,8 @@ class Estimator {
   }
 
   // Steps of the offset, where the mask would hide more than 20 % of a log.
-  void seek_steps(std::shared_ptr<Fit>& robust, std::vector<std::vector<double>>& steps, Estimate& out) const {
+  void seek_steps(std::shared_ptr<Fit>& robust, std::vector<std::vector<double>>& steps,
+                  Estimate& out) const {
     for (std::size_t l = 0; l < steps.size(); ++l)
       while (steps[l].size() < 2) {
         Fit masked = *robust;
@@ -326,7 +341,8 @@ class Estimator {
   }
 
   // FIT on the unmasked rows: without d, then in both forms of d where (10.9), or `force`, asks for it.
-  Rows fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out, bool force) const {
+  Rows fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out,
+                bool force) const {
     auto plain = std::make_shared<Fit>(rig_, bare(like), steps, settings_.threads);
     plain->start_from(like).run();
     ++out.fits;
@@ -354,13 +370,15 @@ class Estimator {
         for (int r = 0; r < z.delta.size(); ++r) {
           const double sigma = plain->group_sigma(l, r);
           z.cap[r] = constants::discrepancy_cap * sigma;
-          z.delta[r] = std::clamp(std::sqrt(rows.moments[l][static_cast<std::size_t>(r)].delta2), 0.1 * sigma, sigma);
+          z.delta[r] =
+              std::clamp(std::sqrt(rows.moments[l][static_cast<std::size_t>(r)].delta2), 0.1 * sigma, sigma);
         }
       }
       d->run();
       ++out.fits;
       const bool plain_stands = rows.fit == plain;
-      if (!d->failed && std::isfinite(d->deviance) && (plain_stands || d->deviance < rows.fit->deviance)) rows.fit = d;
+      if (!d->failed && std::isfinite(d->deviance) && (plain_stands || d->deviance < rows.fit->deviance))
+        rows.fit = d;
     }
     if (rows.fit != plain) rows.added.setZero();
     return rows;
@@ -430,13 +448,15 @@ class Estimator {
       out.gain_covariance = add_pose(out.gain_covariance, fit.prior.head(6 * n), f2, out.pose);
     }
     // the parts of the record
-    const std::vector<std::vector<Moment>> found = fit.logs()[0].sizes.form == Form::none ? best.moments : std::vector<std::vector<Moment>>{};
+    const std::vector<std::vector<Moment>> found =
+        fit.logs()[0].sizes.form == Form::none ? best.moments : std::vector<std::vector<Moment>>{};
     const auto place = [&fit](std::size_t l, std::size_t s, Eigen::Index k) {  // 0 ... 1 within the log
       const auto& stretches = fit.logs()[l].stretches;
       const double begin = stretches.front().spline.begin(), end = stretches.back().spline.end();
       return (stretches[s].raw.time[k] - begin) / (end - begin);
     };
-    out.halves = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) { return place(l, s, k) < 0.5; });
+    out.halves = agreement(
+        fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) { return place(l, s, k) < 0.5; });
     out.quarters = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
       return static_cast<int>(std::floor(4.0 * place(l, s, k))) % 2 == 0;
     });

@@ -24,8 +24,8 @@ struct LogFit {
 class Fit {
  public:
   Fit() = default;
-  Fit(std::shared_ptr<const Statement> rig, std::vector<LogFit> logs, const std::vector<std::vector<double>>& steps,
-      int threads)
+  Fit(std::shared_ptr<const Statement> rig, std::vector<LogFit> logs,
+      const std::vector<std::vector<double>>& steps, int threads)
       : rig_(std::move(rig)), logs_(std::move(logs)), steps_(steps), threads_(threads) {
     std::vector<const RecordedLog*> recorded;
     for (const LogFit& l : logs_) recorded.push_back(l.log);
@@ -44,7 +44,8 @@ class Fit {
       z.delta = Eigen::VectorXd::Zero(raw_groups(n_));
       z.cap = Eigen::VectorXd::Constant(raw_groups(n_), std::numeric_limits<double>::infinity());
       z.motion_factor.clear();
-      for (const MotionStream& m : l.log->motion) z.motion_factor.push_back(Eigen::VectorXd::Ones(m.group.maxCoeff() + 1));
+      for (const MotionStream& m : l.log->motion)
+        z.motion_factor.push_back(Eigen::VectorXd::Ones(m.group.maxCoeff() + 1));
     }
   }
 
@@ -100,9 +101,10 @@ class Fit {
     for (std::size_t l = 0; l < logs_.size(); ++l)
       for (Stretch& s : logs_[l].stretches)
         for (Eigen::Index k = 0; k < s.raw.size(); ++k)
-          s.raw.weight[k] = s.raw.masked[static_cast<std::size_t>(k)] != 0 ? 0.0
-                            : robust ? (constants::freedom + s.raw.channels[k]) / (constants::freedom + chi2(l, s, k))
-                                     : 1.0;
+          s.raw.weight[k] =
+              s.raw.masked[static_cast<std::size_t>(k)] != 0 ? 0.0
+              : robust ? (constants::freedom + s.raw.channels[k]) / (constants::freedom + chi2(l, s, k))
+                       : 1.0;
   }
 
   // chi^2(t) of the channels of one sample.
@@ -130,7 +132,8 @@ class Fit {
     log_data_.assign(logs_.size(), Eigen::MatrixXd());
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const std::vector<int>& at = layout_.log(l).global;
-      log_data_[l] = Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(at.size()), static_cast<Eigen::Index>(at.size()));
+      log_data_[l] =
+          Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(at.size()), static_cast<Eigen::Index>(at.size()));
       for (const Information& part : parts[l]) {
         if (!std::isfinite(part.logdet)) {
           failed = true;
@@ -316,7 +319,8 @@ class Fit {
       }
       for (std::size_t i = 0; i < logs_[l].stretches.size(); ++i) {
         logs_[l].stretches[i].c = other.logs_[l].stretches[i].c;
-        if (z.form != Form::none && z.form == from.form) logs_[l].stretches[i].e = other.logs_[l].stretches[i].e;
+        if (z.form != Form::none && z.form == from.form)
+          logs_[l].stretches[i].e = other.logs_[l].stretches[i].e;
       }
       const Columns &to = layout_.log(l), &has = other.layout_.log(l);
       for (std::size_t i = 0; i < std::min(to.global.size(), has.global.size()); ++i) {  // steps come last
@@ -373,15 +377,19 @@ class Fit {
 
   bool near(const Fit& other) const {
     const Eigen::VectorXd apart = theta - other.theta;
-    double move = std::sqrt(apart.dot(dense::times(S_, apart)) / static_cast<double>(active_places().size())) / constants::theta_move;
+    double move =
+        std::sqrt(apart.dot(dense::times(S_, apart)) / static_cast<double>(active_places().size())) /
+        constants::theta_move;
     const auto compare = [&move](const Eigen::VectorXd& a, const Eigen::VectorXd& b, double power) {
-      for (Eigen::Index i = 0; i < a.size(); ++i) move = std::max(move, power * std::abs(std::log(a[i] / b[i])) / constants::size_move);
+      for (Eigen::Index i = 0; i < a.size(); ++i)
+        move = std::max(move, power * std::abs(std::log(a[i] / b[i])) / constants::size_move);
     };
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Sizes &a = logs_[l].sizes, &b = other.logs_[l].sizes;
       compare(a.raw_factor, b.raw_factor, 1.0);
       compare(a.q, b.q, 0.5);
-      for (std::size_t i = 0; i < a.motion_factor.size(); ++i) compare(a.motion_factor[i], b.motion_factor[i], 1.0);
+      for (std::size_t i = 0; i < a.motion_factor.size(); ++i)
+        compare(a.motion_factor[i], b.motion_factor[i], 1.0);
     }
     return active == other.active && move < 1.0;
   }
@@ -389,7 +397,8 @@ class Fit {
   // - half the gradient of all terms in theta, the motion eliminated.
   Eigen::VectorXd pull() const {
     Eigen::VectorXd out(layout_.size());
-    for (Eigen::Index i = 0; i < out.size(); ++i) out[i] = gradient_[i] - (theta[i] - layout_.mean()[i]) / prior[i];
+    for (Eigen::Index i = 0; i < out.size(); ++i)
+      out[i] = gradient_[i] - (theta[i] - layout_.mean()[i]) / prior[i];
     return out;
   }
 

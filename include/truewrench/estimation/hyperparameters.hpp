@@ -14,9 +14,8 @@ inline double Fit::resize() {
     const Columns& columns = layout_.log(l);
     const Eigen::MatrixXd P = gather(P_, columns.global);
     std::vector<Traces> traces(log.stretches.size());
-    parallel_for(traces.size(), threads_, [&](std::size_t i) {
-      traces[i] = log.sweeps[i].traces(log.stretches[i], columns, z, P);
-    });
+    parallel_for(traces.size(), threads_,
+                 [&](std::size_t i) { traces[i] = log.sweeps[i].traces(log.stretches[i], columns, z, P); });
     // theta's share in the raw rows: what of tr P S is not in the motion's, by whose parameters it is
     Eigen::VectorXd share(P.rows());
     for (Eigen::Index i = 0; i < P.rows(); ++i) share[i] = P.col(i).dot(log_data_[l].col(i));
@@ -73,7 +72,8 @@ inline double Fit::resize() {
       if (count[r] > 0.0) resize_factor(z.raw_factor[r], squares[r], count[r], trace[r]);
     for (std::size_t i = 0; i < m_squares.size(); ++i)
       for (Eigen::Index r = 0; r < m_squares[i].size(); ++r)
-        if (m_count[i][r] > 0.0) resize_factor(z.motion_factor[i][r], m_squares[i][r], m_count[i][r], m_trace[i][r]);
+        if (m_count[i][r] > 0.0)
+          resize_factor(z.motion_factor[i][r], m_squares[i][r], m_count[i][r], m_trace[i][r]);
     for (Eigen::Index j = 0; j < z.q.size(); ++j) {
       const double to = std::max(energy[j], 1e-16) / std::max(size[j] - q_trace[j] / z.q[j], 1.0);
       const double ratio = std::clamp(to / z.q[j], 1e-3, 1e3);
@@ -96,7 +96,8 @@ inline double Fit::resize() {
     for (Eigen::Index r = 0; r < z.delta.size(); ++r) {
       const double variance = z.delta[r] * z.delta[r], sigma_r = group_sigma(l, static_cast<int>(r));
       const double ratio = d_energy[r] / variance / std::max(d_size[r] - d_trace[r] / variance, 1e-6);
-      double to = z.delta[r] * std::sqrt(std::clamp(std::pow(ratio, constants::discrepancy_power), 0.01, 100.0));
+      double to =
+          z.delta[r] * std::sqrt(std::clamp(std::pow(ratio, constants::discrepancy_power), 0.01, 100.0));
       to = std::min(std::max(to, constants::discrepancy_floor * sigma_r), z.cap[r]);
       if (std::max(to, z.delta[r]) > 0.1 * sigma_r && to < z.cap[r])
         move = std::max(move, std::abs(std::log(to / z.delta[r])));
@@ -135,7 +136,8 @@ inline double Fit::resize_tau(LogFit& log, const std::vector<Traces>& traces) {
       R.start *= scale;
       for (int i = 0; i < n_; ++i) {
         const double delta = z.delta[raw_group(i, n_)];
-        sum += (R.quadratic(s.e, i) + R.inside.cwiseProduct(traces[s_].inside[static_cast<std::size_t>(i)]).sum() +
+        sum += (R.quadratic(s.e, i) +
+                R.inside.cwiseProduct(traces[s_].inside[static_cast<std::size_t>(i)]).sum() +
                 R.start.cwiseProduct(traces[s_].start[static_cast<std::size_t>(i)]).sum()) /
                (k3 * delta * delta);
       }
@@ -148,7 +150,8 @@ inline double Fit::resize_tau(LogFit& log, const std::vector<Traces>& traces) {
   const double bend = before - 2.0 * here + after;
   const double step = bend > 0.0 ? 0.5 * d * (before - after) / bend : (before > after ? 0.7 : -0.7);
   if (log.tau_step * step < 0.0) log.tau_limit *= 0.5;  // halved when it turns
-  const double to = std::min(now + std::clamp(step, -log.tau_limit, log.tau_limit), -std::log(2.0 * log.stretches.front().spline.h()));
+  const double to = std::min(now + std::clamp(step, -log.tau_limit, log.tau_limit),
+                             -std::log(2.0 * log.stretches.front().spline.h()));
   log.tau_step = step;
   z.k = std::exp(to);
   return std::abs(to - now);

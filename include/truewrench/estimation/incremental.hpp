@@ -38,8 +38,11 @@ struct MaskedSpan {
 class Incremental {
  public:
   Incremental(const Statement& rig, const RecordedLog& about, const IncrementalSettings& settings)
-      : settings_(settings), most_blocks_(2 * lag_blocks(settings.finest) + 2),
-        lag_(rig, about, most_blocks_, most_samples(settings)), start_(most_blocks_, lag_.channels()), moments_(lag_.channels()) {
+      : settings_(settings),
+        most_blocks_(2 * lag_blocks(settings.finest) + 2),
+        lag_(rig, about, most_blocks_, most_samples(settings)),
+        start_(most_blocks_, lag_.channels()),
+        moments_(lag_.channels()) {
     const int nt = lag_.parameters(), n = lag_.channels();
     const auto samples = static_cast<std::size_t>(settings.rate * (1.25 * settings.lag + 2.0)) + 64;
     raw_.reserve(samples);
@@ -57,7 +60,8 @@ class Incremental {
     entries_.reserve(static_cast<std::size_t>(kMostRows * kBlock * (most_blocks_ + 1)));
     masked_.resize(samples);
     found_.resize(2);
-    sum9_.assign(static_cast<std::size_t>(n), {Eigen::Matrix<double, 7, 7>::Zero(), Eigen::Matrix<double, 7, 7>::Zero()});
+    sum9_.assign(static_cast<std::size_t>(n),
+                 {Eigen::Matrix<double, 7, 7>::Zero(), Eigen::Matrix<double, 7, 7>::Zero()});
     consistent_ = consistency(n);
     begin_log();
   }
@@ -72,9 +76,11 @@ class Incremental {
     if (in.end() > 0 && time <= motion_last_[stream]) return Status::not_increasing;
     Status status = Status::ok;
     // all motion, or the sensor, was silent for five periods and six knots: the stretch is over
-    if (open() && (time - motion_last() > gap(motion_period()) || time - raw_last_ > gap(raw_period()))) status = close();
+    if (open() && (time - motion_last() > gap(motion_period()) || time - raw_last_ > gap(raw_period())))
+      status = close();
     motion_last_[stream] = time;
-    if (in.full() && !standing_ && (raw_.empty() || in[in.begin()].time < raw_[raw_.begin()].time)) in.drop_before(in.begin() + 1);
+    if (in.full() && !standing_ && (raw_.empty() || in[in.begin()].time < raw_[raw_.begin()].time))
+      in.drop_before(in.begin() + 1);
     if (in.full()) return Status::wrong_size;
     MotionSample& s = in.push();
     s.time = time;
@@ -83,7 +89,8 @@ class Incremental {
   }
 
   // raw (n): fractions of range. R_sensor_root: row by row, where gravity acts.
-  Status push_raw(double time, const double* raw, const double* R_sensor_root = nullptr, double temperature = 0.0) noexcept {
+  Status push_raw(double time, const double* raw, const double* R_sensor_root = nullptr,
+                  double temperature = 0.0) noexcept {
     bool any = false;
     for (int i = 0; i < lag_.channels(); ++i) {
       if (std::isinf(raw[i])) return Status::not_finite;
@@ -92,7 +99,8 @@ class Incremental {
     if (!std::isfinite(time) || !any) return Status::not_finite;
     if (raw_.end() > 0 && time <= raw_last_) return Status::not_increasing;
     Status status = Status::ok;
-    if (open() && (time - raw_last_ > gap(raw_period()) || time - motion_last() > gap(motion_period()))) status = close();
+    if (open() && (time - raw_last_ > gap(raw_period()) || time - motion_last() > gap(motion_period())))
+      status = close();
     raw_last_ = time;
     if (raw_.full() && !standing_ && !open()) raw_.drop_before(raw_.begin() + 1);
     if (raw_.full()) return Status::wrong_size;
@@ -100,7 +108,8 @@ class Incremental {
     s.time = time;
     s.temperature = std::isfinite(temperature) ? temperature : 0.0;
     std::copy(raw, raw + lag_.channels(), s.value.begin());
-    if (R_sensor_root != nullptr) s.R = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(R_sensor_root);
+    if (R_sensor_root != nullptr)
+      s.R = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(R_sensor_root);
     return worse(status, advance());
   }
 
@@ -113,7 +122,7 @@ class Incremental {
 
   // ---------------------------------------------------------------- results, after every completed block
   bool ready() const { return ready_; }
-  std::int64_t blocks() const { return blocks_; }  // completed
+  std::int64_t blocks() const { return blocks_; }    // completed
   std::int64_t samples() const { return samples_; }  // that left the lag
   std::int64_t masked_samples() const { return masked_samples_; }
   int dropped() const { return dropped_; }  // stretches too short
@@ -121,8 +130,12 @@ class Incremental {
   Status status() const { return status_; }
   double spacing() const { return lag_.h(); }
   const Eigen::VectorXd& theta() const { return lag_.theta; }
-  Eigen::Map<const RowMatrix> gain() const { return {lag_.theta.data() + lag_.gain_at(), lag_.channels(), 6}; }
-  Eigen::Map<const Eigen::VectorXd> offset() const { return {lag_.theta.data() + lag_.offset_at(), lag_.channels()}; }
+  Eigen::Map<const RowMatrix> gain() const {
+    return {lag_.theta.data() + lag_.gain_at(), lag_.channels(), 6};
+  }
+  Eigen::Map<const Eigen::VectorXd> offset() const {
+    return {lag_.theta.data() + lag_.offset_at(), lag_.channels()};
+  }
   const Eigen::VectorXd& prior() const { return prior_; }
   const std::vector<char>& active() const { return active_; }
   const Lag& lag() const { return lag_; }
@@ -132,8 +145,8 @@ class Incremental {
   const Eigen::MatrixXd& theta_covariance() noexcept;
   // Of C (6n, 6n), with (10.9) and (10.10).
   const Eigen::MatrixXd& covariance() noexcept;
-  const Eigen::MatrixXd& added() const { return added_; }                 // (10.9), of the last covariance()
-  const std::vector<Moment>& moments() const { return found_; }           // likewise
+  const Eigen::MatrixXd& added() const { return added_; }                // (10.9), of the last covariance()
+  const std::vector<Moment>& moments() const { return found_; }          // likewise
   const Eigen::VectorXd& discrepancy2() const { return discrepancy2_; }  // delta_i^2 for (10.10), likewise
   PoseShare pose() const { return pose_.share(); }
   // (10.11): lags in turn, each with what it adds to what was known before it. Allocates.
@@ -163,10 +176,11 @@ class Incremental {
   std::array<Ring<MotionSample>, kMostStreams> motion_;
   std::array<double, kMostStreams> motion_last_{};
   double raw_last_ = 0.0;
-  long raw_at_ = 0;                      // first sample that is not in the lag
+  long raw_at_ = 0;  // first sample that is not in the lag
   std::array<long, kMostStreams> motion_at_{};
   double period_ = 0.0, motion_period_ = 0.0;  // [s] as the stretch began with
-  bool standing_ = false, ready_ = false, unresolved_ = false, first_stretch_ = true, first_log_ = true, chosen_ = false;
+  bool standing_ = false, ready_ = false, unresolved_ = false, first_stretch_ = true, first_log_ = true,
+       chosen_ = false;
   double h_ = 0.0, coarsest_ = constants::knot_spacing;
   std::int64_t blocks_ = 0, samples_ = 0, masked_samples_ = 0;
   int dropped_ = 0, hops_ = 0, part_ = 0;
@@ -186,8 +200,9 @@ class Incremental {
   std::size_t masked_count_ = 0;
   std::array<double, 2> run_{-1e300, -1e300};  // begin and end of the last low run that left
   std::vector<Moment> found_;
-  std::vector<std::array<Eigen::Matrix<double, 7, 7>, 2>> sum9_;  // (10.9) of the logs before: A and B by channel
-  Eigen::VectorXd size10_;                                       // delta^2 of the logs before, times their samples
+  std::vector<std::array<Eigen::Matrix<double, 7, 7>, 2>>
+      sum9_;                // (10.9) of the logs before: A and B by channel
+  Eigen::VectorXd size10_;  // delta^2 of the logs before, times their samples
   double size10_samples_ = 0.0, log_samples_ = 0.0;
 
   int lag_blocks(double h) const {
@@ -213,7 +228,9 @@ class Incremental {
   }
   template <typename Samples>
   static double period_of(const Samples& s) {
-    return s.end() - s.begin() < 2 ? 0.0 : (s[s.end() - 1].time - s[s.begin()].time) / static_cast<double>(s.end() - s.begin() - 1);
+    return s.end() - s.begin() < 2
+               ? 0.0
+               : (s[s.end() - 1].time - s[s.begin()].time) / static_cast<double>(s.end() - s.begin() - 1);
   }
   double raw_period() const { return standing_ ? period_ : period_of(raw_); }
   double motion_period() const {

@@ -102,11 +102,13 @@ inline Status Incremental::start(bool partial) noexcept {
   period_ = raw_period();
   motion_period_ = motion_period();
   double begin = raw_[raw_.begin()].time;
-  for (std::size_t i = 0; i < lag_.streams(); ++i) begin = std::max(begin, motion_[i][motion_[i].begin()].time);
+  for (std::size_t i = 0; i < lag_.streams(); ++i)
+    begin = std::max(begin, motion_[i][motion_[i].begin()].time);
   const double origin = begin - 0.5 * period_;
   while (!raw_.empty() && raw_[raw_.begin()].time < origin) raw_.drop_before(raw_.begin() + 1);
   for (std::size_t i = 0; i < lag_.streams(); ++i)
-    while (!motion_[i].empty() && motion_[i][motion_[i].begin()].time < origin) motion_[i].drop_before(motion_[i].begin() + 1);
+    while (!motion_[i].empty() && motion_[i][motion_[i].begin()].time < origin)
+      motion_[i].drop_before(motion_[i].begin() + 1);
   const auto blocks = [&](double h) {
     const double length = partial ? limit_ - origin : lag_blocks(coarsest_) * kBlock * coarsest_;
     return std::max(2L, static_cast<long>(std::ceil(length / (kBlock * h) - 1e-6)));
@@ -121,7 +123,9 @@ inline Status Incremental::start(bool partial) noexcept {
       if (blocks(h) + 2 > most_blocks_ / 2 + 1) break;  // what memory is for
     }
     cost.fill(std::nan(""));
-    const auto dear = [&](std::size_t i) { return constants::halving_cost * std::log2(ladder[0] / ladder[i]); };
+    const auto dear = [&](std::size_t i) {
+      return constants::halving_cost * std::log2(ladder[0] / ladder[i]);
+    };
     std::size_t now = 0, best_alone = 0;
     if (count > 1) {
       for (std::size_t i = 0; i < count; ++i) {
@@ -132,7 +136,8 @@ inline Status Incremental::start(bool partial) noexcept {
       }
       for (;;) {
         for (const std::size_t i : {now, now + 1, best_alone})
-          if (i >= now && i < count && std::isnan(cost[i])) cost[i] = fit_first(origin, ladder[i], blocks(ladder[i]), partial) + dear(i);
+          if (i >= now && i < count && std::isnan(cost[i]))
+            cost[i] = fit_first(origin, ladder[i], blocks(ladder[i]), partial) + dear(i);
         std::size_t best = now;
         for (std::size_t i = now; i < count; ++i)
           if (cost[i] < cost[best] || std::isnan(cost[best])) best = i;
@@ -180,7 +185,8 @@ inline Status Incremental::arrive(bool last) noexcept {
   double scale = 1.0;
   if (!entries_.empty()) {
     const auto middle = entries_.begin() + static_cast<std::ptrdiff_t>(entries_.size() / 2);
-    std::nth_element(entries_.begin(), middle, entries_.end(), [](const Entry& a, const Entry& b) { return a.begin < b.begin; });
+    std::nth_element(entries_.begin(), middle, entries_.end(),
+                     [](const Entry& a, const Entry& b) { return a.begin < b.begin; });
     const double level = middle->begin;
     if (arrival_ == 0.0) arrival_ = level;
     scale = std::max(1.0, level > 4.0 * arrival_ ? arrival_ : level);
@@ -190,7 +196,8 @@ inline Status Incremental::arrive(bool last) noexcept {
   const bool ok = lag_.eliminate(present_, g, last);
   lag_.grow();
   ++blocks_;
-  if (!ok || !std::isfinite(logdet_x_ = lag_.terminal(present_, S_, eta_)) || !solve(S_, false)) return status_ = Status::not_factorizable;
+  if (!ok || !std::isfinite(logdet_x_ = lag_.terminal(present_, S_, eta_)) || !solve(S_, false))
+    return status_ = Status::not_factorizable;
   lag_.back(std::max(lag_.first(), g - 3));
   return status;
 }
@@ -214,7 +221,8 @@ inline bool Incremental::sweep(long leaving, bool last) {
 // Gauss-Newton and (10.6) on all blocks of the lag, robust weights, as Fit::run() does.
 inline bool Incremental::run(int most, bool last) {
   if (left_.knots == 0.0)
-    for (int i = 0; i < lag_.channels(); ++i) lag_.lagged.row(i) = lag_.theta.segment<6>(lag_.gain_at() + 6 * i).transpose();
+    for (int i = 0; i < lag_.channels(); ++i)
+      lag_.lagged.row(i) = lag_.theta.segment<6>(lag_.gain_at() + 6 * i).transpose();
   const long first = lag_.first(), end = lag_.end();
   const auto weigh = [&] {
     for (long g = first; g < end; ++g) lag_.reweigh(g);
@@ -293,7 +301,9 @@ inline void Incremental::depart(long leaving) {
   if (traced) lag_.traces(first);
   for (long g = first; g < lag_.end(); ++g) (g < stay ? gone : kept) += lag_.block(g).sums;
   if (!traced) {
-    const auto shared = [](auto& trace, const auto& count, const auto& of, const auto& all) { trace = count * of / all.max(1.0); };
+    const auto shared = [](auto& trace, const auto& count, const auto& of, const auto& all) {
+      trace = count * of / all.max(1.0);
+    };
     shared(gone.raw_trace, gone.raw_count, left_.raw_trace, left_.raw_count);
     for (std::size_t i = 0; i < lag_.streams(); ++i)
       shared(gone.motion_trace[i], gone.motion_count[i], left_.motion_trace[i], left_.motion_count[i]);
@@ -344,7 +354,8 @@ inline void Incremental::depart(long leaving) {
 // side, as far as it has not left.
 inline void Incremental::set_mask(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
-  const double ahead = lag_.start_of(stay) + constants::mask_join + constants::mask_length + constants::mask_margin;
+  const double ahead =
+      lag_.start_of(stay) + constants::mask_join + constants::mask_length + constants::mask_margin;
   entries_.clear();
   for (long g = first; g < lag_.end() && lag_.start_of(g) <= ahead; ++g)
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
@@ -365,10 +376,12 @@ inline void Incremental::set_mask(long leaving) {
   std::size_t next = 0;  // first entry after the run
   const auto widen = [&](std::size_t to) {
     const bool lasting = end - begin + period_ >= constants::mask_length - 1e-9;
-    const double from = begin - (lasting ? constants::mask_margin : 0.0) - 1e-9, until = end + (lasting ? constants::mask_margin : 0.0) + 1e-9;
+    const double from = begin - (lasting ? constants::mask_margin : 0.0) - 1e-9,
+                 until = end + (lasting ? constants::mask_margin : 0.0) + 1e-9;
     for (std::size_t k = to; k-- > 0 && entries_[k].end >= from;)
       if (entries_[k].begin <= until) entries_[k].masked = true;
-    for (std::size_t k = to; k < entries_.size() && entries_[k].begin <= until; ++k) entries_[k].masked = true;
+    for (std::size_t k = to; k < entries_.size() && entries_[k].begin <= until; ++k)
+      entries_[k].masked = true;
   };
   run_ = {-1e300, -1e300};
   for (std::size_t k = 0; k < entries_.size(); ++k) {
@@ -416,7 +429,8 @@ inline Status Incremental::close() noexcept {
     }
     status = start(true);
   }
-  while (standing_ && status == Status::ok && raw_at_ < raw_.end() && raw_[raw_at_].time < limit_) status = arrive(true);
+  while (standing_ && status == Status::ok && raw_at_ < raw_.end() && raw_[raw_at_].time < limit_)
+    status = arrive(true);
   if (standing_ && status == Status::ok) {
     const long first = lag_.first(), leaving = lag_.end() - first;
     lag_.back(first);
@@ -447,7 +461,8 @@ inline Status Incremental::close() noexcept {
 inline double Incremental::objective(bool last) {
   double sum = 0.0;
   Cursor next = past_.next;
-  for (long g = lag_.first(); g < lag_.end(); ++g) sum += lag_.objective(g, next, last && g + 1 == lag_.end());
+  for (long g = lag_.first(); g < lag_.end(); ++g)
+    sum += lag_.objective(g, next, last && g + 1 == lag_.end());
   const BlockVector& x = lag_.block(lag_.first()).x;
   const int nt = lag_.parameters();
   column_.noalias() = past_.T.topLeftCorner(nt, nt).selfadjointView<Eigen::Lower>() * lag_.theta;
@@ -471,12 +486,15 @@ inline double Incremental::likelihood(bool last) {
   const Sizes& z = lag_.sizes;
   SizeSums counts;
   for (long g = lag_.first(); g < lag_.end(); ++g) counts += lag_.block(g).sums;
-  for (Eigen::Index r = 0; r < z.raw_factor.size(); ++r) sum += 2.0 * counts.raw_count[r] * std::log(z.raw_factor[r]);
+  for (Eigen::Index r = 0; r < z.raw_factor.size(); ++r)
+    sum += 2.0 * counts.raw_count[r] * std::log(z.raw_factor[r]);
   for (std::size_t i = 0; i < lag_.streams(); ++i)
-    for (Eigen::Index r = 0; r < z.motion_factor[i].size(); ++r) sum += 2.0 * counts.motion_count[i][r] * std::log(z.motion_factor[i][r]);
+    for (Eigen::Index r = 0; r < z.motion_factor[i].size(); ++r)
+      sum += 2.0 * counts.motion_count[i][r] * std::log(z.motion_factor[i][r]);
   const auto N = static_cast<double>(kBlock * (lag_.end() - lag_.first() + 1));
   for (int j = 0; j < kComponents; ++j)
-    sum += (N - smoothness_order(lag_.about().source, j)) * std::log(z.q[j]) - start_.smoothness_logdet(lag_, j);
+    sum +=
+        (N - smoothness_order(lag_.about().source, j)) * std::log(z.q[j]) - start_.smoothness_logdet(lag_, j);
   for (std::size_t i = 0; i < active_.size(); ++i)
     if (active_[i] != 0) sum += std::log(prior_[static_cast<Eigen::Index>(i)]);
   return sum;

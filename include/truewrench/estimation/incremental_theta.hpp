@@ -15,7 +15,8 @@ inline bool Incremental::invert(const Eigen::MatrixXd& S, bool all) {
     if (all || active_[i] != 0) use_.push_back(static_cast<int>(i));
   const auto k = static_cast<Eigen::Index>(use_.size());
   for (Eigen::Index j = 0; j < k; ++j)
-    for (Eigen::Index i = j; i < k; ++i) M_(i, j) = S(use_[static_cast<std::size_t>(i)], use_[static_cast<std::size_t>(j)]);
+    for (Eigen::Index i = j; i < k; ++i)
+      M_(i, j) = S(use_[static_cast<std::size_t>(i)], use_[static_cast<std::size_t>(j)]);
   for (Eigen::Index j = 0; j < k; ++j) M_(j, j) += 1.0 / prior_[use_[static_cast<std::size_t>(j)]];
   auto M = M_.topLeftCorner(k, k);
   if (Eigen::internal::llt_inplace<double, Eigen::Lower>::blocked(M) >= 0) return false;
@@ -26,7 +27,8 @@ inline bool Incremental::invert(const Eigen::MatrixXd& S, bool all) {
   M.triangularView<Eigen::Lower>().solveInPlace(P);
   M.transpose().triangularView<Eigen::Upper>().solveInPlace(P);
   for (Eigen::Index j = 0; j < k; ++j)
-    for (Eigen::Index i = 0; i < k; ++i) P_(use_[static_cast<std::size_t>(i)], use_[static_cast<std::size_t>(j)]) = P(i, j);
+    for (Eigen::Index i = 0; i < k; ++i)
+      P_(use_[static_cast<std::size_t>(i)], use_[static_cast<std::size_t>(j)]) = P(i, j);
   return true;
 }
 
@@ -50,7 +52,8 @@ inline bool Incremental::solve(const Eigen::MatrixXd& S, bool judge) {
     if (!invert(S, true)) return false;
     std::fill(active_.begin(), active_.end(), char{1});
     const auto hold = [&](int at) {
-      if (at < 0 || std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 0.0) > constants::filter_information) return;
+      if (at < 0 || std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 0.0) > constants::filter_information)
+        return;
       active_[static_cast<std::size_t>(at)] = 0;
     };
     for (std::size_t i = 0; i < lag_.streams(); ++i) hold(lag_.clock_at(i) + 1);
@@ -100,12 +103,16 @@ inline double Incremental::resize(const SizeSums& sums, const Eigen::MatrixXd& S
   double all = 0.0;
   for (int i = 0; i < nt; ++i) {
     double share = 0.0;
-    for (int j = 0; j < nt; ++j) share += P_(i, j) * (S(std::max(i, j), std::min(i, j)) - base_(std::max(i, j), std::min(i, j)));
+    for (int j = 0; j < nt; ++j)
+      share += P_(i, j) * (S(std::max(i, j), std::min(i, j)) - base_(std::max(i, j), std::min(i, j)));
     bool clock = false;
-    for (std::size_t s = 0; s < lag_.streams(); ++s) clock = clock || i == lag_.clock_at(s) || i == lag_.clock_at(s) + 1;
+    for (std::size_t s = 0; s < lag_.streams(); ++s)
+      clock = clock || i == lag_.clock_at(s) || i == lag_.clock_at(s) + 1;
     if (!clock) all += share;
-    if (i >= lag_.gain_at() && i < lag_.gain_at() + 6 * n) of_group[raw_group((i - lag_.gain_at()) / 6, n)] += share;
-    if (i >= lag_.offset_at() && i < lag_.offset_at() + n) of_group[raw_group(i - lag_.offset_at(), n)] += share;
+    if (i >= lag_.gain_at() && i < lag_.gain_at() + 6 * n)
+      of_group[raw_group((i - lag_.gain_at()) / 6, n)] += share;
+    if (i >= lag_.offset_at() && i < lag_.offset_at() + n)
+      of_group[raw_group(i - lag_.offset_at(), n)] += share;
   }
   of_group *= std::max(0.0, all) / std::max(of_group.sum(), 1e-300);
   const auto factor = [&move](double& f, double rss, double rows, double used) {
@@ -115,10 +122,12 @@ inline double Incremental::resize(const SizeSums& sums, const Eigen::MatrixXd& S
     move = std::max(move, std::abs(std::log(ratio)));
   };
   for (Eigen::Index r = 0; r < z.raw_factor.size(); ++r)
-    if (sums.raw_count[r] > 0.0) factor(z.raw_factor[r], sums.raw[r], sums.raw_count[r], sums.raw_trace[r] + of_group[r]);
+    if (sums.raw_count[r] > 0.0)
+      factor(z.raw_factor[r], sums.raw[r], sums.raw_count[r], sums.raw_trace[r] + of_group[r]);
   for (std::size_t i = 0; i < lag_.streams(); ++i)
     for (Eigen::Index r = 0; r < z.motion_factor[i].size(); ++r)
-      if (sums.motion_count[i][r] > 0.0) factor(z.motion_factor[i][r], sums.motion[i][r], sums.motion_count[i][r], sums.motion_trace[i][r]);
+      if (sums.motion_count[i][r] > 0.0)
+        factor(z.motion_factor[i][r], sums.motion[i][r], sums.motion_count[i][r], sums.motion_trace[i][r]);
   for (int j = 0; j < kComponents; ++j) {
     const double size = sums.knots + kDegree5 - smoothness_order(lag_.about().source, j);
     const double to = std::max(sums.energy[j], 1e-16) / std::max(size - sums.energy_trace[j], 1.0);
@@ -133,7 +142,8 @@ inline double Incremental::resize(const SizeSums& sums, const Eigen::MatrixXd& S
     squares += lag_.theta[i] * lag_.theta[i];
     freedom += 1.0 - P_(i, i) / prior_[i];
   }
-  prior_.segment(u, n).setConstant(std::max(squares / std::max(freedom, 0.05), constants::quadratic_floor * constants::quadratic_floor));
+  prior_.segment(u, n).setConstant(
+      std::max(squares / std::max(freedom, 0.05), constants::quadratic_floor * constants::quadratic_floor));
   return move;
 }
 
@@ -165,7 +175,8 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
   for (int r = 0; r < raw_groups(n); ++r) found_[static_cast<std::size_t>(r)] = moments_.found(r);
   for (int i = 0; i < n; ++i) {
     const Moment& m = found_[static_cast<std::size_t>(raw_group(i, n))];
-    Eigen::Matrix<double, 7, 7> A = sum9_[static_cast<std::size_t>(i)][0], B = sum9_[static_cast<std::size_t>(i)][1], A1, B1;
+    Eigen::Matrix<double, 7, 7> A = sum9_[static_cast<std::size_t>(i)][0],
+                                B = sum9_[static_cast<std::size_t>(i)][1], A1, B1;
     if (moments_.rows() > 10.0) {
       moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.offset_at() + i], m, A1, B1);
       A += A1;
@@ -190,7 +201,8 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
   ww.diagonal().array() += 1e-12 * std::max(ww.trace(), 1e-12);
   const Matrix6 hidden = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0 * ww.inverse();
   for (int i = 0; i < n; ++i) {
-    const double stated = std::max(settings_.discrepancy, 0.0), f2 = std::max(discrepancy2_[i], stated * stated);
+    const double stated = std::max(settings_.discrepancy, 0.0),
+                 f2 = std::max(discrepancy2_[i], stated * stated);
     Vector6 g;
     for (int k = 0; k < 6; ++k) {
       const double room = prior_[lag_.gain_at() + 6 * i + k] - gain_covariance_(6 * i + k, 6 * i + k);
@@ -225,7 +237,8 @@ inline Agreement Incremental::agreement() const {
       }
       right[i] = parts_[p](nt, a) + mean[a] / prior[i];
       for (int h = 0; h < nt; ++h)
-        if (active_[static_cast<std::size_t>(h)] == 0) right[i] -= parts_[p](std::max(a, h), std::min(a, h)) * mean[h];
+        if (active_[static_cast<std::size_t>(h)] == 0)
+          right[i] -= parts_[p](std::max(a, h), std::min(a, h)) * mean[h];
     }
     S.diagonal() += prior.cwiseInverse();
     const Eigen::LDLT<Eigen::MatrixXd> solver(S);
@@ -234,10 +247,13 @@ inline Agreement Incremental::agreement() const {
   }
   const Eigen::MatrixXd both = P[0] * prior.cwiseInverse().asDiagonal() * P[1];
   // either part has half of the rows that (10.9) had
-  const Eigen::MatrixXd V = (P[0] + P[1] - both - both.transpose()).topLeftCorner(6 * n, 6 * n) + 4.0 * added_;
+  const Eigen::MatrixXd V =
+      (P[0] + P[1] - both - both.transpose()).topLeftCorner(6 * n, 6 * n) + 4.0 * added_;
   const Eigen::VectorXd scale = prior.head(6 * n).cwiseSqrt();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(scale.cwiseInverse().asDiagonal() * V * scale.cwiseInverse().asDiagonal());
-  const Eigen::VectorXd projected = eigen.eigenvectors().transpose() * (theta[0] - theta[1]).head(6 * n).cwiseQuotient(scale);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(scale.cwiseInverse().asDiagonal() * V *
+                                                             scale.cwiseInverse().asDiagonal());
+  const Eigen::VectorXd projected =
+      eigen.eigenvectors().transpose() * (theta[0] - theta[1]).head(6 * n).cwiseQuotient(scale);
   for (int i = 0; i < 6 * n; ++i) {
     if (eigen.eigenvalues()[i] <= 1e-9) continue;
     out.chi2 += projected[i] * projected[i] / eigen.eigenvalues()[i];

@@ -13,13 +13,13 @@ namespace truewrench {
 
 // The sizes of one log's nuisances (METHOD 10.2), and which rows share one.
 struct Sizes {
-  Eigen::VectorXd raw_factor;                   // on the stated noise: force and moment channels, else all together
-  std::vector<Eigen::VectorXd> motion_factor;   // of each stream's groups
-  Eigen::VectorXd q;                            // (M) of (10.1)
-  Eigen::VectorXd delta;                        // as raw_factor: of (10.2)
-  double k = 1.0;                               // 1 / tau
+  Eigen::VectorXd raw_factor;  // on the stated noise: force and moment channels, else all together
+  std::vector<Eigen::VectorXd> motion_factor;  // of each stream's groups
+  Eigen::VectorXd q;                           // (M) of (10.1)
+  Eigen::VectorXd delta;                       // as raw_factor: of (10.2)
+  double k = 1.0;                              // 1 / tau
   Form form = Form::none;
-  Eigen::VectorXd cap;                          // of delta
+  Eigen::VectorXd cap;  // of delta
 };
 
 inline int raw_groups(int channels) { return channels == 6 ? 2 : 1; }
@@ -36,9 +36,9 @@ inline constexpr std::size_t order_pair[3][3] = {{0, 1, 3}, {1, 2, 4}, {3, 4, 5}
 
 // Samples of one interval with the same channels.
 struct RawSums {
-  Gram m[6];              // [order_pair] sum of weighted products B^(p)_k B^(q)_l, row k, p <= q
-  std::vector<double> J;  // (n, orders M) their mean d raw / d (x, x', x'')
-  std::vector<double> v;  // (n) 1 / sigma^2, 0 where a channel is missing
+  Gram m[6];               // [order_pair] sum of weighted products B^(p)_k B^(q)_l, row k, p <= q
+  std::vector<double> J;   // (n, orders M) their mean d raw / d (x, x', x'')
+  std::vector<double> v;   // (n) 1 / sigma^2, 0 where a channel is missing
   std::vector<double> SV;  // (6, n) (d raw / d w)^T V^-1
   // of a constant wrench in every channel, for scores (10.8)
   std::vector<double> basis;  // (orders, 6) sums of weighted bases
@@ -55,19 +55,20 @@ class Intervals {
   // features of a sample, phi: f = [w, 1, temperature, steps] (nf), which every channel has for itself; (C_0 w)_i^2 (n);
   // d w / d (dense parameters) (6, nd)
   int nf = 7, nd = 10, features = 0, ld = 0;
-  std::vector<int> feature;  // (n, nf): columns of f
+  std::vector<int> feature;        // (n, nf): columns of f
   std::vector<int> dense_columns;  // (nd)
 
   // of the last call of sum_raw
-  std::vector<double> G;      // (6 orders + nf + 2 n, ld) weighted [B, B', (B'') ; f ; (C_0 w)^2 ; V^-1 r]^T phi
-  std::vector<double> XX;     // (nd, ldx) sum of X^T Q X
-  std::vector<double> left;   // (6, orders M) Q J_w
-  std::vector<double> gx;     // (6, M) gradient of the motion
-  std::vector<double> gd;     // (6, n) and of the discrepancy
-  std::vector<double> gt;     // (nt) and of theta
+  std::vector<double> G;   // (6 orders + nf + 2 n, ld) weighted [B, B', (B'') ; f ; (C_0 w)^2 ; V^-1 r]^T phi
+  std::vector<double> XX;  // (nd, ldx) sum of X^T Q X
+  std::vector<double> left;  // (6, orders M) Q J_w
+  std::vector<double> gx;    // (6, M) gradient of the motion
+  std::vector<double> gd;    // (6, n) and of the discrepancy
+  std::vector<double> gt;    // (nt) and of theta
   int ldx = 16;
 
-  void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged, const Sizes& sizes) {
+  void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
+             const Sizes& sizes) {
     M = s.components();
     n = s.channels();
     nt = columns.size();
@@ -82,8 +83,10 @@ class Intervals {
     nf = static_cast<int>(feature.size()) / n;
     dense_columns.clear();
     for (int k = 0; k < kBodyParameters; ++k) dense_columns.push_back(columns.body + k);
-    if (columns.gamma >= 0) dense_columns.insert(dense_columns.end(), {columns.clock[0], columns.clock[0] + 1, columns.gamma});
-    if (columns.tilt >= 0 && s.gravity()) dense_columns.insert(dense_columns.end(), {columns.tilt, columns.tilt + 1});
+    if (columns.gamma >= 0)
+      dense_columns.insert(dense_columns.end(), {columns.clock[0], columns.clock[0] + 1, columns.gamma});
+    if (columns.tilt >= 0 && s.gravity())
+      dense_columns.insert(dense_columns.end(), {columns.tilt, columns.tilt + 1});
     nd = static_cast<int>(dense_columns.size());
     features = nf + n + 6 * nd;
     ld = dense::padded(features);
@@ -121,7 +124,8 @@ class Intervals {
       if (done_[static_cast<std::size_t>(k - begin)] || s.raw.weight[k] <= 0.0) continue;
       rows_.clear();
       for (Eigen::Index l = k; l < next_; ++l) {
-        if (done_[static_cast<std::size_t>(l - begin)] || s.raw.weight[l] <= 0.0 || !same_channels(s, k, l)) continue;
+        if (done_[static_cast<std::size_t>(l - begin)] || s.raw.weight[l] <= 0.0 || !same_channels(s, k, l))
+          continue;
         done_[static_cast<std::size_t>(l - begin)] = 1;
         rows_.push_back(l);
       }
@@ -151,8 +155,8 @@ class Intervals {
   }
 
   // d w (fractions of range) by [x, x', x''] (6, orders M) and by the dense parameters (6, ldx), row by row, at one sample.
-  void sample_jacobians(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, Eigen::Index k, double* J,
-                        double* X) const {
+  void sample_jacobians(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta,
+                        Eigen::Index k, double* J, double* X) const {
     const RecordedLog& log = s.log();
     Vector6 nu, a, w;
     double scale[6];
@@ -170,7 +174,8 @@ class Intervals {
     Vector3 g = Vector3::Zero();
     if (s.gravity()) {
       const auto put = [&](const double* by) {  // a parameter of gravity
-        for (int r = 0; r < 6; ++r) X[r * ldx + at] = scale[r] * (j.g(r, 0) * by[0] + j.g(r, 1) * by[1] + j.g(r, 2) * by[2]);
+        for (int r = 0; r < 6; ++r)
+          X[r * ldx + at] = scale[r] * (j.g(r, 0) * by[0] + j.g(r, 1) * by[1] + j.g(r, 2) * by[2]);
         ++at;
       };
       g = s.gravity_at(k, root_);
@@ -194,13 +199,15 @@ class Intervals {
         const Vector3 x = product(R, Vector3(by_tilt_(0, c), by_tilt_(1, c), by_tilt_(2, c)));
         const Vector3 first = cross(omega, x), turn = cross(omega, first), spin = cross(alpha, x);
         double by[3];
-        for (int i = 0; i < 3; ++i) by[i] = x[i] + gamma * (t * first[i] + t * t * ((1.0 - kappa) * turn[i] + kappa * spin[i]));
+        for (int i = 0; i < 3; ++i)
+          by[i] = x[i] + gamma * (t * first[i] + t * t * ((1.0 - kappa) * turn[i] + kappa * spin[i]));
         put(by);
       }
       const Matrix3 turned = cross_matrix(g);
       for (int r = 0; r < 6 && late; ++r)  // to first order in s
         for (int c = 0; c < 3; ++c)
-          j.nu(r, 3 + c) -= gamma * t * (j.g(r, 0) * turned(0, c) + j.g(r, 1) * turned(1, c) + j.g(r, 2) * turned(2, c));
+          j.nu(r, 3 + c) -=
+              gamma * t * (j.g(r, 0) * turned(0, c) + j.g(r, 1) * turned(1, c) + j.g(r, 2) * turned(2, c));
     }
     const int columns_of = orders * M;
     if (log.source == Source::mapped) {
@@ -208,11 +215,13 @@ class Intervals {
       const Matrix3 turned = cross_matrix(g);  // dR g = [g x] (angular part of d nu / d x') dx
       double turn[6][3];
       for (int r = 0; r < 6; ++r)
-        for (int i = 0; i < 3; ++i) turn[r][i] = j.g(r, 0) * turned(0, i) + j.g(r, 1) * turned(1, i) + j.g(r, 2) * turned(2, i);
+        for (int i = 0; i < 3; ++i)
+          turn[r][i] = j.g(r, 0) * turned(0, i) + j.g(r, 1) * turned(1, i) + j.g(r, 2) * turned(2, i);
       for (int r = 0; r < 6; ++r)
         for (int c = 0; c < columns_of; ++c) {
           double sum = 0.0;
-          for (int i = 0; i < 6; ++i) sum += j.nu(r, i) * by[i * columns_of + c] + j.a(r, i) * by[(6 + i) * columns_of + c];
+          for (int i = 0; i < 6; ++i)
+            sum += j.nu(r, i) * by[i * columns_of + c] + j.a(r, i) * by[(6 + i) * columns_of + c];
           if (c < M && s.gravity())
             for (int i = 0; i < 3; ++i) sum += turn[r][i] * by[(3 + i) * columns_of + M + c];
           J[r * columns_of + c] = scale[r] * sum;
@@ -221,7 +230,8 @@ class Intervals {
     }
     for (int r = 0; r < 6; ++r)
       for (int c = 0; c < 6; ++c) {
-        const bool imu = log.source == Source::imu;  // the specific force in place of v, and no derivative of it
+        const bool imu =
+            log.source == Source::imu;  // the specific force in place of v, and no derivative of it
         J[r * 12 + c] = scale[r] * (imu && c < 3 ? j.a(r, c) : j.nu(r, c));
         J[r * 12 + 6 + c] = imu && c < 3 ? 0.0 : scale[r] * j.a(r, c);
       }
@@ -249,11 +259,13 @@ class Intervals {
       const double weight = s.raw.weight[k];
       total += weight;
       double *phi = phi_.data() + r * ld, *X = X_.data() + 6 * r * ldx, *J = jacobian_.data();
-      double *left_row = weights_.data() + r * ldw, *vr = left_row + kLocal * orders + nf + n;  // less what they weigh
+      double *left_row = weights_.data() + r * ldw,
+             *vr = left_row + kLocal * orders + nf + n;  // less what they weigh
       sample_jacobians(s, columns, theta, k, J, X);
       for (int c = 0; c < 6; ++c) std::copy_n(X + c * ldx, nd, phi + nf + n + c * nd);
       dense::add(mean_.data(), weight, J, 6 * OM);
-      const double *w = s.now.w.data() + 6 * k, *cw = s.now.cw.data() + n * k, *residual = s.now.residual.data() + n * k;
+      const double *w = s.now.w.data() + 6 * k, *cw = s.now.cw.data() + n * k,
+                   *residual = s.now.residual.data() + n * k;
       std::copy_n(w, 6, phi);
       phi[6] = 1.0;
       int at = 7;
@@ -287,16 +299,20 @@ class Intervals {
     for (double& x : mean_) x /= total;
     for (int i = 0; i < n; ++i)  // d raw / d w
       for (int c = 0; c < 6; ++c)
-        slope_[static_cast<std::size_t>(6 * i + c)] = C_[6 * i + c] + 2.0 * u_[i] * (cw_mean[i] / total) * lagged_[6 * i + c];
-    dense::subtract(G.data(), ld, weights_.data(), 1, ldw, phi_.data(), ld, left_rows, ld, count, dense::Mode::fresh);
+        slope_[static_cast<std::size_t>(6 * i + c)] =
+            C_[6 * i + c] + 2.0 * u_[i] * (cw_mean[i] / total) * lagged_[6 * i + c];
+    dense::subtract(G.data(), ld, weights_.data(), 1, ldw, phi_.data(), ld, left_rows, ld, count,
+                    dense::Mode::fresh);
     out.z.resize(static_cast<std::size_t>(n));
     for (int i = 0; i < n; ++i) {
       const double* g = G.data() + (kLocal * orders + nf + n + i) * ld;
       out.z[static_cast<std::size_t>(i)] = g[6];
-      for (int x = 0; x < nf; ++x) gt[static_cast<std::size_t>(feature[static_cast<std::size_t>(i * nf + x)])] += g[x];
+      for (int x = 0; x < nf; ++x)
+        gt[static_cast<std::size_t>(feature[static_cast<std::size_t>(i * nf + x)])] += g[x];
       gt[static_cast<std::size_t>(columns.u + i)] += g[nf + i];
     }
-    for (int x = 0; x < nd; ++x) gt[static_cast<std::size_t>(dense_columns[static_cast<std::size_t>(x)])] += by_dense[x];
+    for (int x = 0; x < nd; ++x)
+      gt[static_cast<std::size_t>(dense_columns[static_cast<std::size_t>(x)])] += by_dense[x];
     sum_bases(s, out);
     finish_raw(s, out, count);
     out.weight = total;
@@ -310,7 +326,8 @@ class Intervals {
         std::fill_n(m, kLocal * kLocal, 0.0);
         for (const Eigen::Index k : rows_) {
           const auto& basis = s.raw.basis[static_cast<std::size_t>(k)];
-          const double *a = basis[static_cast<std::size_t>(p)].data(), *b = basis[static_cast<std::size_t>(q)].data();
+          const double *a = basis[static_cast<std::size_t>(p)].data(),
+                       *b = basis[static_cast<std::size_t>(q)].data();
           for (int l = 0; l < kLocal; ++l) {
             const double y = s.raw.weight[k] * b[l];
             for (int h = 0; h < kLocal; ++h) m[kLocal * l + h] += a[h] * y;
@@ -327,7 +344,8 @@ class Intervals {
     double Q[36] = {};  // less (d raw / d w)^T V^-1 (d raw / d w)
     for (int i = 0; i < n; ++i)
       for (int c = 0; c < 6; ++c) {
-        const double x = slope_[static_cast<std::size_t>(6 * i + c)], y = x * out.v[static_cast<std::size_t>(i)];
+        const double x = slope_[static_cast<std::size_t>(6 * i + c)],
+                     y = x * out.v[static_cast<std::size_t>(i)];
         out.SV[static_cast<std::size_t>(c * n + i)] = y;
         dense::add<6>(Q + 6 * c, -y, slope_.data() + 6 * i);
         dense::add(out.J.data() + i * OM, x, mean_.data() + c * OM, OM);
@@ -339,13 +357,16 @@ class Intervals {
     for (int r = 0; r < count; ++r) {
       double weighted[36];
       for (int c = 0; c < 36; ++c) weighted[c] = -s.raw.weight[rows_[static_cast<std::size_t>(r)]] * Q[c];
-      dense::tile<6>(q_.data() + 6 * r * ldx, ldx, weighted, 6, 1, X_.data() + 6 * r * ldx, ldx, ldx, 6, nullptr, 0, dense::Mode::fresh);
+      dense::tile<6>(q_.data() + 6 * r * ldx, ldx, weighted, 6, 1, X_.data() + 6 * r * ldx, ldx, ldx, 6,
+                     nullptr, 0, dense::Mode::fresh);
     }
-    dense::subtract(XX.data(), ldx, X_.data(), 1, ldx, q_.data(), ldx, nd, ldx, 6 * count, dense::Mode::fresh);
+    dense::subtract(XX.data(), ldx, X_.data(), 1, ldx, q_.data(), ldx, nd, ldx, 6 * count,
+                    dense::Mode::fresh);
     out.basis.resize(static_cast<std::size_t>(kLocal * orders));
     for (int p = 0; p < orders; ++p)
       for (int l = 0; l < kLocal; ++l)
-        out.basis[static_cast<std::size_t>(kLocal * p + l)] = G[static_cast<std::size_t>((kLocal * p + l) * ld + 6)];
+        out.basis[static_cast<std::size_t>(kLocal * p + l)] =
+            G[static_cast<std::size_t>((kLocal * p + l) * ld + 6)];
     const double* ones = G.data() + (kLocal * orders + 6) * ld;  // the row of the feature 1
     out.phi.assign(ones, ones + features);
   }

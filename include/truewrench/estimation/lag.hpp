@@ -11,9 +11,10 @@
 namespace truewrench {
 
 inline constexpr int kComponents = 6;
-inline constexpr int kWidth = kBlock * kComponents;   // coefficients of a block
-inline constexpr int kUnder = kLocal * kComponents;   // coefficients under an interval
-inline constexpr int kMostDense = kBodyParameters + 5;  // parameters that every channel feels alike: body, s, kappa, gamma, tilt
+inline constexpr int kWidth = kBlock * kComponents;  // coefficients of a block
+inline constexpr int kUnder = kLocal * kComponents;  // coefficients under an interval
+inline constexpr int kMostDense =
+    kBodyParameters + 5;  // parameters that every channel feels alike: body, s, kappa, gamma, tilt
 
 using BlockMatrix = Eigen::Matrix<double, kWidth, kWidth>;
 using PairMatrix = Eigen::Matrix<double, 2 * kWidth, 2 * kWidth>;
@@ -25,7 +26,8 @@ using DenseFlat = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, 6 * 
 // Squares, counts and traces of (10.6), by groups of rows and components.
 struct SizeSums {
   Eigen::Array2d raw = Eigen::Array2d::Zero(), raw_count = raw, raw_trace = raw;
-  std::array<Eigen::Array<double, 6, 1>, kMostStreams> motion{zero(), zero(), zero()}, motion_count = motion, motion_trace = motion;
+  std::array<Eigen::Array<double, 6, 1>, kMostStreams> motion{zero(), zero(), zero()}, motion_count = motion,
+                                                                                       motion_trace = motion;
   Eigen::Array<double, 6, 1> energy = zero(), energy_trace = zero();  // c^T R c; tr R Sigma / q
   double knots = 0.0;
 
@@ -55,8 +57,8 @@ using Cursor = std::array<long, kMostStreams>;  // of each motion stream: the ne
 struct Front {
   BlockMatrix H = BlockMatrix::Zero();
   Eigen::MatrixXd F, T;
-  Cursor next{};          // first motion row that is not in it
-  double logdet = 0.0;                    // of what was eliminated
+  Cursor next{};        // first motion row that is not in it
+  double logdet = 0.0;  // of what was eliminated
 };
 
 class Lag {
@@ -95,7 +97,8 @@ class Lag {
     spikes_.resize(picked_.size());
     sorted_.resize(picked_.size());
     for (int i = 0; i < kMostStreams; ++i)
-      motion_[static_cast<std::size_t>(i)].reserve(static_cast<std::size_t>(kMostRows * kBlock * (blocks + 2)));
+      motion_[static_cast<std::size_t>(i)].reserve(
+          static_cast<std::size_t>(kMostRows * kBlock * (blocks + 2)));
     carry(about);
     resize_work();
     for (auto& b : BX_) b = Eigen::MatrixXd::Zero(6 * kMostDense, kLocal);
@@ -111,7 +114,8 @@ class Lag {
     nt_ = layout_.size();
     const Columns& c = layout_.log(0);
     const auto at = [&c](int i) { return i < 0 ? -1 : c.global[static_cast<std::size_t>(i)]; };
-    C_ = at(c.C), b_ = at(c.b), u_ = at(c.u), body_ = at(c.body), slope_ = at(c.slope), tilt_ = at(c.tilt), gamma_ = at(c.gamma);
+    C_ = at(c.C), b_ = at(c.b), u_ = at(c.u), body_ = at(c.body), slope_ = at(c.slope), tilt_ = at(c.tilt),
+    gamma_ = at(c.gamma);
     streams_ = about_.motion.size();
     for (std::size_t i = 0; i < streams_; ++i) {
       clock_[i] = at(c.clock[i]);
@@ -128,7 +132,8 @@ class Lag {
     sizes.raw_factor = Eigen::VectorXd::Ones(raw_groups(n_));
     sizes.q = Eigen::VectorXd::Constant(kComponents, constants::smoothness_start);
     sizes.motion_factor.clear();
-    for (const MotionStream& m : about_.motion) sizes.motion_factor.push_back(Eigen::VectorXd::Ones(m.group.maxCoeff() + 1));
+    for (const MotionStream& m : about_.motion)
+      sizes.motion_factor.push_back(Eigen::VectorXd::Ones(m.group.maxCoeff() + 1));
     lagged = rig_.nominal;
   }
 
@@ -200,7 +205,8 @@ class Lag {
   void reweigh(long g, double scale = 1.0) {
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
       Interval& v = interval(i);
-      const double mean = v.spared > 0.0 ? mean_chi2(v) : 0.0;  // one weight for all that the interval stands for
+      const double mean =
+          v.spared > 0.0 ? mean_chi2(v) : 0.0;  // one weight for all that the interval stands for
       for (int r = 0; r < v.rows; ++r) {
         RawRow& row = v.row[static_cast<std::size_t>(r)];
         const double x = v.spared > 0.0 ? mean : chi2(row);
@@ -326,7 +332,8 @@ class Lag {
     Basis b, by_s, by_kappa;  // the last two: bases of the derivatives
     Vector6 residual;
   };
-  bool placed(std::size_t i, const MotionRow& row, long g, bool last, const PairVector& xx, Placed& out) const {
+  bool placed(std::size_t i, const MotionRow& row, long g, bool last, const PairVector& xx,
+              Placed& out) const {
     const double s = theta[clock_[i]], kappa = theta[clock_[i] + 1];
     const double x = (row.time + s - origin_) / h_;
     const auto at = static_cast<long>(std::floor(x + 1e-9));
@@ -350,7 +357,8 @@ class Lag {
   void add_smoothness(long g, const PairVector& xx, SizeSums& sums);
   void add_raw(Front& f, Interval& v, int o, SizeSums& sums);
   void add_raw_theta(Front& f, const Interval& v, int o, const Wrenches& mean,
-                     const Eigen::Matrix<double, 6, Eigen::Dynamic, Eigen::ColMajor, 6, kMostChannels>& SV, const Matrix6& Q);
+                     const Eigen::Matrix<double, 6, Eigen::Dynamic, Eigen::ColMajor, 6, kMostChannels>& SV,
+                     const Matrix6& Q);
 };
 
 // ------------------------------------------------------------------------------------------------ rows
@@ -403,7 +411,10 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
     nodes_.sample(count, [&](int k) { return samples[picked_[static_cast<std::size_t>(k)]].time - v.begin; });
     for (int c = 0; c < n_; ++c)
       v.remainder[c] = nodes_.project(
-          count, [&](int k) { return samples[picked_[static_cast<std::size_t>(k)]].value[static_cast<std::size_t>(c)]; },
+          count,
+          [&](int k) {
+            return samples[picked_[static_cast<std::size_t>(k)]].value[static_cast<std::size_t>(c)];
+          },
           value[static_cast<std::size_t>(c)]);
     // a spike: what its own interval's polynomial does not take (METHOD 10.3)
     if (round == kMostRows || count <= kMostRows + 1) break;
@@ -414,18 +425,24 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
       double sum = 0.0;
       for (int c = 0; c < n_; ++c) {
         const auto cu = static_cast<std::size_t>(c);
-        const double z = (samples[picked_[static_cast<std::size_t>(k)]].value[cu] - nodes_.back(k, value[cu])) / noise(c);
+        const double z =
+            (samples[picked_[static_cast<std::size_t>(k)]].value[cu] - nodes_.back(k, value[cu])) / noise(c);
         sum += z * z;
       }
       spikes_[static_cast<std::size_t>(k)] = sorted_[static_cast<std::size_t>(k)] = sum;
     }
     std::nth_element(sorted_.begin(), sorted_.begin() + count / 2, sorted_.begin() + count);
-    const double scale = std::max(1.0, sorted_[static_cast<std::size_t>(count / 2)] / n_);  // the noise may be more than stated
-    const int worst = static_cast<int>(std::max_element(spikes_.begin(), spikes_.begin() + count) - spikes_.begin());
-    if (spikes_[static_cast<std::size_t>(worst)] / scale < (constants::freedom + n_) / constants::mask_weight - constants::freedom) break;
+    const double scale = std::max(
+        1.0, sorted_[static_cast<std::size_t>(count / 2)] / n_);  // the noise may be more than stated
+    const int worst =
+        static_cast<int>(std::max_element(spikes_.begin(), spikes_.begin() + count) - spikes_.begin());
+    if (spikes_[static_cast<std::size_t>(worst)] / scale <
+        (constants::freedom + n_) / constants::mask_weight - constants::freedom)
+      break;
     const double t = samples[picked_[static_cast<std::size_t>(worst)]].time;
     masked(t, t);
-    for (int k = worst; k + 1 < count; ++k) picked_[static_cast<std::size_t>(k)] = picked_[static_cast<std::size_t>(k + 1)];
+    for (int k = worst; k + 1 < count; ++k)
+      picked_[static_cast<std::size_t>(k)] = picked_[static_cast<std::size_t>(k + 1)];
     --count;
   }
   v.rows = kNodes;
@@ -437,7 +454,8 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
     row.time = v.begin + nodes_.time[mu];
     row.size = nodes_.weight[mu];
     while (k + 2 < count && samples[picked_[static_cast<std::size_t>(k + 1)]].time < row.time) ++k;
-    const RawSample &before = samples[picked_[static_cast<std::size_t>(k)]], &after = samples[picked_[static_cast<std::size_t>(k + 1)]];
+    const RawSample &before = samples[picked_[static_cast<std::size_t>(k)]],
+                    &after = samples[picked_[static_cast<std::size_t>(k + 1)]];
     const double share = std::clamp((row.time - before.time) / (after.time - before.time), 0.0, 1.0);
     row.R = (1.0 - share) * before.R + share * after.R;
     row.temperature = before.temperature;
@@ -470,8 +488,9 @@ inline void Lag::take(std::size_t stream, const Ring<MotionSample>& samples, lon
   std::array<std::array<double, kNodes>, 6> value{};
   Vector6 remainder;
   for (int j = 0; j < 6; ++j)
-    remainder[j] = nodes_.project(count, [&](int k) { return samples[picked_[static_cast<std::size_t>(k)]].value[j]; },
-                                  value[static_cast<std::size_t>(j)]);
+    remainder[j] = nodes_.project(
+        count, [&](int k) { return samples[picked_[static_cast<std::size_t>(k)]].value[j]; },
+        value[static_cast<std::size_t>(j)]);
   for (int m = 0; m < kNodes && !out.full(); ++m) {
     const auto mu = static_cast<std::size_t>(m);
     MotionRow& row = out.push();

@@ -143,7 +143,8 @@ class Nodes {
   double back(int k, const std::array<double, kNodes>& value) const {
     double sum = 0.0;
     for (int m = 0; m < kNodes; ++m)
-      sum += value[static_cast<std::size_t>(m)] * weight[static_cast<std::size_t>(m)] * basis_.row(k).dot(at_node_.col(m));
+      sum += value[static_cast<std::size_t>(m)] * weight[static_cast<std::size_t>(m)] *
+             basis_.row(k).dot(at_node_.col(m));
     return sum;
   }
 

@@ -28,7 +28,8 @@ class LagStart {
     for (int p = 2; p <= 3; ++p) {
       logdet_[static_cast<std::size_t>(p - 2)].assign(static_cast<std::size_t>(blocks + 1), 0.0);
       for (int g = 2; g <= blocks; ++g)
-        logdet_[static_cast<std::size_t>(p - 2)][static_cast<std::size_t>(g)] = Spline(0.0, kBlock * g, 1.0).smoothness_logdet(p);
+        logdet_[static_cast<std::size_t>(p - 2)][static_cast<std::size_t>(g)] =
+            Spline(0.0, kBlock * g, 1.0).smoothness_logdet(p);
     }
   }
 
@@ -105,7 +106,8 @@ class LagStart {
         energy[j] = bend;
         trace[j] = inner(R_, N);
         const double p = smoothness_order(lag.about().source, j);
-        deviance += logdet + bend / z.q[j] + (static_cast<double>(N) - p) * std::log(z.q[j]) - smoothness_logdet(lag, j);
+        deviance += logdet + bend / z.q[j] + (static_cast<double>(N) - p) * std::log(z.q[j]) -
+                    smoothness_logdet(lag, j);
         for (std::size_t i = 0; i < streams; ++i) {
           const MotionStream& stream = lag.about().motion[i];
           const double f = z.motion_factor[i][stream.group[j]];
@@ -131,7 +133,8 @@ class LagStart {
         for (std::size_t i = 0; i < streams; ++i)
           for (Eigen::Index r = 0; r < z.motion_factor[i].size(); ++r) {
             if (count[i][r] <= 0.0) continue;
-            const double to = std::sqrt(std::max(rss[i][r], 1e-12) / std::max(count[i][r] - used[i][r], 1e-3 * count[i][r]));
+            const double to = std::sqrt(std::max(rss[i][r], 1e-12) /
+                                        std::max(count[i][r] - used[i][r], 1e-3 * count[i][r]));
             move = std::max(move, 2.0 * std::abs(std::log(to / z.motion_factor[i][r])));
             z.motion_factor[i][r] = to;
           }
@@ -159,7 +162,8 @@ class LagStart {
       for (int i = 0; i < n; ++i) {
         Eigen::Matrix<double, 7, 7> A = Eigen::Matrix<double, 7, 7>::Zero();
         Eigen::Matrix<double, 7, 1> b = Eigen::Matrix<double, 7, 1>::Zero(), x;
-        const Vector6 start = gain ? Vector6(rig.nominal.row(i).transpose()) : Vector6(lag.theta.segment<6>(lag.gain_at() + 6 * i));
+        const Vector6 start = gain ? Vector6(rig.nominal.row(i).transpose())
+                                   : Vector6(lag.theta.segment<6>(lag.gain_at() + 6 * i));
         for (int k = 0; k < 6; ++k) A(k, k) = gain ? 1.0 / prior[lag.gain_at() + 6 * i + k] : 1e30;
         A(6, 6) = 1.0 / prior[lag.offset_at() + i];
         Eigen::Index at = 0;
@@ -180,10 +184,12 @@ class LagStart {
         for (int r = 0; r < lag.interval(v).rows; ++r, ++at) {
           const RawRow& row = lag.interval(v).row[static_cast<std::size_t>(r)];
           for (int i = 0; i < n; ++i)
-            residual_(at, i) = row.have[i] * (row.value[i] - found_.row(i).head<6>().dot(row.w) - found_(i, 6));
+            residual_(at, i) =
+                row.have[i] * (row.value[i] - found_.row(i).head<6>().dot(row.w) - found_(i, 6));
         }
       for (int i = 0; i < n; ++i) {
-        for (Eigen::Index k = 0; k < count; ++k) size_[static_cast<std::size_t>(k)] = std::abs(residual_(k, i));
+        for (Eigen::Index k = 0; k < count; ++k)
+          size_[static_cast<std::size_t>(k)] = std::abs(residual_(k, i));
         const auto middle = size_.begin() + count / 2;
         std::nth_element(size_.begin(), middle, size_.begin() + count);
         scale_[i] = std::max(1.48 * *middle, rig.noise[i]);
@@ -244,7 +250,9 @@ class LagStart {
   }
   // The band of the inverse (Takahashi).
   void invert(Eigen::Index N) {
-    const auto at = [this](Eigen::Index i, Eigen::Index j) { return i >= j ? inverse_(i - j, j) : inverse_(j - i, i); };
+    const auto at = [this](Eigen::Index i, Eigen::Index j) {
+      return i >= j ? inverse_(i - j, j) : inverse_(j - i, i);
+    };
     for (Eigen::Index j = N - 1; j >= 0; --j) {
       const Eigen::Index last = std::min<Eigen::Index>(N - 1, j + kLocal - 1);
       for (Eigen::Index i = last; i >= j; --i) {

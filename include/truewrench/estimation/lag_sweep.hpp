@@ -31,13 +31,15 @@ inline void Lag::predict(long g) {
           const double s = theta[clock_[0]], kappa = theta[clock_[0] + 1];
           const Vector3 omega = row.nu.tail<3>(), first = omega.cross(row.g);
           row.g += theta[gamma_] *
-                   (s * first + s * s * ((1.0 - kappa) * omega.cross(first) + kappa * row.a.tail<3>().cross(row.g)));
+                   (s * first +
+                    s * s * ((1.0 - kappa) * omega.cross(first) + kappa * row.a.tail<3>().cross(row.g)));
         }
       }
       row.w = scale_.cwiseProduct(wrench_about(payload_, about_.point, row.nu, row.a, row.g));
       row.cw.noalias() = lagged.lazyProduct(row.w);
       for (int i = 0; i < n_; ++i) {
-        double e = row.value[i] - gain_.row(i).dot(row.w) - theta[b_ + i] - theta[u_ + i] * row.cw[i] * row.cw[i];
+        double e =
+            row.value[i] - gain_.row(i).dot(row.w) - theta[b_ + i] - theta[u_ + i] * row.cw[i] * row.cw[i];
         if (slope_ >= 0) e -= row.temperature * theta[slope_ + i];
         row.residual[i] = row.have[i] * e;
       }
@@ -220,14 +222,15 @@ inline void Lag::add_raw(Front& f, Interval& v, int o, SizeSums& sums) {
 }
 
 // H_xt and H_tt of the rows of one interval.
-inline void Lag::add_raw_theta(Front& f, const Interval& v, int o, const Wrenches& mean,
-                               const Eigen::Matrix<double, 6, Eigen::Dynamic, Eigen::ColMajor, 6, kMostChannels>& SV,
-                               const Matrix6& Q) {
+inline void Lag::add_raw_theta(
+    Front& f, const Interval& v, int o, const Wrenches& mean,
+    const Eigen::Matrix<double, 6, Eigen::Dynamic, Eigen::ColMajor, 6, kMostChannels>& SV, const Matrix6& Q) {
   Eigen::Matrix<double, 8, 8> FF = Eigen::Matrix<double, 8, 8>::Zero();
   Eigen::Matrix<double, 8, 1> x;
   Eigen::Matrix<double, kLocal, 8> BF0 = Eigen::Matrix<double, kLocal, 8>::Zero(), BF1 = BF0;
   Eigen::Matrix<double, 8, Eigen::Dynamic, Eigen::ColMajor, 8, kMostChannels> FU(8, n_);
-  Eigen::Matrix<double, kLocal, Eigen::Dynamic, Eigen::ColMajor, kLocal, kMostChannels> BU0(kLocal, n_), BU1(kLocal, n_);
+  Eigen::Matrix<double, kLocal, Eigen::Dynamic, Eigen::ColMajor, kLocal, kMostChannels> BU0(kLocal, n_),
+      BU1(kLocal, n_);
   Channels UU = Channels::Zero(n_), cw2(n_);
   FU.setZero();
   BU0.setZero();
@@ -277,7 +280,8 @@ inline void Lag::add_raw_theta(Front& f, const Interval& v, int o, const Wrenche
   for (int l = 0; l < kLocal; ++l) {
     const int at = kComponents * (o + l);
     for (int i = 0; i < n_; ++i) {
-      const Vector6 j0 = v.v[i] * v.J.row(i).head<6>().transpose(), j1 = v.v[i] * v.J.row(i).tail<6>().transpose();
+      const Vector6 j0 = v.v[i] * v.J.row(i).head<6>().transpose(),
+                    j1 = v.v[i] * v.J.row(i).tail<6>().transpose();
       F_.block<6, 6>(at, C_ + 6 * i) += j0 * BF0.row(l).head<6>() + j1 * BF1.row(l).head<6>();
       F_.col(b_ + i).segment<6>(at) += BF0(l, 6) * j0 + BF1(l, 6) * j1;
       F_.col(u_ + i).segment<6>(at) += BU0(l, i) * j0 + BU1(l, i) * j1;
@@ -321,7 +325,8 @@ inline void Lag::add_raw_theta(Front& f, const Interval& v, int o, const Wrenche
     for (int y = 0; y < nd_; ++y) add(u_ + i, dense_[static_cast<std::size_t>(y)], X.col(y).dot(SV.col(i)));
   }
   for (int y = 0; y < nd_; ++y)
-    for (int z = 0; z <= y; ++z) add(dense_[static_cast<std::size_t>(y)], dense_[static_cast<std::size_t>(z)], XX(y, z));
+    for (int z = 0; z <= y; ++z)
+      add(dense_[static_cast<std::size_t>(y)], dense_[static_cast<std::size_t>(z)], XX(y, z));
 }
 
 inline void Lag::expect(const Front& f, long g, bool last) {
@@ -346,7 +351,8 @@ inline void Lag::expect(const Front& f, long g, bool last) {
         const double v = row.have[j] * row.size / (motion_noise(i, j) * motion_noise(i, j));
         for (int k = 0; k < kLocal; ++k) {
           b[kComponents * (at.o + k) + j] += v * at.b[k] * at.residual[j];
-          for (int l = 0; l <= k; ++l) H_(kComponents * (at.o + k) + j, kComponents * (at.o + l) + j) += v * at.b[k] * at.b[l];
+          for (int l = 0; l <= k; ++l)
+            H_(kComponents * (at.o + k) + j, kComponents * (at.o + l) + j) += v * at.b[k] * at.b[l];
         }
       }
     }
@@ -447,7 +453,8 @@ inline void Lag::traces(long from) {
     pair_.bottomLeftCorner<kWidth, kWidth>().noalias() = -next_ * Gt_;
     pair_.topRightCorner<kWidth, kWidth>() = pair_.bottomLeftCorner<kWidth, kWidth>().transpose();
     pair_.topLeftCorner<kWidth, kWidth>().noalias() = Linv_.transpose() * Linv_;
-    pair_.topLeftCorner<kWidth, kWidth>().noalias() -= Gt_.transpose() * pair_.bottomLeftCorner<kWidth, kWidth>();
+    pair_.topLeftCorner<kWidth, kWidth>().noalias() -=
+        Gt_.transpose() * pair_.bottomLeftCorner<kWidth, kWidth>();
     SizeSums& s = B.sums;
     s.raw_trace.setZero();
     s.energy_trace.setZero();
@@ -458,7 +465,8 @@ inline void Lag::traces(long from) {
       for (int j = 0; j < kComponents; ++j) {
         Gram local;
         for (int k = 0; k < kLocal; ++k)
-          for (int l = 0; l < kLocal; ++l) local(k, l) = pair_(base + kComponents * k + j, base + kComponents * l + j);
+          for (int l = 0; l < kLocal; ++l)
+            local(k, l) = pair_(base + kComponents * k + j, base + kComponents * l + j);
         s.energy_trace[j] += smoothness(j).cwiseProduct(local).sum() / sizes.q[j];
         for (std::size_t i = 0; i < streams_; ++i)
           s.motion_trace[i][about_.motion[i].group[j]] +=
@@ -475,7 +483,8 @@ inline void Lag::traces(long from) {
         }
       for (int i = 0; i < n_; ++i) {
         const Vector6 j0 = v.J.row(i).head<6>().transpose(), j1 = v.J.row(i).tail<6>().transpose();
-        s.raw_trace[raw_group(i, n_)] += v.v[i] * (j0.dot(D00 * j0) + 2.0 * j0.dot(D01 * j1) + j1.dot(D11 * j1));
+        s.raw_trace[raw_group(i, n_)] +=
+            v.v[i] * (j0.dot(D00 * j0) + 2.0 * j0.dot(D01 * j1) + j1.dot(D11 * j1));
       }
     }
   }

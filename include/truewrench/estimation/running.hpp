@@ -89,7 +89,8 @@ class MomentSums {
       if (raw_group(i, n_) != group) continue;
       const Matrix8 XX = features(ZZ_, i, false);
       const Vector8 length = XX.diagonal().cwiseSqrt().cwiseMax(1e-300), Xr = against(ZZ_, i, false);
-      const Eigen::SelfAdjointEigenSolver<Matrix8> eigen(length.cwiseInverse().asDiagonal() * XX * length.cwiseInverse().asDiagonal());
+      const Eigen::SelfAdjointEigenSolver<Matrix8> eigen(length.cwiseInverse().asDiagonal() * XX *
+                                                         length.cwiseInverse().asDiagonal());
       Matrix8 V = length.cwiseInverse().asDiagonal() * eigen.eigenvectors();  // Q = X V
       int rank = 0;
       for (int c = 0; c < 8; ++c) {
@@ -103,7 +104,8 @@ class MomentSums {
       const Vector8 Qr = V.transpose() * Xr;
       for (std::size_t t = 0; t < count; ++t) {
         const Kernel& k = kernels_[t];
-        const Matrix8 S = V.transpose() * features(k.KZ, i, true) * V, SS = V.transpose() * features(k.KKZ, i, true) * V;
+        const Matrix8 S = V.transpose() * features(k.KZ, i, true) * V,
+                      SS = V.transpose() * features(k.KKZ, i, true) * V;
         const Vector8 QKr = V.transpose() * against(k.KZ, i, true);
         num[t] += 2.0 * k.KZ(7 + n_ + i, 7 + n_ + i) - 2.0 * Qr.dot(QKr) + Qr.dot(S * Qr);  // r^T M K M r
         t1[t] += trace_ - S.trace();                                                        // tr M K
@@ -124,10 +126,12 @@ class MomentSums {
   }
 
   // X^T X and delta^2 X^T K X of [C_i, u_i] with the offset, of prior variance `offset`, eliminated; v: 1 / sigma_i^2.
-  void spread(int i, double v, double offset, const Moment& m, Eigen::Matrix<double, 7, 7>& A, Eigen::Matrix<double, 7, 7>& B) const {
+  void spread(int i, double v, double offset, const Moment& m, Eigen::Matrix<double, 7, 7>& A,
+              Eigen::Matrix<double, 7, 7>& B) const {
     std::size_t t = 0;
     while (t + 1 < kernels_.size() && constants::taus[t] != m.tau) ++t;
-    const Matrix8 XX = v * features(ZZ_, i, false), XKX = v * v * m.delta2 * features(kernels_[t].KZ, i, true);
+    const Matrix8 XX = v * features(ZZ_, i, false),
+                  XKX = v * v * m.delta2 * features(kernels_[t].KZ, i, true);
     // order of features(): w, 1, (C_0 w)^2; the offset out
     Eigen::Matrix<double, 7, 8> T = Eigen::Matrix<double, 7, 8>::Zero();
     for (int k = 0; k < 7; ++k) {
@@ -145,8 +149,8 @@ class MomentSums {
   using Matrix8 = Eigen::Matrix<double, 8, 8>;
   using Vector8 = Eigen::Matrix<double, 8, 1>;
   struct Kernel {
-    Eigen::MatrixXd KZ, KKZ;         // halves: X + X^T
-    Eigen::VectorXd a, b, c, d;      // A Z; A applied to (A + D) Z, and A A^T Z
+    Eigen::MatrixXd KZ, KKZ;     // halves: X + X^T
+    Eigen::VectorXd a, b, c, d;  // A Z; A applied to (A + D) Z, and A A^T Z
     double p0 = 0.0, p1 = 0.0, p2 = 0.0, squares = 0.0;
   };
   int n_, d_;
@@ -161,7 +165,8 @@ class MomentSums {
     Matrix8 out;
     for (int k = 0; k < 8; ++k)
       for (int l = 0; l < 8; ++l)
-        out(k, l) = half ? m(place(k, i), place(l, i)) + m(place(l, i), place(k, i)) : m(place(k, i), place(l, i));
+        out(k, l) =
+            half ? m(place(k, i), place(l, i)) + m(place(l, i), place(k, i)) : m(place(k, i), place(l, i));
     return out;
   }
   Vector8 against(const Eigen::MatrixXd& m, int i, bool half) const {
@@ -218,7 +223,8 @@ class PoseSums {
     if (all.rows == 0.0) return out;
     out.ww = all.ww / all.rows;
     const Vector6 size = all.centred.diagonal().cwiseSqrt().cwiseMax(1e-300);
-    const Eigen::SelfAdjointEigenSolver<Matrix6> eigen(size.cwiseInverse().asDiagonal() * all.centred * size.cwiseInverse().asDiagonal());
+    const Eigen::SelfAdjointEigenSolver<Matrix6> eigen(size.cwiseInverse().asDiagonal() * all.centred *
+                                                       size.cwiseInverse().asDiagonal());
     double total = 0.0, frequency = 0.0;
     int moving = 0, axes = 0;
     for (int j = 0; j < 6; ++j) {
@@ -234,7 +240,8 @@ class PoseSums {
     out.A = moving > 0 ? total / moving : 0.0;
     for (int j = 0; j < 6; ++j) {
       if (!(all.centred(j, j) > 1e-12 * all.rows) || !(rated_ > 0.0)) continue;
-      frequency += std::sqrt(rate_[j] / rated_ / (all.centred(j, j) / all.rows)) / (2.0 * 3.14159265358979323846);
+      frequency +=
+          std::sqrt(rate_[j] / rated_ / (all.centred(j, j) / all.rows)) / (2.0 * 3.14159265358979323846);
       ++axes;
     }
     out.period = axes > 0 && frequency > 0.0 ? axes / frequency : 1.0;

@@ -11,16 +11,17 @@ namespace truewrench {
 
 // A block of knots of one log, as a source of scores.
 struct ScoredBlock {
-  double begin = 0.0;                              // [s]
-  Eigen::VectorXd z, information;                  // (n) D^T V^-1 r, diag D^T V^-1 D
+  double begin = 0.0;              // [s]
+  Eigen::VectorXd z, information;  // (n) D^T V^-1 r, diag D^T V^-1 D
   int samples = 0;
-  Eigen::MatrixXd b;                               // (nt, n) D^T V^-1 J_theta with the motion eliminated, by the root of P
-  std::vector<std::pair<std::size_t, Eigen::MatrixXd>> y;  // by block from here on: R^-T J_x^T V^-1 D, as far as it is felt
+  Eigen::MatrixXd b;  // (nt, n) D^T V^-1 J_theta with the motion eliminated, by the root of P
+  std::vector<std::pair<std::size_t, Eigen::MatrixXd>>
+      y;  // by block from here on: R^-T J_x^T V^-1 D, as far as it is felt
 };
 
 // J_x^T V^-1 D (rows of two blocks) and J_theta^T V^-1 D of a constant wrench D on one block, `columns` a row.
-inline void constant_wrench(const Stretch& s, const Sweep& sweep, const Columns& columns, bool d, int g, int width,
-                            double* J, double* T, ScoredBlock& out) {
+inline void constant_wrench(const Stretch& s, const Sweep& sweep, const Columns& columns, bool d, int g,
+                            int width, double* J, double* T, ScoredBlock& out) {
   const Intervals& of = sweep.intervals();
   const int n = s.channels(), M = s.components(), OM = of.orders * M;
   for (int o = 0; o < kBlock; ++o) {
@@ -32,16 +33,19 @@ inline void constant_wrench(const Stretch& s, const Sweep& sweep, const Columns&
         const double v = sums.v[static_cast<std::size_t>(i)], *phi = sums.phi.data(), *X = phi + of.nf + n;
         out.z[i] += sums.z[static_cast<std::size_t>(i)];
         out.information[i] += sums.weight * v;
-        for (int x = 0; x < of.nf; ++x) T[of.feature[static_cast<std::size_t>(i * of.nf + x)] * width + i] += v * phi[x];
+        for (int x = 0; x < of.nf; ++x)
+          T[of.feature[static_cast<std::size_t>(i * of.nf + x)] * width + i] += v * phi[x];
         T[(columns.u + i) * width + i] += v * phi[of.nf + i];
         for (int c = 0; c < 6; ++c)
           for (int y = 0; y < of.nd; ++y)
-            T[of.dense_columns[static_cast<std::size_t>(y)] * width + i] += sums.SV[static_cast<std::size_t>(c * n + i)] * X[c * of.nd + y];
+            T[of.dense_columns[static_cast<std::size_t>(y)] * width + i] +=
+                sums.SV[static_cast<std::size_t>(c * n + i)] * X[c * of.nd + y];
         for (int k = 0; k < kLocal; ++k) {
           for (int p = 0; p < of.orders; ++p)
             for (int j = 0; j < M; ++j)
-              J[sweep.place(o + k, j) * width + i] +=
-                  v * sums.basis[static_cast<std::size_t>(kLocal * p + k)] * sums.J[static_cast<std::size_t>(i * OM + p * M + j)];
+              J[sweep.place(o + k, j) * width + i] += v *
+                                                      sums.basis[static_cast<std::size_t>(kLocal * p + k)] *
+                                                      sums.J[static_cast<std::size_t>(i * OM + p * M + j)];
           if (d) J[sweep.place_d(o + k, i) * width + i] += v * sums.basis[static_cast<std::size_t>(k)];
         }
       }
@@ -89,7 +93,9 @@ inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
       block.b = Eigen::MatrixXd::Zero(nt, n);
       for (int k = 0; k < nt; ++k)
         for (int x = 0; x <= k; ++x)
-          for (int i = 0; i < n; ++i) block.b(x, i) += root[static_cast<std::size_t>(k * ldr + x)] * T[static_cast<std::size_t>(k * width + i)];
+          for (int i = 0; i < n; ++i)
+            block.b(x, i) +=
+                root[static_cast<std::size_t>(k * ldr + x)] * T[static_cast<std::size_t>(k * width + i)];
       out.push_back(std::move(block));
     }
     before += static_cast<std::size_t>(sweep.blocks());
@@ -122,9 +128,12 @@ inline Scan scan(const Fit& fit, std::size_t l) {
     std::size_t i = 0, j = 0;
     const auto &x = blocks[static_cast<std::size_t>(a)].y, &y = blocks[static_cast<std::size_t>(b)].y;
     while (i < x.size() && j < y.size()) {
-      if (x[i].first < y[j].first) ++i;
-      else if (y[j].first < x[i].first) ++j;
-      else sum += dense::transposed_times(x[i++].second, y[j++].second);
+      if (x[i].first < y[j].first)
+        ++i;
+      else if (y[j].first < x[i].first)
+        ++j;
+      else
+        sum += dense::transposed_times(x[i++].second, y[j++].second);
     }
     return sum;
   };
@@ -140,7 +149,8 @@ inline Scan scan(const Fit& fit, std::size_t l) {
   const double length = kBlock * fit.logs()[l].stretches.front().spline.h();
   const int longest = std::max(1, static_cast<int>(std::lround(constants::scan_longest / length)));
   const auto nt = blocks.front().b.rows();
-  const auto suffix_info = [&](const Eigen::VectorXd& information, const Eigen::MatrixXd& R, const Eigen::MatrixXd& b) {
+  const auto suffix_info = [&](const Eigen::VectorXd& information, const Eigen::MatrixXd& R,
+                               const Eigen::MatrixXd& b) {
     Eigen::MatrixXd out_ = -R - dense::transposed_times(b, b);
     for (int i = 0; i < n; ++i) out_(i, i) += information[i];
     return out_;
@@ -172,7 +182,8 @@ inline Scan scan(const Fit& fit, std::size_t l) {
   };
   for (int i = 1; i < G; ++i) {
     if (suffix_samples[static_cast<std::size_t>(i)] < 3) break;
-    const double x = score(suffix_z[static_cast<std::size_t>(i)], suffixes[static_cast<std::size_t>(i)], i, G);
+    const double x =
+        score(suffix_z[static_cast<std::size_t>(i)], suffixes[static_cast<std::size_t>(i)], i, G);
     count_suffix += 1.0;
     if (x <= best_suffix) continue;
     best_suffix = x;
@@ -265,7 +276,8 @@ inline Agreement agreement(Fit& fit, const std::vector<std::vector<Moment>>& fou
   for (int i = 0; i < 6 * n; ++i) {
     delta[i] = (mean[0][i] - mean[1][i]) / std::sqrt(prior[i]);
     for (int j = 0; j < 6 * n; ++j)
-      V(i, j) = (P[0](i, j) + P[1](i, j) - both(i, j) - both(j, i) + added[0](i, j) + added[1](i, j)) / std::sqrt(prior[i] * prior[j]);
+      V(i, j) = (P[0](i, j) + P[1](i, j) - both(i, j) - both(j, i) + added[0](i, j) + added[1](i, j)) /
+                std::sqrt(prior[i] * prior[j]);
   }
   const dense::Spectrum spectrum = dense::eigen(V);
   for (int i = 0; i < 6 * n; ++i) {

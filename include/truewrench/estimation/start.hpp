@@ -29,7 +29,8 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
   };
   std::vector<Work> work(log.stretches.size());
   std::vector<Eigen::VectorXd> count;
-  for (std::size_t i = 0; i < streams; ++i) count.push_back(Eigen::VectorXd::Zero(log.sizes.motion_factor[i].size()));
+  for (std::size_t i = 0; i < streams; ++i)
+    count.push_back(Eigen::VectorXd::Zero(log.sizes.motion_factor[i].size()));
   double held_deviance = 0.0;  // what of (10.7) no size changes
   for (std::size_t s_ = 0; s_ < log.stretches.size(); ++s_) {
     const Stretch& s = log.stretches[s_];
@@ -49,7 +50,8 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
     for (std::size_t i = 0; i < streams; ++i) {
       const MotionRows& m = s.motion[i];
       const MotionStream& stream = recorded.motion[i];
-      const double late = layout.mean()[layout.log(l).global[static_cast<std::size_t>(layout.log(l).clock[i])]];
+      const double late =
+          layout.mean()[layout.log(l).global[static_cast<std::size_t>(layout.log(l).clock[i])]];
       Rows& r = w.rows[i];
       r.A = Bands(s.spline.size(), M);
       r.b.assign(w.x.size(), 0.0);
@@ -90,14 +92,20 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
       double weight[max_components], most_diagonal[max_components] = {};
       for (int j = 0; j < lanes; ++j) weight[j] = j < M ? 1.0 / z.q[j] : 0.0;
       for (std::size_t at = 0; at < w.R.a.size(); at += static_cast<std::size_t>(lanes))
-        for (int j = 0; j < lanes; ++j) w.H.a[at + static_cast<std::size_t>(j)] = weight[j] * w.R.a[at + static_cast<std::size_t>(j)];
+        for (int j = 0; j < lanes; ++j)
+          w.H.a[at + static_cast<std::size_t>(j)] = weight[j] * w.R.a[at + static_cast<std::size_t>(j)];
       std::fill(w.x.begin(), w.x.end(), 0.0);
       for (std::size_t i = 0; i < streams; ++i) {
-        for (int j = 0; j < M; ++j) weight[j] = std::pow(z.motion_factor[i][recorded.motion[i].group[j]], -2.0);
+        for (int j = 0; j < M; ++j)
+          weight[j] = std::pow(z.motion_factor[i][recorded.motion[i].group[j]], -2.0);
         for (std::size_t at = 0; at < w.R.a.size(); at += static_cast<std::size_t>(lanes))
-          for (int j = 0; j < lanes; ++j) w.H.a[at + static_cast<std::size_t>(j)] += weight[j] * w.rows[i].A.a[at + static_cast<std::size_t>(j)];
+          for (int j = 0; j < lanes; ++j)
+            w.H.a[at + static_cast<std::size_t>(j)] +=
+                weight[j] * w.rows[i].A.a[at + static_cast<std::size_t>(j)];
         for (std::size_t at = 0; at < w.x.size(); at += static_cast<std::size_t>(lanes))
-          for (int j = 0; j < lanes; ++j) w.x[at + static_cast<std::size_t>(j)] += weight[j] * w.rows[i].b[at + static_cast<std::size_t>(j)];
+          for (int j = 0; j < lanes; ++j)
+            w.x[at + static_cast<std::size_t>(j)] +=
+                weight[j] * w.rows[i].b[at + static_cast<std::size_t>(j)];
       }
       for (Eigen::Index k = 0; k < w.H.size; ++k)
         for (int j = 0; j < lanes; ++j) {
@@ -110,7 +118,8 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
       w.H.solve(w.x);
       w.H.inverse(w.inverse);
       w.R.inner(w.inverse, trace);
-      for (Eigen::Index k = 0; k < s.c.rows(); ++k) std::copy_n(w.x.data() + k * lanes, M, s.c.data() + k * M);
+      for (Eigen::Index k = 0; k < s.c.rows(); ++k)
+        std::copy_n(w.x.data() + k * lanes, M, s.c.data() + k * M);
       for (int j = 0; j < M; ++j) {
         const int p = smoothness_order(recorded.source, j);
         energy[j] += s.spline.smoothness(p).quadratic(s.c, j);
@@ -146,7 +155,8 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
       for (std::size_t i = 0; i < streams; ++i)
         for (Eigen::Index r = 0; r < rss[i].size(); ++r) {
           if (count[i][r] - used[i][r] < constants::fewest_freedom) continue;
-          const double to = std::sqrt(std::max(rss[i][r], 1e-12) / std::max(count[i][r] - used[i][r], 1e-3 * count[i][r]));
+          const double to =
+              std::sqrt(std::max(rss[i][r], 1e-12) / std::max(count[i][r] - used[i][r], 1e-3 * count[i][r]));
           move = std::max(move, 2.0 * std::abs(std::log(to / z.motion_factor[i][r])));
           factor[i][r] = to;
         }
@@ -163,12 +173,14 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
           for (int j = 0; j < M; ++j) deviance -= 2.0 * std::log(w.H.at(k, 0)[j]);
       for (int j = 0; j < M; ++j) deviance += energy[j] / z.q[j] + size[j] * std::log(z.q[j]);
       for (std::size_t i = 0; i < streams; ++i) {
-        for (Eigen::Index r = 0; r < rss[i].size(); ++r) deviance += rss[i][r] / (z.motion_factor[i][r] * z.motion_factor[i][r]);
+        for (Eigen::Index r = 0; r < rss[i].size(); ++r)
+          deviance += rss[i][r] / (z.motion_factor[i][r] * z.motion_factor[i][r]);
         const MotionStream& stream = recorded.motion[i];
         for (const Stretch& s : log.stretches)
           for (Eigen::Index k = 0; k < s.motion[i].size(); ++k)
             for (int j = 0; j < M; ++j)
-              if (std::isfinite(s.motion[i].value(k, j))) deviance += 2.0 * std::log(z.motion_factor[i][stream.group[j]] * stream.sigma[j]);
+              if (std::isfinite(s.motion[i].value(k, j)))
+                deviance += 2.0 * std::log(z.motion_factor[i][stream.group[j]] * stream.sigma[j]);
       }
     }
     z.motion_factor = factor;
@@ -186,7 +198,8 @@ inline void regress(Fit& fit, bool cauchy) {
   fit.predict();
   const auto logs = fit.logs().size();
   std::vector<int> offset_of, offsets;  // place in theta of the offset of each log
-  for (std::size_t l = 0; l < logs; ++l) offset_of.push_back(layout.log(l).global[static_cast<std::size_t>(layout.log(l).b)]);
+  for (std::size_t l = 0; l < logs; ++l)
+    offset_of.push_back(layout.log(l).global[static_cast<std::size_t>(layout.log(l).b)]);
   offsets = offset_of;
   offsets.erase(std::unique(offsets.begin(), offsets.end()), offsets.end());
   const int m = static_cast<int>(offsets.size()), size = 6 + m;
@@ -202,7 +215,9 @@ inline void regress(Fit& fit, bool cauchy) {
       for (Eigen::Index k = 0; k < s.raw.size(); ++k)
         if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
           samples.push_back({s.now.w.data() + 6 * k, s.raw.value.data() + n * k, l,
-                             6 + static_cast<int>(std::find(offsets.begin(), offsets.end(), offset_of[l]) - offsets.begin()), 1.0});
+                             6 + static_cast<int>(std::find(offsets.begin(), offsets.end(), offset_of[l]) -
+                                                  offsets.begin()),
+                             1.0});
   std::vector<std::vector<double>> scale(logs);
   for (auto& v : scale) v.assign(fit.rig().noise.data(), fit.rig().noise.data() + n);
   std::vector<double> found(static_cast<std::size_t>(n * size)), sizes;  // [C, offsets] of each channel
@@ -237,7 +252,8 @@ inline void regress(Fit& fit, bool cauchy) {
       double logdet = 0.0;
       if (!dense::invert(A, inverse, logdet)) return;
       const Eigen::VectorXd x = dense::times(inverse, b);
-      for (int k = 0; k < size; ++k) found[static_cast<std::size_t>(i * size + k)] = x[k] + (k < 6 ? nominal[k] : 0.0);
+      for (int k = 0; k < size; ++k)
+        found[static_cast<std::size_t>(i * size + k)] = x[k] + (k < 6 ? nominal[k] : 0.0);
     }
     if (!cauchy) break;
     for (std::size_t l = 0; l < logs; ++l)

@@ -14,12 +14,12 @@ using Components = Eigen::Matrix<double, 1, Eigen::Dynamic, Eigen::RowMajor, 1, 
 
 // Samples of the sensor that one stretch holds, sorted by time.
 struct RawRows {
-  std::vector<Eigen::Index> source;    // row of the log
+  std::vector<Eigen::Index> source;  // row of the log
   std::vector<Eigen::Index> interval;
   std::vector<std::array<Basis, 3>> basis;  // B, B', B'' at it
   Eigen::VectorXd time;
-  RowMatrix value;    // (K, n), NaN where missing
-  Eigen::VectorXd weight;  // w_t of 10.3, 0 where masked
+  RowMatrix value;           // (K, n), NaN where missing
+  Eigen::VectorXd weight;    // w_t of 10.3, 0 where masked
   Eigen::VectorXi channels;  // n_t
   std::vector<char> masked;
 
@@ -31,9 +31,9 @@ struct MotionRows {
   RowMatrix value;
   // at t + s, after every prediction:
   std::vector<Eigen::Index> interval;
-  RowMatrix basis;               // (K, 6) of the prediction (10.4)
-  RowMatrix by_s, by_kappa;      // (K, M)
-  RowMatrix residual;            // (K, M), 0 where missing
+  RowMatrix basis;           // (K, 6) of the prediction (10.4)
+  RowMatrix by_s, by_kappa;  // (K, M)
+  RowMatrix residual;        // (K, M), 0 where missing
 
   Eigen::Index size() const { return time.size(); }
 };
@@ -113,7 +113,8 @@ class Stretch {
   MappedMotion mapped;  // of a mapped motion, at the raw samples
 
   // Residuals of all rows at theta, in the places of `columns`; `lagged`: C_0 (n, 6); with the discrepancy or without.
-  void predict(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged, bool discrepancy) {
+  void predict(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
+               bool discrepancy) {
     predict_motion(columns, theta);
     predict_raw(columns, theta, lagged, discrepancy);
   }
@@ -156,7 +157,8 @@ class Stretch {
     value_at(k, p, coefficients, out.data());
     return out;
   }
-  static void combine(const double* basis, Eigen::Index interval, const RowMatrix& coefficients, double* out) {
+  static void combine(const double* basis, Eigen::Index interval, const RowMatrix& coefficients,
+                      double* out) {
     const Eigen::Index columns = coefficients.cols();
     const double* x = coefficients.data() + interval * columns;
     if (columns == 6) {
@@ -183,7 +185,8 @@ class Stretch {
     return R;
   }
   bool gravity() const {
-    return log_->source != Source::imu && (rig_->gravity[0] != 0.0 || rig_->gravity[1] != 0.0 || rig_->gravity[2] != 0.0);
+    return log_->source != Source::imu &&
+           (rig_->gravity[0] != 0.0 || rig_->gravity[1] != 0.0 || rig_->gravity[2] != 0.0);
   }
 
  private:
@@ -196,7 +199,8 @@ class Stretch {
     for (std::size_t i = 0; i < motion.size(); ++i) {
       MotionRows& m = motion[i];
       const int p = log_->motion[i].derivative;
-      const double s = theta[columns.clock[i]], kappa = theta[columns.clock[i] + 1], bend = (kappa - 0.5) * s * s;
+      const double s = theta[columns.clock[i]], kappa = theta[columns.clock[i] + 1],
+                   bend = (kappa - 0.5) * s * s;
       const int bias = columns.bias[i];
       const Eigen::Index rows = m.size();
       m.interval.resize(static_cast<std::size_t>(rows));
@@ -228,7 +232,8 @@ class Stretch {
   }
 
   // raw = C w + b + u (C_0 w)^2 + sum a 1[t >= t_j] + d + slope dT                                                  (10.3)
-  void predict_raw(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged, bool discrepancy) {
+  void predict_raw(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
+                   bool discrepancy) {
     evaluate_motion();
     const Eigen::Index rows = raw.size();
     now.g.resize(rows, 3);
@@ -236,7 +241,8 @@ class Stretch {
     now.cw.resize(rows, n_);
     now.residual.resize(rows, n_);
     const Payload body = departed(log_->payload, body_of(columns, theta));
-    const double *C = theta.data() + columns.C, *b = theta.data() + columns.b, *quadratic = theta.data() + columns.u;
+    const double *C = theta.data() + columns.C, *b = theta.data() + columns.b,
+                 *quadratic = theta.data() + columns.u;
     const Vector3 root = root_gravity(columns, theta);
     double d[max_components] = {};
     for (Eigen::Index k = 0; k < rows; ++k) {
@@ -248,7 +254,8 @@ class Stretch {
         if (columns.gamma >= 0) g = retarded(columns, theta, g, nu, a);
       }
       const Vector6 wrench = wrench_about(body, log_->point, nu, a, g);
-      double *w = now.w.data() + 6 * k, *cw = now.cw.data() + n_ * k, *residual = now.residual.data() + n_ * k;
+      double *w = now.w.data() + 6 * k, *cw = now.cw.data() + n_ * k,
+             *residual = now.residual.data() + n_ * k;
       for (int j = 0; j < 3; ++j) now.g(k, j) = g[j];
       for (int j = 0; j < 6; ++j) w[j] = rig_->sign / rig_->range[j] * wrench[j];
       if (discrepancy) value_at(k, 0, e, d);
@@ -270,12 +277,15 @@ class Stretch {
   }
 
   // g+ = g + gamma [ s Omega x g + (1 - kappa) s^2 Omega x (Omega x g) + kappa s^2 Omegadot x g ]                    (10.5)
-  static Vector3 retarded(const Columns& columns, const Eigen::VectorXd& theta, const Vector3& g, const Vector6& nu,
-                          const Vector6& a) {
-    const double s = theta[columns.clock[0]], kappa = theta[columns.clock[0] + 1], gamma = theta[columns.gamma];
-    const Vector3 first = cross(angular(nu), g), turn = cross(angular(nu), first), spin = cross(angular(a), g);
+  static Vector3 retarded(const Columns& columns, const Eigen::VectorXd& theta, const Vector3& g,
+                          const Vector6& nu, const Vector6& a) {
+    const double s = theta[columns.clock[0]], kappa = theta[columns.clock[0] + 1],
+                 gamma = theta[columns.gamma];
+    const Vector3 first = cross(angular(nu), g), turn = cross(angular(nu), first),
+                  spin = cross(angular(a), g);
     Vector3 out;
-    for (int i = 0; i < 3; ++i) out[i] = g[i] + gamma * (s * first[i] + s * s * ((1.0 - kappa) * turn[i] + kappa * spin[i]));
+    for (int i = 0; i < 3; ++i)
+      out[i] = g[i] + gamma * (s * first[i] + s * s * ((1.0 - kappa) * turn[i] + kappa * spin[i]));
     return out;
   }
 
@@ -286,13 +296,16 @@ class Stretch {
     return out;
   }
   // Gravity in the root frame, tilted.
-  Vector3 root_gravity(const Columns& columns, const Eigen::VectorXd& theta, Eigen::Matrix<double, 3, 2>* by_tilt = nullptr) const {
+  Vector3 root_gravity(const Columns& columns, const Eigen::VectorXd& theta,
+                       Eigen::Matrix<double, 3, 2>* by_tilt = nullptr) const {
     Eigen::Matrix<double, 3, 2> unused;
     if (!gravity()) return rig_->gravity;
-    return tilted(rig_->gravity, Eigen::Vector2d(theta[columns.tilt], theta[columns.tilt + 1]), by_tilt ? *by_tilt : unused);
+    return tilted(rig_->gravity, Eigen::Vector2d(theta[columns.tilt], theta[columns.tilt + 1]),
+                  by_tilt ? *by_tilt : unused);
   }
   double warmth(Eigen::Index k) const {
-    const double t = log_->temperature.size() > 0 ? log_->temperature[raw.source[static_cast<std::size_t>(k)]] : 0.0;
+    const double t =
+        log_->temperature.size() > 0 ? log_->temperature[raw.source[static_cast<std::size_t>(k)]] : 0.0;
     return std::isfinite(t) ? t : 0.0;
   }
 };

@@ -23,7 +23,8 @@ struct Traces {
   std::vector<Eigen::VectorXd> motion;  // of each stream's groups, theta's share within
   double motion_share = 0.0;            // of theta in all motion rows
   Eigen::VectorXd q;                    // tr R_p Sigma
-  std::vector<Gram> inside, start;      // of each channel: the discrepancy's covariance, summed over the intervals; the first
+  std::vector<Gram> inside,
+      start;  // of each channel: the discrepancy's covariance, summed over the intervals; the first
 };
 
 inline constexpr int kPairs = kLocal * (kLocal + 1) / 2;  // k <= l of an interval's knots
@@ -34,8 +35,8 @@ inline constexpr int knot_pair(int k, int l) { return k * kLocal - k * (k - 1) /
 class Sweep {
  public:
   // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction.
-  Information forward(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
-                      const Sizes& sizes) {
+  Information forward(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta,
+                      const RowMatrix& lagged, const Sizes& sizes) {
     setup(s, columns, theta, lagged, sizes);
     Information out;
     const int last = blocks() - 1;
@@ -49,8 +50,8 @@ class Sweep {
       }
       for (int t = 0; t <= nt_; t += dense::tile_rows) {
         const int c = t & ~7;
-        dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), htt_.data() + t * ldt_ + c, ldt_, P + 2 * Wp_ + t, 1, ld_,
-                       P + 2 * Wp_ + c, ld_, ldt_ - c, W_);
+        dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), htt_.data() + t * ldt_ + c, ldt_,
+                       P + 2 * Wp_ + t, 1, ld_, P + 2 * Wp_ + c, ld_, ldt_ - c, W_);
       }
       if (g == last) break;
       for (int t = 0; t < W_; t += dense::tile_rows) {
@@ -121,29 +122,29 @@ class Sweep {
   Intervals sums_;
   int M_ = 6, n_ = 6, nt_ = 0, m_ = 6, W_ = 30, Wp_ = 32, ldt_ = 64, ld_ = 128, nc_ = 2, blocks_ = 0;
   bool d_ = false;
-  std::vector<double> panels_, htt_;      // (W, ld) a block; (nt + 1, ldt) upper triangle
+  std::vector<double> panels_, htt_;  // (W, ld) a block; (nt + 1, ldt) upper triangle
   std::vector<RawSums> pool_;
-  std::vector<std::size_t> first_;        // by interval
+  std::vector<std::size_t> first_;                // by interval
   std::vector<std::vector<double>> motion_sums_;  // by stream: (intervals, pairs, M) sum of B B^T
-  std::vector<double> clock_F_;           // (10, M, nc) a block: H_xt of motion rows by clock_columns_
+  std::vector<double> clock_F_;  // (10, M, nc) a block: H_xt of motion rows by clock_columns_
   std::vector<std::vector<Eigen::MatrixXd>> clock_tt_;  // by stream and group
   std::vector<int> clock_columns_;
-  std::vector<double> smoothness_;        // (6, 6, M) R_p / q_j of an interval
+  std::vector<double> smoothness_;  // (6, 6, M) R_p / q_j of an interval
   Penalty discrepancy_;
-  std::vector<double> delta_information_;               // (n) 1 / delta_i^2
+  std::vector<double> delta_information_;                // (n) 1 / delta_i^2
   std::vector<std::vector<double>> motion_information_;  // (M) 1 / sigma_j^2
   std::vector<Eigen::Index> motion_next_;
   std::vector<double> T_, work_;
 
   // A pair of blocks on the way back: covariances with theta known, and theta's share.
   struct Pair {
-    std::vector<double> here, next;  // (W, 2 Wp) of a block: [its knots; the next block's]
-    std::vector<double> A, A_next;   // (W, padded(nt)) what theta moves, by the root of its covariance
+    std::vector<double> here, next;    // (W, 2 Wp) of a block: [its knots; the next block's]
+    std::vector<double> A, A_next;     // (W, padded(nt)) what theta moves, by the root of its covariance
     std::vector<double> known, theta;  // (10 knots, lag 0 ... 5, M): covariance of a component with itself
     std::vector<double> ZP, ZP_next;   // (W, nc) - covariance with theta's clock columns
   };
-  void trace_interval(const Stretch& s, Eigen::Index interval, int o, const Pair& pair, std::vector<double>& total,
-                      Traces& out) const;
+  void trace_interval(const Stretch& s, Eigen::Index interval, int o, const Pair& pair,
+                      std::vector<double>& total, Traces& out) const;
   template <int fixed>
   void trace_raw(const RawSums& sums, int o, const Pair& pair, Traces& out) const;
   void trace_discrepancy(Eigen::Index interval, int o, const Pair& pair, Traces& out) const;
@@ -163,12 +164,14 @@ class Sweep {
       const bool here = o + k < kBlock;
       out.row[k] = here ? P + (o + k) * m_ * ld_ : N + (o + k - kBlock) * m_ * ld_;
       for (int l = k; l < kLocal; ++l)
-        out.column[k][l] = !here || o + l < kBlock ? (here ? o + l : o + l - kBlock) * m_ : Wp_ + (o + l - kBlock) * m_;
+        out.column[k][l] =
+            !here || o + l < kBlock ? (here ? o + l : o + l - kBlock) * m_ : Wp_ + (o + l - kBlock) * m_;
     }
     return out;
   }
 
-  void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged, const Sizes& sizes) {
+  void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
+             const Sizes& sizes) {
     sums_.setup(s, columns, theta, lagged, sizes);
     M_ = s.components();
     n_ = s.channels();
@@ -189,7 +192,8 @@ class Sweep {
     smoothness_.resize(static_cast<std::size_t>(kLocal * kLocal * M_));
     for (int j = 0; j < M_; ++j) {
       const Gram R = s.spline.smoothness(smoothness_order(s.log().source, j)).inside;
-      for (int k = 0; k < kLocal * kLocal; ++k) smoothness_[static_cast<std::size_t>(k * M_ + j)] = R.data()[k] / sizes.q[j];
+      for (int k = 0; k < kLocal * kLocal; ++k)
+        smoothness_[static_cast<std::size_t>(k * M_ + j)] = R.data()[k] / sizes.q[j];
     }
     if (d_) discrepancy_ = s.spline.discrepancy(sizes.k, sizes.form);
     delta_information_.assign(static_cast<std::size_t>(n_), 0.0);
@@ -218,11 +222,12 @@ class Sweep {
     clock_F_.assign(static_cast<std::size_t>((blocks_ - 1) * 2 * kBlock * M_ * nc_), 0.0);
     clock_tt_.resize(streams);
     for (std::size_t i = 0; i < streams; ++i)
-      clock_tt_[i].assign(static_cast<std::size_t>(sizes.motion_factor[i].size()), Eigen::MatrixXd::Zero(nc_, nc_));
+      clock_tt_[i].assign(static_cast<std::size_t>(sizes.motion_factor[i].size()),
+                          Eigen::MatrixXd::Zero(nc_, nc_));
   }
 
-  void add_interval(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, Eigen::Index interval, int o,
-                    double* P, double* N) {
+  void add_interval(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta,
+                    Eigen::Index interval, int o, double* P, double* N) {
     const Places at = places(o, P, N);
     double* band = work_.data();  // (pairs, M): what couples a component with itself
     for (int k = 0; k < kLocal; ++k)
@@ -232,13 +237,18 @@ class Sweep {
     for (std::size_t i = 0; i < s.motion.size(); ++i) add_motion(s, columns, i, interval, o, at, band);
     for (int k = 0; k < kLocal; ++k)
       for (int l = k; l < kLocal; ++l)
-        for (int j = 0; j < M_; ++j) at.row[k][j * ld_ + at.column[k][l] + j] += band[knot_pair(k, l) * M_ + j];
+        for (int j = 0; j < M_; ++j)
+          at.row[k][j * ld_ + at.column[k][l] + j] += band[knot_pair(k, l) * M_ + j];
     std::size_t used = first_[static_cast<std::size_t>(interval)];
     sums_.raw(s, columns, theta, interval, pool_, used, [&](const RawSums& sums) {
-      if (M_ == 6) add_band<6>(sums, at);
-      else add_band<0>(sums, at);
-      if (M_ == 6) add_cross<6>(columns, sums, at);
-      else add_cross<0>(columns, sums, at);
+      if (M_ == 6)
+        add_band<6>(sums, at);
+      else
+        add_band<0>(sums, at);
+      if (M_ == 6)
+        add_cross<6>(columns, sums, at);
+      else
+        add_cross<0>(columns, sums, at);
       if (d_) add_discrepancy(columns, sums, at);
       add_theta(columns, sums);
     });
@@ -251,7 +261,8 @@ class Sweep {
     for (int k = 0; k < kLocal; ++k)
       for (int l = 0; l < kLocal; ++l) {
         const double *R = smoothness_.data() + (kLocal * l + k) * M_, *c = s.c.data() + (interval + l) * M_;
-        const double* from = s.c.data() + interval * M_;  // R annihilates a constant, which would drown the rest in rounding
+        const double* from =
+            s.c.data() + interval * M_;  // R annihilates a constant, which would drown the rest in rounding
         for (int j = 0; j < M_; ++j) at.row[k][j * ld_ + gradient] -= R[j] * (c[j] - from[j]);
       }
     if (!d_) return;
@@ -269,8 +280,8 @@ class Sweep {
   }
 
   // Rows of (10.4).
-  void add_motion(const Stretch& s, const Columns& columns, std::size_t i, Eigen::Index interval, int o, const Places& at,
-                  double* band) {
+  void add_motion(const Stretch& s, const Columns& columns, std::size_t i, Eigen::Index interval, int o,
+                  const Places& at, double* band) {
     const MotionRows& m = s.motion[i];
     const double* v = motion_information_[i].data();
     const Eigen::VectorXi& group = s.log().motion[i].group;
@@ -286,7 +297,8 @@ class Sweep {
     double plain[3][max_components] = {};  // [residual; by s; by kappa], weighted: beside the bias
     Eigen::Index& k = motion_next_[i];
     for (; k < m.size() && m.interval[static_cast<std::size_t>(k)] == interval; ++k) {
-      const double *b = m.basis.data() + k * kLocal, *by_s = m.by_s.data() + k * M_, *by_kappa = m.by_kappa.data() + k * M_;
+      const double *b = m.basis.data() + k * kLocal, *by_s = m.by_s.data() + k * M_,
+                   *by_kappa = m.by_kappa.data() + k * M_;
       const double *value = m.value.data() + k * M_, *residual = m.residual.data() + k * M_;
       double here[max_components], x[4 * max_components];
       for (int j = 0; j < M_; ++j) {
@@ -352,8 +364,10 @@ class Sweep {
       for (int p = 0; p < orders; ++p)
         for (int q = 0; q < orders; ++q)
           for (int j = 0; j < M; ++j) {
-            const double x = sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + p * M + j)];
-            dense::add<fixed>(T_.data() + ((p * orders + q) * M + j) * M, x, sums.J.data() + i * OM + q * M, M);
+            const double x =
+                sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + p * M + j)];
+            dense::add<fixed>(T_.data() + ((p * orders + q) * M + j) * M, x, sums.J.data() + i * OM + q * M,
+                              M);
           }
     for (int k = 0; k < kLocal; ++k)
       for (int l = k; l < kLocal; ++l) {
@@ -386,25 +400,29 @@ class Sweep {
   template <int fixed>
   void add_cross(const Columns& columns, const RawSums& sums, const Places& at) {
     const int M = fixed > 0 ? fixed : M_, OM = sums_.orders * M, nf = sums_.nf, ld = sums_.ld;
-    double *by_dense = work_.data(), *VJ = by_dense + M * sums_.ldx;  // (orders M, n) V^-1 J, channels side by side
+    double *by_dense = work_.data(),
+           *VJ = by_dense + M * sums_.ldx;  // (orders M, n) V^-1 J, channels side by side
     for (int i = 0; i < n_; ++i)
-      for (int j = 0; j < OM; ++j) VJ[j * n_ + i] = sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + j)];
+      for (int j = 0; j < OM; ++j)
+        VJ[j * n_ + i] = sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + j)];
     for (int l = 0; l < kLocal; ++l) {
       for (int p = 0; p < sums_.orders; ++p) {
         const double* G = sums_.G.data() + (kLocal * p + l) * ld;
-        dense::subtract(by_dense, sums_.ldx, sums_.left.data() + p * M, 1, OM, G + nf + n_, sums_.nd, M, sums_.ldx, 6,
-                        p == 0 ? dense::Mode::fresh : dense::Mode::add);
+        dense::subtract(by_dense, sums_.ldx, sums_.left.data() + p * M, 1, OM, G + nf + n_, sums_.nd, M,
+                        sums_.ldx, 6, p == 0 ? dense::Mode::fresh : dense::Mode::add);
         for (int j = 0; j < M; ++j) {
           double* row = at.row[l] + j * ld_ + 2 * Wp_;
           const double* a = VJ + (p * M + j) * n_;
           for (int i = 0; i < n_; ++i) dense::add<6>(row + columns.C + 6 * i, a[i], G);
-          for (int x = 6; x < nf; ++x) dense::add(row + sums_.feature[static_cast<std::size_t>(x)], G[x], a, n_);
+          for (int x = 6; x < nf; ++x)
+            dense::add(row + sums_.feature[static_cast<std::size_t>(x)], G[x], a, n_);
           for (int i = 0; i < n_; ++i) row[columns.u + i] += a[i] * G[nf + i];
         }
       }
       for (int j = 0; j < M; ++j) {
         double* row = at.row[l] + j * ld_ + 2 * Wp_;
-        for (int y = 0; y < sums_.nd; ++y) row[sums_.dense_columns[static_cast<std::size_t>(y)]] -= by_dense[j * sums_.ldx + y];
+        for (int y = 0; y < sums_.nd; ++y)
+          row[sums_.dense_columns[static_cast<std::size_t>(y)]] -= by_dense[j * sums_.ldx + y];
         row[nt_] += sums_.gx[static_cast<std::size_t>(l * M + j)];
       }
     }
@@ -434,7 +452,8 @@ class Sweep {
         row[columns.u + i] += v * G[nf + i];
         for (int c = 0; c < 6; ++c) {
           const double x = sums.SV[static_cast<std::size_t>(c * n_ + i)];
-          for (int y = 0; y < nd; ++y) row[sums_.dense_columns[static_cast<std::size_t>(y)]] += x * G[nf + n_ + c * nd + y];
+          for (int y = 0; y < nd; ++y)
+            row[sums_.dense_columns[static_cast<std::size_t>(y)]] += x * G[nf + n_ + c * nd + y];
         }
         row[nt_] += sums_.gd[static_cast<std::size_t>(k * n_ + i)];
       }
@@ -447,7 +466,8 @@ class Sweep {
     const int* dense_columns = sums_.dense_columns.data();
     double* by_dense = work_.data();
     for (int x = 0; x < nf; ++x) {
-      dense::subtract(by_dense, ldx, sums.SV.data(), 1, n_, F + x * ld + nf + n_, nd, n_, ldx, 6, dense::Mode::fresh);
+      dense::subtract(by_dense, ldx, sums.SV.data(), 1, n_, F + x * ld + nf + n_, nd, n_, ldx, 6,
+                      dense::Mode::fresh);
       for (int i = 0; i < n_; ++i) {
         const int column = sums_.feature[static_cast<std::size_t>(i * nf + x)];
         for (int y = 0; y < nd; ++y) tt(column, dense_columns[y]) -= by_dense[i * ldx + y];
@@ -469,7 +489,8 @@ class Sweep {
       }
     }
     for (int x = 0; x < nd; ++x)
-      for (int y = x; y < nd; ++y) tt(dense_columns[x], dense_columns[y]) += sums_.XX[static_cast<std::size_t>(x * ldx + y)];
+      for (int y = x; y < nd; ++y)
+        tt(dense_columns[x], dense_columns[y]) += sums_.XX[static_cast<std::size_t>(x * ldx + y)];
   }
 };
 

@@ -5,7 +5,8 @@
 
 namespace truewrench {
 
-inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Sizes& sizes, const Eigen::MatrixXd& P) const {
+inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Sizes& sizes,
+                            const Eigen::MatrixXd& P) const {
   Traces out;
   out.raw = Eigen::VectorXd::Zero(sizes.raw_factor.size());
   for (const auto& f : sizes.motion_factor) out.motion.push_back(Eigen::VectorXd::Zero(f.size()));
@@ -20,17 +21,20 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
   Pair pair;
   for (auto* x : {&pair.here, &pair.next}) x->assign(rows * static_cast<std::size_t>(ldp) + 8, 0.0);
   for (auto* x : {&pair.A, &pair.A_next}) x->assign(rows * static_cast<std::size_t>(ntz) + 8, 0.0);
-  for (auto* x : {&pair.known, &pair.theta}) x->assign(static_cast<std::size_t>(2 * kBlock * kLocal * M_), 0.0);
+  for (auto* x : {&pair.known, &pair.theta})
+    x->assign(static_cast<std::size_t>(2 * kBlock * kLocal * M_), 0.0);
   for (auto* x : {&pair.ZP, &pair.ZP_next}) x->assign(rows * static_cast<std::size_t>(nc_), 0.0);
-  std::vector<double> X(rows * static_cast<std::size_t>(ldx) + 8), Z(rows * static_cast<std::size_t>(ntz) + 8, 0.0),
-      V(2 * rows * static_cast<std::size_t>(Wp_) + 8, 0.0), total(static_cast<std::size_t>(kPairs * M_), 0.0);
+  std::vector<double> X(rows * static_cast<std::size_t>(ldx) + 8),
+      Z(rows * static_cast<std::size_t>(ntz) + 8, 0.0), V(2 * rows * static_cast<std::size_t>(Wp_) + 8, 0.0),
+      total(static_cast<std::size_t>(kPairs * M_), 0.0);
   for (int g = blocks_ - 1; g >= 0; --g) {
     const double* R = panel(g);
     const bool last = g + 1 == blocks_;
     std::swap(pair.here, pair.next);
     std::swap(pair.A, pair.A_next);
     std::swap(pair.ZP, pair.ZP_next);
-    for (auto* x : {&pair.known, &pair.theta}) std::copy_n(x->data(), kBlock * kLocal * M_, x->data() + kBlock * kLocal * M_);
+    for (auto* x : {&pair.known, &pair.theta})
+      std::copy_n(x->data(), kBlock * kLocal * M_, x->data() + kBlock * kLocal * M_);
     // R^-1 [1, R^-T H of the next block, what theta's sensitivity leaves]
     std::fill(X.begin(), X.end(), 0.0);
     for (int i = 0; i < W_; ++i) {
@@ -54,21 +58,25 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
     }
     // S_gh = - G S_hh, S_gg = R^-1 R^-T - S_gh G^T, h the next block
     double* here = pair.here.data();
-    if (!last) dense::subtract(here + Wp_, ldp, X.data() + Wp_, ldx, 1, pair.next.data(), ldp, W_, Wp_, W_, dense::Mode::fresh);
+    if (!last)
+      dense::subtract(here + Wp_, ldp, X.data() + Wp_, ldx, 1, pair.next.data(), ldp, W_, Wp_, W_,
+                      dense::Mode::fresh);
     for (int t = 0; t < W_; t += dense::tile_rows)
-      dense::tile_of(std::min(dense::tile_rows, W_ - t), here + t * ldp, ldp, X.data() + t * ldx + t, ldx, 1, V.data() + t * Wp_,
-                     Wp_, Wp_, W_ - t, nullptr, 0, dense::Mode::fresh);
+      dense::tile_of(std::min(dense::tile_rows, W_ - t), here + t * ldp, ldp, X.data() + t * ldx + t, ldx, 1,
+                     V.data() + t * Wp_, Wp_, Wp_, W_ - t, nullptr, 0, dense::Mode::fresh);
     if (!last) dense::subtract(here, ldp, here + Wp_, ldp, 1, V.data() + W_ * Wp_, Wp_, W_, Wp_, W_);
     for (int c = 0; c < nt_; c += 8)
-      dense::subtract(pair.A.data() + c, ntz, Z.data() + c, ntz, 1, root.data() + c * ntz + c, ntz, W_, 8, nt_ - c, dense::Mode::fresh);
+      dense::subtract(pair.A.data() + c, ntz, Z.data() + c, ntz, 1, root.data() + c * ntz + c, ntz, W_, 8,
+                      nt_ - c, dense::Mode::fresh);
     for (int i = 0; i < W_; ++i)
       for (int x = 0; x < nc_; ++x)
-        pair.ZP[static_cast<std::size_t>(i * nc_ + x)] =
-            dense::dot(pair.A.data() + i * ntz, root.data() + clock_columns_[static_cast<std::size_t>(x)] * ntz, ntz);
+        pair.ZP[static_cast<std::size_t>(i * nc_ + x)] = dense::dot(
+            pair.A.data() + i * ntz, root.data() + clock_columns_[static_cast<std::size_t>(x)] * ntz, ntz);
     for (int k = 0; k < kBlock; ++k)
       for (int l = k; l < k + kLocal && (l < kBlock || !last); ++l)
         for (int j = 0; j < M_; ++j) {
-          const int i = k * m_ + j, h = (l < kBlock ? l : l - kBlock) * m_ + j, to = (k * kLocal + l - k) * M_ + j;
+          const int i = k * m_ + j, h = (l < kBlock ? l : l - kBlock) * m_ + j,
+                    to = (k * kLocal + l - k) * M_ + j;
           const double* A = (l < kBlock ? pair.A : pair.A_next).data() + h * ntz;
           pair.known[static_cast<std::size_t>(to)] = here[i * ldp + (l < kBlock ? 0 : Wp_) + h];
           pair.theta[static_cast<std::size_t>(to)] = dense::dot(pair.A.data() + i * ntz, A, ntz);
@@ -79,8 +87,10 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
       trace_interval(s, interval, o, pair, total, out);
       const auto [first, end] = of_interval(interval);
       for (std::size_t at = first; at < end; ++at) {
-        if (M_ == 6) trace_raw<6>(pool_[at], o, pair, out);
-        else trace_raw<0>(pool_[at], o, pair, out);
+        if (M_ == 6)
+          trace_raw<6>(pool_[at], o, pair, out);
+        else
+          trace_raw<0>(pool_[at], o, pair, out);
       }
       if (d_) trace_discrepancy(interval, o, pair, out);
     }
@@ -91,7 +101,8 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
       const int count = 2 + (columns.bias[i] >= 0 ? M_ : 0);
       for (int k = 0; k < 2 * kBlock; ++k)
         for (int j = 0; j < M_; ++j) {
-          const double* ZP = (k < kBlock ? pair.ZP.data() + (k * m_ + j) * nc_ : pair.ZP_next.data() + ((k - kBlock) * m_ + j) * nc_);
+          const double* ZP = (k < kBlock ? pair.ZP.data() + (k * m_ + j) * nc_
+                                         : pair.ZP_next.data() + ((k - kBlock) * m_ + j) * nc_);
           double share = 0.0;  // A is - Z by the root
           for (int x = first; x < first + count; ++x) share += 2.0 * CF[(k * M_ + j) * nc_ + x] * ZP[x];
           out.motion[i][s.log().motion[i].group[j]] += share;
@@ -103,7 +114,8 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
   for (int k = 0; k < kLocal; ++k)
     for (int l = k; l < kLocal; ++l)
       for (int j = 0; j < M_; ++j)
-        out.q[j] += (k == l ? 1.0 : 2.0) * sizes.q[j] * smoothness_[static_cast<std::size_t>((kLocal * l + k) * M_ + j)] *
+        out.q[j] += (k == l ? 1.0 : 2.0) * sizes.q[j] *
+                    smoothness_[static_cast<std::size_t>((kLocal * l + k) * M_ + j)] *
                     total[static_cast<std::size_t>(knot_pair(k, l) * M_ + j)];
   for (std::size_t i = 0; i < s.motion.size(); ++i)
     for (Eigen::Index r = 0; r < out.motion[i].size(); ++r) {
@@ -111,7 +123,8 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
       double share = 0.0;
       for (int x = 0; x < nc_; ++x)
         for (int y = 0; y < nc_; ++y)
-          share += own(x, y) * P(clock_columns_[static_cast<std::size_t>(x)], clock_columns_[static_cast<std::size_t>(y)]);
+          share += own(x, y) * P(clock_columns_[static_cast<std::size_t>(x)],
+                                 clock_columns_[static_cast<std::size_t>(y)]);
       out.motion[i][r] += share;
       out.motion_share += share;
     }
@@ -119,8 +132,8 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
 }
 
 // <J^T V^-1 J, Sigma> of the motion rows of an interval, theta's share beside; `total`: covariances summed, for R_p.
-inline void Sweep::trace_interval(const Stretch& s, Eigen::Index interval, int o, const Pair& pair, std::vector<double>& total,
-                                  Traces& out) const {
+inline void Sweep::trace_interval(const Stretch& s, Eigen::Index interval, int o, const Pair& pair,
+                                  std::vector<double>& total, Traces& out) const {
   double sum[max_components], share[max_components];
   for (std::size_t i = 0; i <= s.motion.size(); ++i) {
     std::fill_n(sum, M_, 0.0);
@@ -161,8 +174,9 @@ void Sweep::trace_raw(const RawSums& sums, int o, const Pair& pair, Traces& out)
       for (int k = 0; k < kLocal; ++k)
         for (int l = k; l < kLocal; ++l) {
           const int a = o + k, b = o + l;
-          const double* cov = a < kBlock ? pair.here.data() + a * m_ * ldp + (b < kBlock ? b * m_ : Wp_ + (b - kBlock) * m_)
-                                         : pair.next.data() + (a - kBlock) * m_ * ldp + (b - kBlock) * m_;
+          const double* cov =
+              a < kBlock ? pair.here.data() + a * m_ * ldp + (b < kBlock ? b * m_ : Wp_ + (b - kBlock) * m_)
+                         : pair.next.data() + (a - kBlock) * m_ * ldp + (b - kBlock) * m_;
           const double x = (p == q && k != l ? 2.0 : 1.0) * m(k, l), y = p != q && k != l ? m(l, k) : 0.0;
           for (int j = 0; j < M; ++j)
             for (int h = 0; h < M; ++h) {
@@ -190,13 +204,15 @@ void Sweep::trace_raw(const RawSums& sums, int o, const Pair& pair, Traces& out)
 inline void Sweep::trace_discrepancy(Eigen::Index interval, int o, const Pair& pair, Traces& out) const {
   const int ldp = 2 * Wp_, ntz = dense::padded(nt_), OM = sums_.orders * M_;
   const auto row = [&](int k, int at) {  // of covariances with its own block's knots and the next one's
-    return k < kBlock ? pair.here.data() + (k * m_ + at) * ldp : pair.next.data() + ((k - kBlock) * m_ + at) * ldp;
+    return k < kBlock ? pair.here.data() + (k * m_ + at) * ldp
+                      : pair.next.data() + ((k - kBlock) * m_ + at) * ldp;
   };
   const auto column = [&](int k, int l, int at) {
     return k < kBlock ? (l < kBlock ? l * m_ : Wp_ + (l - kBlock) * m_) + at : (l - kBlock) * m_ + at;
   };
   const auto A = [&](int k, int at) {
-    return k < kBlock ? pair.A.data() + (k * m_ + at) * ntz : pair.A_next.data() + ((k - kBlock) * m_ + at) * ntz;
+    return k < kBlock ? pair.A.data() + (k * m_ + at) * ntz
+                      : pair.A_next.data() + ((k - kBlock) * m_ + at) * ntz;
   };
   const auto [first, end] = of_interval(interval);
   for (int i = 0; i < n_; ++i) {
@@ -226,7 +242,8 @@ inline void Sweep::trace_discrepancy(Eigen::Index interval, int o, const Pair& p
     Gram local;
     for (int k = 0; k < kLocal; ++k)
       for (int l = k; l < kLocal; ++l)
-        local(k, l) = local(l, k) = row(o + k, d)[column(o + k, o + l, d)] + dense::dot(A(o + k, d), A(o + l, d), ntz);
+        local(k, l) = local(l, k) =
+            row(o + k, d)[column(o + k, o + l, d)] + dense::dot(A(o + k, d), A(o + l, d), ntz);
     out.inside[static_cast<std::size_t>(i)] += local;
     if (interval == 0) out.start[static_cast<std::size_t>(i)] = local;
   }

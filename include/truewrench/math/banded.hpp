@@ -19,7 +19,8 @@ class Bands {
 
   Bands() = default;
   Bands(Eigen::Index size_, int components) : size(size_), lanes((components + 3) & ~3) {
-    a.assign(static_cast<std::size_t>((size + kDegree5) * kLocal * lanes), 0.0);  // five more, so that no column is short
+    a.assign(static_cast<std::size_t>((size + kDegree5) * kLocal * lanes),
+             0.0);  // five more, so that no column is short
   }
 
   double* at(Eigen::Index j, int i) { return a.data() + (j * kLocal + i) * lanes; }
@@ -39,7 +40,8 @@ class Bands {
       for (int k = 1; k < kLocal; ++k) {
         double* to = at(j + k, 0);
         for (int i = k; i < kLocal; ++i)
-          for (int c = 0; c < lanes; ++c) to[(i - k) * lanes + c] -= column[i * lanes + c] * column[k * lanes + c];
+          for (int c = 0; c < lanes; ++c)
+            to[(i - k) * lanes + c] -= column[i * lanes + c] * column[k * lanes + c];
       }
     }
     return positive;

@@ -37,8 +37,9 @@ inline int padded(int columns) { return (columns + 7) & ~7; }
 
 // Rows of C (R, n) -= A B with A(i, l) = a[i rs + l cs], then R^T X = C or R X = C with the upper triangle r, in registers.
 template <int R>
-[[gnu::noinline]] void tile(double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs, std::ptrdiff_t cs, const double* B,
-                            std::ptrdiff_t ldb, int n, int k, const double* r, std::ptrdiff_t ldr, Mode mode) {
+[[gnu::noinline]] void tile(double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs,
+                            std::ptrdiff_t cs, const double* B, std::ptrdiff_t ldb, int n, int k,
+                            const double* r, std::ptrdiff_t ldr, Mode mode) {
   double inverse[R] = {};
   if (mode == Mode::forward || mode == Mode::backward)
     for (int i = 0; i < R; ++i) inverse[i] = 1.0 / r[i * ldr + i];
@@ -81,22 +82,28 @@ template <int R>
   }
 }
 
-inline void tile_of(int rows, double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs, std::ptrdiff_t cs,
-                    const double* B, std::ptrdiff_t ldb, int n, int k, const double* r = nullptr, std::ptrdiff_t ldr = 0,
-                    Mode mode = Mode::add) {
+inline void tile_of(int rows, double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs,
+                    std::ptrdiff_t cs, const double* B, std::ptrdiff_t ldb, int n, int k,
+                    const double* r = nullptr, std::ptrdiff_t ldr = 0, Mode mode = Mode::add) {
   switch (rows) {
-    case 6: return tile<6>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
-    case 5: return tile<5>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
-    case 4: return tile<4>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
-    case 3: return tile<3>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
-    case 2: return tile<2>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
-    default: return tile<1>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 6:
+      return tile<6>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 5:
+      return tile<5>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 4:
+      return tile<4>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 3:
+      return tile<3>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    case 2:
+      return tile<2>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
+    default:
+      return tile<1>(C, ldc, A, rs, cs, B, ldb, n, k, r, ldr, mode);
   }
 }
 
 // C (m, n) -= A B, or - A B (fresh), with A(i, l) = a[i rs + l cs] (m, k), B (k, n); n a multiple of 8.
-inline void subtract(double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs, std::ptrdiff_t cs, const double* B,
-                     std::ptrdiff_t ldb, int m, int n, int k, Mode mode = Mode::add) {
+inline void subtract(double* C, std::ptrdiff_t ldc, const double* A, std::ptrdiff_t rs, std::ptrdiff_t cs,
+                     const double* B, std::ptrdiff_t ldb, int m, int n, int k, Mode mode = Mode::add) {
   for (int t = 0; t < m; t += tile_rows)
     tile_of(std::min(tile_rows, m - t), C + t * ldc, ldc, A + t * rs, rs, cs, B, ldb, n, k, nullptr, 0, mode);
 }
@@ -132,15 +139,17 @@ inline bool factor(double* a, std::ptrdiff_t ld, int rows, double& logdet) {
 inline void solve_upper(const double* r, std::ptrdiff_t ldr, int rows, double* X, std::ptrdiff_t ldx, int n) {
   for (int t = (rows - 1) / tile_rows * tile_rows; t >= 0; t -= tile_rows) {
     const int m = std::min(tile_rows, rows - t), after = t + m;
-    tile_of(m, X + t * ldx, ldx, r + t * ldr + after, ldr, 1, X + after * ldx, ldx, n, rows - after, r + t * ldr + t, ldr,
-            Mode::backward);
+    tile_of(m, X + t * ldx, ldx, r + t * ldr + after, ldr, 1, X + after * ldx, ldx, n, rows - after,
+            r + t * ldr + t, ldr, Mode::backward);
   }
 }
 
 // X <- R^-T X.
-inline void solve_transposed(const double* r, std::ptrdiff_t ldr, int rows, double* X, std::ptrdiff_t ldx, int n) {
+inline void solve_transposed(const double* r, std::ptrdiff_t ldr, int rows, double* X, std::ptrdiff_t ldx,
+                             int n) {
   for (int t = 0; t < rows; t += tile_rows)
-    tile_of(std::min(tile_rows, rows - t), X + t * ldx, ldx, r + t, 1, ldr, X, ldx, n, t, r + t * ldr + t, ldr, Mode::forward);
+    tile_of(std::min(tile_rows, rows - t), X + t * ldx, ldx, r + t, 1, ldr, X, ldx, n, t, r + t * ldr + t,
+            ldr, Mode::forward);
 }
 
 // Of vectors of a multiple of 8.
@@ -157,7 +166,8 @@ inline double dot(const double* a, const double* b, int n) {
 // The inverse of a symmetric positive definite matrix, and its log det; false where it is not.
 inline bool invert(const Eigen::MatrixXd& S, Eigen::MatrixXd& inverse, double& logdet) {
   const int n = static_cast<int>(S.rows()), half = padded(n), ld = 2 * half;
-  std::vector<double> work(static_cast<std::size_t>(n * ld + 8), 0.0), out(static_cast<std::size_t>(n * half + 8), 0.0);
+  std::vector<double> work(static_cast<std::size_t>(n * ld + 8), 0.0),
+      out(static_cast<std::size_t>(n * half + 8), 0.0);
   for (int i = 0; i < n; ++i) {
     std::copy_n(S.col(i).data(), n, work.data() + i * ld);
     work[static_cast<std::size_t>(i * ld + half + i)] = -1.0;
@@ -166,10 +176,12 @@ inline bool invert(const Eigen::MatrixXd& S, Eigen::MatrixXd& inverse, double& l
   if (!factor(work.data(), ld, n, logdet)) return false;
   // R^-1 R^-T from the rows of -R^-T: of row k the columns to k
   for (int i = 0; i < n; ++i)
-    for (int j = 0; j < n; ++j) work[static_cast<std::size_t>(i * ld + j)] = -work[static_cast<std::size_t>(i * ld + half + j)];
+    for (int j = 0; j < n; ++j)
+      work[static_cast<std::size_t>(i * ld + j)] = -work[static_cast<std::size_t>(i * ld + half + j)];
   for (int t = 0; t < n; t += tile_rows) {
     const int m = std::min(tile_rows, n - t), c = t & ~7;
-    tile_of(m, out.data() + t * half + c, half, work.data() + t * ld + t, 1, ld, work.data() + t * ld + half + c, ld, half - c, n - t);
+    tile_of(m, out.data() + t * half + c, half, work.data() + t * ld + t, 1, ld,
+            work.data() + t * ld + half + c, ld, half - c, n - t);
   }
   inverse.resize(n, n);
   for (int i = 0; i < n; ++i)
@@ -252,7 +264,8 @@ inline Spectrum eigen(Eigen::MatrixXd A) {
         const double ratio = (A(q, q) - A(p, p)) / (2.0 * x);
         const double t = (ratio >= 0.0 ? 1.0 : -1.0) / (std::abs(ratio) + std::sqrt(1.0 + ratio * ratio));
         const double c = 1.0 / std::sqrt(1.0 + t * t), s = t * c;
-        double *a = A.data() + p * n, *b = A.data() + q * n, *u = out.vectors.data() + p * n, *v = out.vectors.data() + q * n;
+        double *a = A.data() + p * n, *b = A.data() + q * n, *u = out.vectors.data() + p * n,
+               *v = out.vectors.data() + q * n;
         for (Eigen::Index k = 0; k < n; ++k) {
           const double x0 = a[k], y0 = u[k];
           a[k] = c * x0 - s * b[k];

@@ -53,7 +53,7 @@ inline Gram piece_products(const Gram& a, const Gram& b) {
 
 // The quintic pieces and their derivatives, once.
 struct SplineTable {
-  std::array<Gram, kLocal> derivative;             // [p]: polynomials of the p-th derivative
+  std::array<Gram, kLocal> derivative;              // [p]: polynomials of the p-th derivative
   std::array<std::array<Gram, 4 + 1>, 4 + 1> gram;  // [p][q] int_0^1 B^(p) B^(q)^T du
 
   SplineTable() {
@@ -77,14 +77,16 @@ struct SplineTable {
 struct Penalty {
   Gram inside = Gram::Zero();
   Gram start = Gram::Zero();
-  bool of_derivative = false;  // it annihilates a constant, beside which what it measures would drown in rounding
+  bool of_derivative =
+      false;  // it annihilates a constant, beside which what it measures would drown in rounding
 
   // x^T R x for column j of coefficients (N, columns).
   double quadratic(const double* x, Eigen::Index size, Eigen::Index columns) const {
     double sum = 0.0;
     for (Eigen::Index i = 0; i + kLocal <= size; ++i) {
       double local[kLocal];
-      for (int k = 0; k < kLocal; ++k) local[k] = x[(i + k) * columns] - (of_derivative ? x[i * columns] : 0.0);
+      for (int k = 0; k < kLocal; ++k)
+        local[k] = x[(i + k) * columns] - (of_derivative ? x[i * columns] : 0.0);
       for (int l = 0; l < kLocal; ++l) {
         double row = 0.0;
         for (int k = 0; k < kLocal; ++k) row += (inside(k, l) + (i == 0 ? start(k, l) : 0.0)) * local[k];
@@ -144,7 +146,8 @@ class Spline {
         std::fill_n(value, kLocal, 0.0);
         continue;
       }
-      const double* polynomial = SplineTable::get().derivative[static_cast<std::size_t>(q)].data();  // a column a power
+      const double* polynomial =
+          SplineTable::get().derivative[static_cast<std::size_t>(q)].data();  // a column a power
       const int power = kDegree5 - q;
       double sum[kLocal];
       for (int l = 0; l < kLocal; ++l) sum[l] = polynomial[kLocal * power + l];
@@ -178,8 +181,11 @@ class Spline {
     const Basis d0 = basis(0.0, 0), d1 = basis(0.0, 1);
     const bool walk = form == Form::walk;
     // of the products of derivatives [p][q]
-    const double walk_of[3][3] = {{k * k, k, 0.0}, {k, 1.0, 0.0}, {0.0, 0.0, 0.0}};  // int (d' + k d)^2 / (2 k) + d(0)^2
-    const double k2 = k * k, matern_of[3][3] = {{k2 * k2, 2.0 * k * k2, k2}, {2.0 * k * k2, 4.0 * k2, 2.0 * k}, {k2, 2.0 * k, 1.0}};
+    const double walk_of[3][3] = {
+        {k * k, k, 0.0}, {k, 1.0, 0.0}, {0.0, 0.0, 0.0}};  // int (d' + k d)^2 / (2 k) + d(0)^2
+    const double k2 = k * k,
+                 matern_of[3][3] = {
+                     {k2 * k2, 2.0 * k * k2, k2}, {2.0 * k * k2, 4.0 * k2, 2.0 * k}, {k2, 2.0 * k, 1.0}};
     const double scale = walk ? 1.0 / (2.0 * k) : 1.0 / (4.0 * k * k2);
     Penalty out;
     for (int p = 0; p < 3; ++p)
@@ -193,7 +199,9 @@ class Spline {
     return out;
   }
 
-  double logdet(const Penalty& penalty) const { return repeated_logdet(penalty.inside, penalty.start, kLocal, size()); }
+  double logdet(const Penalty& penalty) const {
+    return repeated_logdet(penalty.inside, penalty.start, kLocal, size());
+  }
 
  private:
   double begin_ = 0.0, h_ = 1.0;
@@ -203,13 +211,15 @@ class Spline {
   // log det of the band of `size` that repeats `inside` (width, width) along the diagonal and adds `start` at its beginning;
   // NaN where it is not positive definite.
   static double repeated_logdet(const Gram& inside, const Gram& start, int width, Eigen::Index size) {
-    std::array<Basis, kLocal> column;  // of the coefficients under an interval: what earlier ones and intervals left
+    std::array<Basis, kLocal>
+        column;  // of the coefficients under an interval: what earlier ones and intervals left
     for (Basis& c : column) c.fill(0.0);
     double sum = 0.0, pivots = 1.0;
     for (Eigen::Index j = 0; j < size; ++j) {
       if (j + width <= size)
         for (int l = 0; l < width; ++l)
-          for (int k = l; k < width; ++k) column[static_cast<std::size_t>(l)][k - l] += inside(k, l) + (j == 0 ? start(k, l) : 0.0);
+          for (int k = l; k < width; ++k)
+            column[static_cast<std::size_t>(l)][k - l] += inside(k, l) + (j == 0 ? start(k, l) : 0.0);
       const Basis pivot = column[0];
       if (!(pivot[0] > 0.0)) return std::nan("");
       pivots *= pivot[0];
@@ -218,7 +228,8 @@ class Spline {
         pivots = 1.0;
       }
       for (int k = 1; k < width; ++k)
-        for (int i = k; i < width; ++i) column[static_cast<std::size_t>(k)][i - k] -= pivot[i] * pivot[k] / pivot[0];
+        for (int i = k; i < width; ++i)
+          column[static_cast<std::size_t>(k)][i - k] -= pivot[i] * pivot[k] / pivot[0];
       for (std::size_t l = 0; l + 1 < column.size(); ++l) column[l] = column[l + 1];
       column.back().fill(0.0);
     }

@@ -9,7 +9,8 @@
 
 namespace truewrench {
 
-inline constexpr int kBodyParameters = 10;  // log of the mass, centre of mass, xx yy zz xy xz yz: departures from stated
+inline constexpr int kBodyParameters =
+    10;  // log of the mass, centre of mass, xx yy zz xy xz yz: departures from stated
 
 using BodyVector = Eigen::Matrix<double, kBodyParameters, 1>;
 using BodyJacobian = Eigen::Matrix<double, 6, kBodyParameters>;
@@ -61,10 +62,12 @@ inline Vector6 wrench_about(const Payload& p, const Vector3& point, const Vector
                             const Vector3& g) {
   const Vector3 omega = angular(nu), alpha = angular(a), &c = p.center_of_mass;
   const Vector3 e(c[0] - point[0], c[1] - point[1], c[2] - point[2]);
-  const Vector3 turn = cross(omega, linear(nu)), spin = cross(alpha, e), centre = cross(omega, cross(omega, e));
+  const Vector3 turn = cross(omega, linear(nu)), spin = cross(alpha, e),
+                centre = cross(omega, cross(omega, e));
   Vector3 f;
   for (int i = 0; i < 3; ++i) f[i] = p.mass * (a[i] + turn[i] + spin[i] + centre[i] - g[i]);
-  const Vector3 rate = product(p.inertia, alpha), gyro = cross(omega, product(p.inertia, omega)), moment = cross(c, f);
+  const Vector3 rate = product(p.inertia, alpha), gyro = cross(omega, product(p.inertia, omega)),
+                moment = cross(c, f);
   Vector6 w;
   for (int i = 0; i < 3; ++i) {
     w[i] = -f[i];
@@ -76,9 +79,11 @@ inline Vector6 wrench_about(const Payload& p, const Vector3& point, const Vector
 // dw/dnu, dw/da, dw/dg (METHOD 3) at nu.
 inline MotionJacobian motion_jacobian(const Payload& p, const Vector3& point, const Vector6& nu) {
   const Vector3 omega = angular(nu), &centre = p.center_of_mass;
-  const Vector3 e(centre[0] - point[0], centre[1] - point[1], centre[2] - point[2]), about = product(p.inertia, omega);
-  const Matrix3 O = cross_matrix(omega), E = cross_matrix(e), c = cross_matrix(centre), V = cross_matrix(linear(nu)),
-                T = cross_matrix(cross(omega, e)), OE = product(O, E), OI = product(O, p.inertia), I = cross_matrix(about);
+  const Vector3 e(centre[0] - point[0], centre[1] - point[1], centre[2] - point[2]),
+      about = product(p.inertia, omega);
+  const Matrix3 O = cross_matrix(omega), E = cross_matrix(e), c = cross_matrix(centre),
+                V = cross_matrix(linear(nu)), T = cross_matrix(cross(omega, e)), OE = product(O, E),
+                OI = product(O, p.inertia), I = cross_matrix(about);
   // [f by v, f by Omega] and [f by vdot, f by Omegadot]; the moment is c x f and what the inertia adds
   Matrix3 by[4];
   for (int i = 0; i < 3; ++i)
@@ -110,7 +115,8 @@ inline MotionJacobian motion_jacobian(const Payload& p, const Vector3& point, co
 
 // dw by the ten departures of the body, w as it stands.
 inline BodyJacobian body_jacobian(const Payload& p, const Vector6& nu, const Vector6& a, const Vector6& w) {
-  const Vector3 omega = angular(nu), alpha = angular(a), f(-w[0], -w[1], -w[2]), moment = cross(p.center_of_mass, f);
+  const Vector3 omega = angular(nu), alpha = angular(a), f(-w[0], -w[1], -w[2]),
+                moment = cross(p.center_of_mass, f);
   const Matrix3 O = cross_matrix(omega), A = cross_matrix(alpha), OO = product(O, O), F = cross_matrix(f);
   Matrix3 f_c;  // f by the centre of mass
   for (int i = 0; i < 3; ++i)

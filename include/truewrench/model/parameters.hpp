@@ -14,7 +14,7 @@ namespace truewrench {
 
 // Where the parameters of one log stand in a vector of its own, and in theta.
 struct Columns {
-  int n = 0;       // channels
+  int n = 0;                                                             // channels
   int C = 0, b = 0, u = 0, body = 0, slope = -1, tilt = -1, gamma = -1;  // -1: there is none
   std::vector<int> clock;  // of each motion stream: s, then kappa
   std::vector<int> bias;   // of each motion stream, -1: none
@@ -33,9 +33,9 @@ class Layout {
          const std::vector<std::vector<double>>& steps) {
     const int n = static_cast<int>(rig.noise.size());
     const bool gravity = rig.gravity[0] != 0.0 || rig.gravity[1] != 0.0 || rig.gravity[2] != 0.0;
-    const bool warm = rig.slope_prior > 0.0 && std::any_of(logs.begin(), logs.end(), [](const RecordedLog* log) {
-                        return log->temperature.size() > 0;
-                      });
+    const bool warm = rig.slope_prior > 0.0 &&
+                      std::any_of(logs.begin(), logs.end(),
+                                  [](const RecordedLog* log) { return log->temperature.size() > 0; });
     C = add(6 * n, rig.gain_prior);
     std::copy_n(rig.nominal.data(), 6 * n, mean_.data() + C);
     u = add(n, constants::quadratic_start);
@@ -65,7 +65,8 @@ class Layout {
       c.body = take(bodies[static_cast<std::size_t>(log.body)], kBodyParameters);
       for (const MotionStream& stream : log.motion) {
         c.clock.push_back(take(add(2, 0.0), 2));
-        const double mean[2] = {stream.clock_mean, stream.kappa_mean}, width[2] = {stream.time_offset_prior, constants::filter_prior};
+        const double mean[2] = {stream.clock_mean, stream.kappa_mean},
+                     width[2] = {stream.time_offset_prior, constants::filter_prior};
         set(mean_, mean, 2);
         set(sigma_, width, 2);
         if (stream.bias_prior.size() > 0) {
@@ -84,7 +85,8 @@ class Layout {
       if (warm) c.slope = take(slope, n);
       if (l < steps.size()) {
         c.step_times = steps[l];
-        for (std::size_t j = 0; j < steps[l].size(); ++j) c.steps.push_back(take(add(n, constants::step_start), n));
+        for (std::size_t j = 0; j < steps[l].size(); ++j)
+          c.steps.push_back(take(add(n, constants::step_start), n));
       }
       logs_.push_back(std::move(c));
     }
@@ -104,7 +106,9 @@ class Layout {
   std::vector<Columns> logs_;
 
   // The last values of a vector.
-  static void set(Eigen::VectorXd& v, const double* values, int count) { std::copy_n(values, count, v.data() + v.size() - count); }
+  static void set(Eigen::VectorXd& v, const double* values, int count) {
+    std::copy_n(values, count, v.data() + v.size() - count);
+  }
 
   int add(int count, double sigma) {
     const int at = size(), now = at + count;
@@ -120,7 +124,8 @@ class Layout {
 };
 
 // Gravity in the root frame turned by two small angles about axes normal to it, and its derivative by them.
-inline Vector3 tilted(const Vector3& gravity, const Eigen::Vector2d& tilt, Eigen::Matrix<double, 3, 2>& by_tilt) {
+inline Vector3 tilted(const Vector3& gravity, const Eigen::Vector2d& tilt,
+                      Eigen::Matrix<double, 3, 2>& by_tilt) {
   const double size = std::sqrt(gravity[0] * gravity[0] + gravity[1] * gravity[1] + gravity[2] * gravity[2]);
   int least = 0;
   for (int i = 1; i < 3; ++i)

@@ -25,11 +25,12 @@ enum class Source : std::uint8_t {
 // Measurements of a derivative of the motion spline.
 struct MotionStream {
   int derivative = 0;
-  Eigen::VectorXd time;       // (K) [s]
-  RowMatrix value;            // (K, M)
-  Eigen::VectorXd sigma;      // (M) stated
-  Eigen::VectorXi group;      // (M) which components share one factor on their noise, counted from 0 within the stream
-  Eigen::VectorXd bias_prior;  // (M) 1 sigma of a constant bias, or empty
+  Eigen::VectorXd time;   // (K) [s]
+  RowMatrix value;        // (K, M)
+  Eigen::VectorXd sigma;  // (M) stated
+  Eigen::VectorXi
+      group;  // (M) which components share one factor on their noise, counted from 0 within the stream
+  Eigen::VectorXd bias_prior;      // (M) 1 sigma of a constant bias, or empty
   double time_offset_prior = 0.0;  // [s] 1 sigma of s, beside which the data may show more (10.1)
   double clock_mean = 0.0;         // s_0 [s]
   double kappa_mean = 0.5;
@@ -43,20 +44,20 @@ struct MappedMotion {
 };
 
 // From (K) times and (K, M) x, x', x'' to the motion of the sensor.
-using MotionMap = std::function<void(const Eigen::VectorXd&, const RowMatrix&, const RowMatrix&, const RowMatrix&,
-                                     MappedMotion&)>;
+using MotionMap = std::function<void(const Eigen::VectorXd&, const RowMatrix&, const RowMatrix&,
+                                     const RowMatrix&, MappedMotion&)>;
 
 struct RecordedLog {
   Source source = Source::twist;
-  Payload payload;                   // as stated
-  Vector3 point = Vector3::Zero();   // that the twist belongs to, from the sensor origin
-  int body = 0;                      // which payload of theta it carries
-  Eigen::VectorXd time;              // (K) [s] of the sensor's samples
-  RowMatrix raw;                     // (K, n)
-  RowMatrix R_sensor_root;           // (K, 9) row by row, or empty: no gravity, or a mapped motion that brings its own
-  Eigen::VectorXd temperature;       // (K) above the reference [K], or empty
+  Payload payload;                  // as stated
+  Vector3 point = Vector3::Zero();  // that the twist belongs to, from the sensor origin
+  int body = 0;                     // which payload of theta it carries
+  Eigen::VectorXd time;             // (K) [s] of the sensor's samples
+  RowMatrix raw;                    // (K, n)
+  RowMatrix R_sensor_root;  // (K, 9) row by row, or empty: no gravity, or a mapped motion that brings its own
+  Eigen::VectorXd temperature;  // (K) above the reference [K], or empty
   std::vector<MotionStream> motion;
-  MotionMap map;                     // of a mapped motion
+  MotionMap map;  // of a mapped motion
 
   int components() const { return motion.empty() ? 0 : static_cast<int>(motion.front().value.cols()); }
 };
@@ -68,12 +69,12 @@ struct Statement {
   Eigen::VectorXd noise;            // (n) 1 sigma of a sample
   RowMatrix nominal;                // (n, 6) normalised gain
   double gain_prior = 0.3;
-  Eigen::VectorXd offset_prior;     // (n)
+  Eigen::VectorXd offset_prior;  // (n)
   bool pool_offsets = false;
   Vector3 gravity = Vector3::Zero();  // in the root frame
   double tilt_prior = 0.0;            // [rad]
   double gamma_mean = 0.5;
-  double slope_prior = 0.0;           // of the offset with temperature [1 / K]
+  double slope_prior = 0.0;                              // of the offset with temperature [1 / K]
   std::vector<Eigen::Matrix<double, 10, 1>> body_prior;  // 1 sigma: of log mass, [m], [kg m^2]
 };
 
