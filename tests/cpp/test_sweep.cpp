@@ -2,8 +2,8 @@
 // the sample's and H is exact.
 #include "truewrench/estimation/sweep.hpp"
 
-#include <Eigen/Dense>
 #include <gtest/gtest.h>
+#include <Eigen/Dense>
 
 #include <cmath>
 #include <limits>
@@ -30,10 +30,13 @@ struct Case {
     const MotionRows& m = stretch.motion[0];
     std::vector<double> r;
     for (Eigen::Index k = 0; k < m.size(); ++k)
-      for (int j = 0; j < 6; ++j) r.push_back(m.residual(k, j) / (log.motion[0].sigma[j] * sizes.motion_factor[0][log.motion[0].group[j]]));
+      for (int j = 0; j < 6; ++j)
+        r.push_back(m.residual(k, j) /
+                    (log.motion[0].sigma[j] * sizes.motion_factor[0][log.motion[0].group[j]]));
     for (Eigen::Index k = 0; k < stretch.raw.size(); ++k)
       for (int i = 0; i < 6; ++i)
-        r.push_back(std::sqrt(stretch.raw.weight[k]) * stretch.now.residual(k, i) / (rig.noise[i] * sizes.raw_factor[raw_group(i, 6)]));
+        r.push_back(std::sqrt(stretch.raw.weight[k]) * stretch.now.residual(k, i) /
+                    (rig.noise[i] * sizes.raw_factor[raw_group(i, 6)]));
     return Eigen::Map<Eigen::VectorXd>(r.data(), static_cast<Eigen::Index>(r.size()));
   }
 };
@@ -62,7 +65,8 @@ Case make(bool bias) {
   c.log.raw(4, 2) = c.log.raw(9, 0) = std::numeric_limits<double>::quiet_NaN();
   c.log.R_sensor_root.resize(K, 9);
   for (Eigen::Index k = 0; k < K; ++k) {
-    const Matrix3 R = Eigen::AngleAxisd(0.3 * static_cast<double>(k), Vector3(1, 2, 3).normalized()).toRotationMatrix();
+    const Matrix3 R =
+        Eigen::AngleAxisd(0.3 * static_cast<double>(k), Vector3(1, 2, 3).normalized()).toRotationMatrix();
     for (int i = 0; i < 9; ++i) c.log.R_sensor_root(k, i) = R(i / 3, i % 3);
   }
   MotionStream m;
@@ -96,8 +100,10 @@ void settle(Case& c, Form form) {
   c.theta[c.columns().clock[0]] = 0.0;  // what (10.5) leaves out is of first order in it
   c.lagged = c.rig.nominal;
   for (Eigen::Index i = 0; i < c.stretch.c.size(); ++i) c.stretch.c.data()[i] = 0.3 * normal(engine);
-  for (Eigen::Index i = 0; i < c.stretch.e.size(); ++i) c.stretch.e.data()[i] = form == Form::none ? 0.0 : 1e-3 * normal(engine);
-  for (Eigen::Index k = 0; k < c.stretch.raw.size(); ++k) c.stretch.raw.weight[k] = k == 6 ? 0.0 : 0.5 + 0.1 * static_cast<double>(k % 4);
+  for (Eigen::Index i = 0; i < c.stretch.e.size(); ++i)
+    c.stretch.e.data()[i] = form == Form::none ? 0.0 : 1e-3 * normal(engine);
+  for (Eigen::Index k = 0; k < c.stretch.raw.size(); ++k)
+    c.stretch.raw.weight[k] = k == 6 ? 0.0 : 0.5 + 0.1 * static_cast<double>(k % 4);
 }
 
 class SweepOf : public testing::TestWithParam<std::pair<Form, bool>> {};
@@ -136,7 +142,9 @@ TEST_P(SweepOf, DenseAlgebra) {
         for (int l = 0; l < kLocal; ++l) {
           smoothness[j](6 * (i + k) + j, 6 * (i + l) + j) += R3(k, l);
           R(6 * (i + k) + j, 6 * (i + l) + j) += R3(k, l) / c.sizes.q[j];
-          if (d) R(nc + 6 * (i + k) + j, nc + 6 * (i + l) + j) += (RM.inside(k, l) + (i == 0 ? RM.start(k, l) : 0.0)) / (delta * delta);
+          if (d)
+            R(nc + 6 * (i + k) + j, nc + 6 * (i + l) + j) +=
+                (RM.inside(k, l) + (i == 0 ? RM.start(k, l) : 0.0)) / (delta * delta);
         }
   }
   Eigen::VectorXd x(nx + nt);
@@ -153,9 +161,11 @@ TEST_P(SweepOf, DenseAlgebra) {
   const Information found = sweep.forward(c.stretch, c.columns(), c.theta, c.lagged, c.sizes);
   EXPECT_NEAR(found.logdet, 2.0 * Eigen::MatrixXd(Hxx.llt().matrixL()).diagonal().array().log().sum(), 1e-4);
   const Eigen::VectorXd scale = H.diagonal().tail(nt).cwiseMax(1e-12).cwiseSqrt();
-  const Eigen::MatrixXd off = scale.cwiseInverse().asDiagonal() * (found.S - S) * scale.cwiseInverse().asDiagonal();
+  const Eigen::MatrixXd off =
+      scale.cwiseInverse().asDiagonal() * (found.S - S) * scale.cwiseInverse().asDiagonal();
   EXPECT_LT(off.cwiseAbs().maxCoeff(), 1e-6);
-  EXPECT_LT((found.g - (g.tail(nt) - Hxt.transpose() * y)).cwiseQuotient(scale).norm(), 1e-5 * g.tail(nt).cwiseQuotient(scale).norm());
+  EXPECT_LT((found.g - (g.tail(nt) - Hxt.transpose() * y)).cwiseQuotient(scale).norm(),
+            1e-5 * g.tail(nt).cwiseQuotient(scale).norm());
 
   Eigen::VectorXd step(nt);
   for (Eigen::Index i = 0; i < nt; ++i) step[i] = 1e-3 * std::sin(static_cast<double>(i));
@@ -199,8 +209,9 @@ TEST_P(SweepOf, DenseAlgebra) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Forms, SweepOf, testing::Values(std::pair{Form::none, false}, std::pair{Form::none, true},
-                                                         std::pair{Form::matern, false}, std::pair{Form::walk, true}));
+INSTANTIATE_TEST_SUITE_P(Forms, SweepOf,
+                         testing::Values(std::pair{Form::none, false}, std::pair{Form::none, true},
+                                         std::pair{Form::matern, false}, std::pair{Form::walk, true}));
 
 }  // namespace
 }  // namespace truewrench
