@@ -166,6 +166,39 @@ def test_noise_stated_too_small_is_found_and_told(rig: Rig, truth: tuple[Array, 
     assert any("noise" in assumed.what for assumed in found.assumed)
 
 
+def held(truth: tuple[Array, Array], loads: int, errors: float, seed: int = 1) -> Log:
+    """Loads of two seconds at 25 Hz, each with an error of its own, fraction of range."""
+    draw = np.random.default_rng(seed)
+    of = np.repeat(np.arange(loads), 50)
+    wrench = (0.5 * SPAN * draw.uniform(-1.0, 1.0, (loads, 6)))[of]
+    raw = wrench @ truth[0].T + truth[1] + (errors * SPAN * draw.normal(size=(loads, 6)))[of]
+    raw += NOISE * draw.normal(size=raw.shape)
+    reference = wrench + NOISE * draw.normal(size=raw.shape)
+    return Log(None, "default", "", 4 * 10**7 * np.arange(50 * loads), raw, reference=reference)
+
+
+def test_errors_that_last_are_said_and_do_not_refuse(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array]
+) -> None:
+    """Ten times the noise of a row, for as long as a load hangs."""
+    status, said = through_command(capsys, tmp_path, held(truth, 60, 5e-3), SETTINGS | {"required": 0.05})
+    assert (status, said["verdict"]["usable"]) == (0, True)
+    calibration = load_calibration(tmp_path / "out" / "calibration.yaml")
+    assert np.abs((calibration.gain - truth[0]) / calibration.gain_std).max() < 4.5
+    (note,) = calibration.figures["notes"]
+    assert note.startswith("errors of sensor and reference last")
+    assert "white noise beside them is" in note
+    assert "my 0.5" in note or "my 0.4" in note
+    assert {a.where for a in calibration.assumed} == {f"channel {c}" for c in SETTINGS["sensor"]["channels"]}
+    assert all(a.value == pytest.approx(5e-3, rel=0.5) for a in calibration.assumed)
+    assert all(axis.better is True for axis in calibration.improvement.values())
+
+
+def test_few_plateaus_are_too_few_to_trust_however_many_rows(rig: Rig, truth: tuple[Array, Array]) -> None:
+    assert "too few plateaus" in " ".join(tw.calibrate(rig, held(truth, 8, 5e-3)).verdict.reasons)
+    assert "too few" not in " ".join(tw.calibrate(rig, held(truth, 14, 5e-3)).verdict.reasons)
+
+
 def test_weights_in_kilograms_are_suspected(rig: Rig, truth: tuple[Array, Array]) -> None:
     log = weights(truth)
     assert log.reference is not None

@@ -21,15 +21,15 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpttrf, dtbtrs
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 __all__ = ["Chain", "ErrorSize", "Spread", "find_sizes", "predicted", "spread_of_sizes", "whitened"]
 
 Array = NDArray[np.float64]
 
 _RANK = 1e-9  # of the largest: a smaller combination of regressors is rounding; tolerance
-_SHARES = (0.02, 0.2, 0.6, 0.95, 0.9995, 0.99999)  # of what lasts, where the search begins; tolerance
-_TIMES = 9  # correlation times likewise, from the shortest to the longest; tolerance
+_TIMES = 9  # correlation times where the search begins, from the shortest to the longest; tolerance
+_RATES = -10.0, 6.0, 8  # logarithms of the growth of what lasts over what is white likewise; tolerance
 _LOGIT = 16.0  # of a share: white errors of 1e-7 of what lasts are none; tolerance
 _GRID = 7  # points along each axis of the sizes' posterior; tolerance
 _REACH = 3.5  # of their sigma; tolerance
@@ -200,17 +200,22 @@ def find_sizes(
     stated = [ErrorSize()] * n
     if len(chain.step) - likelihood.basis.shape[1] < 3 or likelihood.freedom < 5:  # of t and F; tolerance
         return stated, np.zeros(n), np.zeros(n)
-    times = np.geomspace(chain.shortest, chain.longest, _TIMES)
-    begun = [(0.0, chain.shortest), *product(_SHARES, times)]
-    values = np.array([likelihood(*point) for point in begun])  # (points, n)
+    white = likelihood(0.0, chain.shortest)
+    times = np.log(np.geomspace(chain.shortest, chain.longest, _TIMES))
+    rates = np.linspace(*_RATES)
+    coarse = np.array([[likelihood(*_share(chain, _point(chain, r, t))) for r in rates] for t in times])
     sizes, found = [], []
     for i in range(n):
         one = _Likelihood(chain, design, residual[:, i : i + 1], within[i : i + 1])
-        share, time = begun[int(np.argmin(values[:, i]))]
-        best = float(values[:, i].min())
+        share, time, best = 0.0, 0.0, float(white[i])
+        for point in _profile(one, times, rates, coarse[:, :, i]):
+            value = _of_coordinates(one, point)
+            if value < best:
+                best, (share, time) = value, _share(chain, point)
         if share > 0.0:
             start = _coordinates(chain, ErrorSize(1.0 - share, share, time))
-            simplex = start + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]])
+            # along the valley, in which what is new at each place stays the same, and across
+            simplex = start + np.array([[0.0, 0.0], [0.5, 0.5], [0.2, 0.0]])
             better = minimize(
                 partial(_of_coordinates, one),
                 start,
@@ -220,9 +225,29 @@ def find_sizes(
             if better.fun < best:
                 best, (share, time) = float(better.fun), _share(chain, better.x)
         variance = float(one.squares(*one.gram(share, time), share)[0][0]) / one.freedom
-        sizes.append(ErrorSize(variance * (1.0 - share), variance * share, time if share > 0.0 else 0.0))
+        sizes.append(ErrorSize(variance * (1.0 - share), variance * share, time))
         found.append(best)
-    return sizes, likelihood.as_stated() - found, values[0] - found
+    return sizes, likelihood.as_stated() - found, white - found
+
+
+def _profile(likelihood: _Likelihood, times: Array, rates: Array, coarse: Array) -> list[Array]:
+    """For each log time (T,) the (logit, log time) that is best, from values (T, R) at some rates."""
+    points, apart = [], float(rates[1] - rates[0])
+    for time, values in zip(times, coarse, strict=True):
+        near = float(rates[int(np.argmin(values))])
+        refined = minimize_scalar(
+            lambda rate, t=time: _of_coordinates(likelihood, _point(likelihood.chain, rate, t)),
+            bounds=(near - apart, near + apart),
+            method="bounded",
+            options={"xatol": 0.1, "maxiter": 10},
+        )
+        points.append(_point(likelihood.chain, float(refined.x), float(time)))
+    return points
+
+
+def _point(chain: Chain, rate: float, time: float) -> Array:
+    """(logit, log time) of the logarithms of a time and of how fast what lasts grows over what is white."""
+    return np.array([rate + time - np.log(chain.shortest), time])
 
 
 def spread_of_sizes(

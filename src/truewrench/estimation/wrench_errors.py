@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_OUTLIERS = 0.1  # share of the rows that may be left out as outliers; of more, none is
-_FOUND = 0.01  # probability that the stated white noise, where it is true, is taken for another
+_FOUND = 0.01  # about the probability that the stated white noise, where it is true, is taken for another
 _NOTED = 0.5, 2.0  # sigma of the white errors over the stated one that is worth no word (METHOD 10.2)
 _ROUNDS = 20  # of leaving out rows and estimating again; tolerance
 
@@ -162,8 +162,8 @@ def _sizes(
     mask, n = used[rows.index], sigma.size
     within = np.sum((rows.apart(residual_of(problem, rows, solution), mask) / sigma) ** 2, axis=0)
     sizes, fall, lasting = find_sizes(rows.chain(mask), design, residual / sigma, within)
-    # -2 log L falls by chance like a chi-square of less than 2 degrees of freedom a channel, of which 1 is
-    # that something lasts: false alarms in at most 1% of the records
+    # -2 log L falls by chance about like a chi-square of 2 degrees of freedom a channel, of which 1 is that
+    # something lasts: false alarms in 0 to 3% of the records (docs/results.md)
     found = float(fall.sum()) > chi2.isf(_FOUND, 2 * n)
     last = found and float(lasting.sum()) > chi2.isf(_FOUND, n)
     if not found:

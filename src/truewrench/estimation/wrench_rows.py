@@ -22,7 +22,6 @@ Mask = NDArray[np.bool_]
 _OUTLIER = 1e-3  # probability that any row of a record without outliers is taken for one
 _MOST_PLACES = 20_000  # rows of logs whose errors last; of more, neighbours are averaged; tolerance
 _BRIEF = 0.5, 0.15  # shortest time that errors last over the spacing of rows, of plateaus; tolerance
-_AT_ONCE = 50_000  # rows whose covariances are held at a time; tolerance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +164,7 @@ def consistent(
         sizes: of the errors, per kind and channel.
         solution: on the used rows.
         used: (N,).
-        robust: take the noise for as large as the median of the residuals says.
+        robust: take noise as stated for as large as the median of the residuals says.
     """
     every = np.hstack([problem.reference, problem.columns])
     v = problem.raw - every @ solution.parameters.T
@@ -175,8 +174,14 @@ def consistent(
     for rows, size in zip(kinds, sizes, strict=True):
         mask, own = used[rows.index], v[rows.index]
         count, mean = rows.count(mask), rows.mean(own, mask)
+        if all(s == ErrorSize() for s in size):
+            squared = np.sum(own * np.linalg.solve(solution.noise, own.T).T, axis=1)
+            limit = float(chi2.isf(_OUTLIER / len(used), stated.size))
+            if robust:
+                squared /= max(1.0, float(np.median(squared) / chi2.median(stated.size)))
+            kept[rows.index] = _within(squared, leverage[rows.index], mask, limit)
+            continue
         white = np.array([s.white for s in size])
-        shape = solution.noise * np.sqrt(np.outer(white, white))
         chain = rows.chain(mask, everywhere=True)
         told = [predicted(chain, s, x, count > 0.0) for s, x in zip(size, mean.T, strict=True)]
         lasting, variance = (np.column_stack(x) for x in zip(*told, strict=True))  # (M, n) from other places
@@ -185,37 +190,24 @@ def consistent(
         beside = (mean * count[:, None])[rows.place] - own * mask[:, None]
         share = variance[rows.place] * others / (variance[rows.place] * others + white)
         center = lasting[rows.place] * (1.0 - share) + share * beside / np.maximum(others, 1.0)
-        left = variance[rows.place] * (1.0 - share)
-        squared = _squared(own - center, shape, np.ones(len(own)), left * stated)
-        followed = leverage[rows.index] / np.mean(white + left, axis=1)
-        ok = _within(squared, followed, mask, len(used), len(stated), robust)
-        if rows.stepped and variance.any():
+        left = white + variance[rows.place] * (1.0 - share)
+        # how channels go together is not known of what was found: the worst of them counts
+        squared = np.max((own - center) ** 2 / (left * stated), axis=1)
+        limit = float(chi2.isf(_OUTLIER / (len(used) * stated.size), 1))
+        # what lasts takes up most of what parameters leave: on average they follow that share of a place
+        followed = np.full(len(count), min(0.5, every.shape[1] / len(count)))
+        ok = _within(squared, followed[rows.place] / np.maximum(count[rows.place], 1.0), mask, limit)
+        if rows.stepped:
             any_of = mask | (count == 0.0)[rows.place]
-            number = rows.count(any_of)
-            squared = _squared(rows.mean(own, any_of) - lasting, shape, number, variance * stated)
-            followed = rows.mean(leverage[rows.index][:, None], any_of)[:, 0]
-            followed /= np.mean(white / number[:, None] + variance, axis=1)
-            ok &= _within(squared, followed, count > 0.0, len(count), len(stated), robust)[rows.place]
+            left = white / rows.count(any_of)[:, None] + variance
+            squared = np.max((rows.mean(own, any_of) - lasting) ** 2 / (left * stated), axis=1)
+            limit = float(chi2.isf(_OUTLIER / (len(count) * stated.size), 1))
+            ok &= _within(squared, followed, count > 0.0, limit)[rows.place]
         kept[rows.index] = ok
     return kept
 
 
-def _squared(residual: Array, shape: Array, count: Array, extra: Array) -> Array:
-    """(K,) r^T (shape / count + diag(extra))^-1 r."""
-    if not extra.any():
-        return np.asarray(count * np.sum(residual * np.linalg.solve(shape, residual.T).T, axis=1))
-    found = np.empty(len(residual))
-    for first in range(0, len(residual), _AT_ONCE):
-        at = slice(first, first + _AT_ONCE)
-        covariance = shape / count[at, None, None] + extra[at, None, :] * np.eye(len(shape))
-        found[at] = np.sum(residual[at] * np.linalg.solve(covariance, residual[at, :, None])[:, :, 0], axis=1)
-    return found
-
-
-def _within(squared: Array, followed: Array, used: Mask, number: int, n: int, robust: bool) -> Mask:
+def _within(squared: Array, followed: Array, used: Mask, limit: float) -> Mask:
     """Which squares chance explains; the fit follows what was used, and predicts what was not."""
     statistic = squared / np.where(used, np.maximum(1.0 - followed, 0.01), 1.0 + followed)
-    if robust:
-        statistic /= max(1.0, float(np.median(statistic) / chi2.median(n)))
-    limit = float(chi2.isf(_OUTLIER / number, n))
     return np.asarray(statistic <= max(limit, 0.25 * float(statistic[used].max(initial=0.0))))
