@@ -8,10 +8,13 @@
 //   online.finish();
 //
 // The first lag is fitted like a record: h by (10.7), START, ROBUST (10.2, 10.3). From there a completed block of five knots is
-// eliminated once as it comes, and once every lag all of the last two lags are linearised anew at theta as it stands: the older
-// half, its mask set, leaves for good, the newer half stays with robust weights. What left is a Gaussian on (next block, theta),
-// and running sums give sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the
-// fit. It decides forward only.
+// eliminated once as it comes, and once a lag the last two lags are linearised anew at theta as it stands: the older one, its
+// mask set, leaves for good, the newer stays with robust weights. What left is a Gaussian on (next block, theta), and running
+// sums give sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit. It
+// decides forward only.
+//
+// A push takes microseconds, one that completes a block some tens, once a lag some hundreds; the push that completes the first
+// lag fits it: tens of milliseconds.
 #pragma once
 
 #include "truewrench/estimation/lag_start.hpp"
@@ -43,73 +46,57 @@ class Incremental {
         lag_(rig, about, most_blocks_, most_samples(settings)),
         start_(most_blocks_, lag_.channels()),
         moments_(lag_.channels()) {
-    const int nt = lag_.parameters(), n = lag_.channels();
+    const int n = lag_.channels();
     const auto samples = static_cast<std::size_t>(settings.rate * (1.25 * settings.lag + 2.0)) + 64;
     raw_.reserve(samples);
     for (auto& m : motion_) m.reserve(samples);
-    past_ = present_ = lag_.make_front();
-    S_ = Sp_ = Sl_ = base_ = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
-    for (auto& p : parts_) p = S_;
-    eta_ = solved_ = Eigen::VectorXd::Zero(nt);
-    P_ = M_ = covariance_ = Eigen::MatrixXd::Zero(nt, nt);
-    gain_covariance_ = added_ = Eigen::MatrixXd::Zero(6 * n, 6 * n);
-    column_ = Eigen::VectorXd::Zero(nt);
-    use_.reserve(static_cast<std::size_t>(nt));
-    x0_ = x1_ = Eigen::MatrixXd::Zero(kWidth, most_blocks_ + 2);
-    theta0_ = theta1_ = Eigen::VectorXd::Zero(nt);
     entries_.reserve(static_cast<std::size_t>(kMostRows * kBlock * (most_blocks_ + 1)));
     masked_.resize(samples);
     found_.resize(2);
-    sum9_.assign(static_cast<std::size_t>(n),
-                 {Eigen::Matrix<double, 7, 7>::Zero(), Eigen::Matrix<double, 7, 7>::Zero()});
+    x0_.resize(static_cast<std::size_t>(kWidth * (most_blocks_ + 2)));
+    x1_ = x0_;
+    gain_covariance_ = added_ = Eigen::MatrixXd::Zero(6 * n, 6 * n);
+    discrepancy2_ = Eigen::VectorXd::Zero(n);
     consistent_ = consistency(n);
+    resize_theta();
+    Sl_ = base_ = S_;
+    parts_ = {S_, S_};
     begin_log();
   }
 
   // ---------------------------------------------------------------- samples
-  // Values that are NaN are missing; a row of nothing else is refused.
+  // Values that are NaN are missing; a row of nothing else is refused. not_increasing and not_finite: the sample was not taken;
+  // wrong_size: there is no room for it, the other streams have not come along; not_factorizable: the lag was lost.
   Status push_motion(std::size_t stream, double time, const double* value) noexcept {
     if (stream >= lag_.streams()) return Status::wrong_size;
-    const Eigen::Map<const Vector6> v(value);
-    if (!std::isfinite(time) || v.array().isInf().any() || v.array().isNaN().all()) return Status::not_finite;
+    if (!readable(time, value, kComponents)) return Status::not_finite;
     Ring<MotionSample>& in = motion_[stream];
     if (in.end() > 0 && time <= motion_last_[stream]) return Status::not_increasing;
-    Status status = Status::ok;
-    // all motion, or the sensor, was silent for five periods and six knots: the stretch is over
-    if (open() && (time - motion_last() > gap(motion_period()) || time - raw_last_ > gap(raw_period())))
-      status = close();
+    const Status status = silence(time);
     motion_last_[stream] = time;
     if (in.full() && !standing_ && (raw_.empty() || in[in.begin()].time < raw_[raw_.begin()].time))
       in.drop_before(in.begin() + 1);
     if (in.full()) return Status::wrong_size;
     MotionSample& s = in.push();
     s.time = time;
-    s.value = v;
+    std::copy_n(value, kComponents, s.value.begin());
     return worse(status, advance());
   }
 
   // raw (n): fractions of range. R_sensor_root: row by row, where gravity acts.
   Status push_raw(double time, const double* raw, const double* R_sensor_root = nullptr,
                   double temperature = 0.0) noexcept {
-    bool any = false;
-    for (int i = 0; i < lag_.channels(); ++i) {
-      if (std::isinf(raw[i])) return Status::not_finite;
-      any = any || std::isfinite(raw[i]);
-    }
-    if (!std::isfinite(time) || !any) return Status::not_finite;
+    if (!readable(time, raw, lag_.channels())) return Status::not_finite;
     if (raw_.end() > 0 && time <= raw_last_) return Status::not_increasing;
-    Status status = Status::ok;
-    if (open() && (time - raw_last_ > gap(raw_period()) || time - motion_last() > gap(motion_period())))
-      status = close();
+    const Status status = silence(time);
     raw_last_ = time;
-    if (raw_.full() && !standing_ && !open()) raw_.drop_before(raw_.begin() + 1);
+    if (raw_.full() && !open()) raw_.drop_before(raw_.begin() + 1);
     if (raw_.full()) return Status::wrong_size;
     RawSample& s = raw_.push();
     s.time = time;
     s.temperature = std::isfinite(temperature) ? temperature : 0.0;
-    std::copy(raw, raw + lag_.channels(), s.value.begin());
-    if (R_sensor_root != nullptr)
-      s.R = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(R_sensor_root);
+    std::copy_n(raw, lag_.channels(), s.value.begin());
+    for (int k = 0; R_sensor_root != nullptr && k < 9; ++k) s.R(k / 3, k % 3) = R_sensor_root[k];
     return worse(status, advance());
   }
 
@@ -117,7 +104,7 @@ class Incremental {
   Status finish() noexcept { return close(); }
 
   // Another log of the same sensor: theta's shared part goes on, with the information on it; what is the log's own starts anew.
-  // The one call that allocates.
+  // Allocates.
   Status next_log(const RecordedLog& about);
 
   // ---------------------------------------------------------------- results, after every completed block
@@ -125,10 +112,10 @@ class Incremental {
   std::int64_t blocks() const { return blocks_; }    // completed
   std::int64_t samples() const { return samples_; }  // that left the lag
   std::int64_t masked_samples() const { return masked_samples_; }
-  int dropped() const { return dropped_; }  // stretches too short
-  bool unresolved() const { return unresolved_; }
+  int dropped() const { return dropped_; }         // stretches too short
+  bool unresolved() const { return unresolved_; }  // (10.7) still falls at the finest h that was tried
   Status status() const { return status_; }
-  double spacing() const { return lag_.h(); }
+  double spacing() const { return h_; }
   const Eigen::VectorXd& theta() const { return lag_.theta; }
   Eigen::Map<const RowMatrix> gain() const {
     return {lag_.theta.data() + lag_.gain_at(), lag_.channels(), 6};
@@ -165,6 +152,9 @@ class Incremental {
     RawRow* row = nullptr;
     Lag::Interval* interval = nullptr;  // all rows of it
   };
+  struct Spread {
+    double A[7][7] = {}, B[7][7] = {};
+  };
 
   IncrementalSettings settings_;
   int most_blocks_;
@@ -179,30 +169,36 @@ class Incremental {
   long raw_at_ = 0;  // first sample that is not in the lag
   std::array<long, kMostStreams> motion_at_{};
   double period_ = 0.0, motion_period_ = 0.0;  // [s] as the stretch began with
+  double limit_ = 0.0;                         // [s] end of a stretch that is over
   bool standing_ = false, ready_ = false, unresolved_ = false, first_stretch_ = true, first_log_ = true,
        chosen_ = false;
   double h_ = 0.0, coarsest_ = constants::knot_spacing;
   std::int64_t blocks_ = 0, samples_ = 0, masked_samples_ = 0;
   int dropped_ = 0, hops_ = 0, part_ = 0;
   Status status_ = Status::ok;
-  double arrival_ = 0.0, consistent_ = 1.0, limit_ = 0.0, logdet_x_ = 0.0, logdet_s_ = 0.0;
-  Sizes kept_;
+  double arrival_ = 0.0;     // usual chi^2 of a channel as a block comes
+  double consistent_ = 1.0;  // of sigma under robust weights
+  double logdet_x_ = 0.0, logdet_s_ = 0.0;
 
   Front past_, present_;
-  Eigen::MatrixXd S_, Sp_, Sl_, base_, P_, M_, covariance_, gain_covariance_, added_, x0_, x1_;
-  std::array<Eigen::MatrixXd, 2> parts_;
-  Eigen::VectorXd eta_, solved_, column_, theta0_, theta1_, stated_, prior_, discrepancy2_;
+  // information (nt + 1, nt + 1), lower triangle, the information vector in the last row: of all, of what left, at the last
+  // part, at the beginning of the log
+  Eigen::MatrixXd S_, Sp_, Sl_, base_;
+  std::array<Eigen::MatrixXd, 2> parts_;  // (10.11)
+  Eigen::MatrixXd P_, covariance_, gain_covariance_, added_;
+  Eigen::VectorXd column_, theta0_, theta1_, stated_, prior_, discrepancy2_;
+  std::vector<double> work_, x0_, x1_;
   std::vector<char> active_;
   std::vector<int> use_;
+  Sizes kept_;
   SizeSums left_;  // of what left the lag, this log
   std::vector<Entry> entries_;
   std::vector<MaskedSpan> masked_;
   std::size_t masked_count_ = 0;
   std::array<double, 2> run_{-1e300, -1e300};  // begin and end of the last low run that left
   std::vector<Moment> found_;
-  std::vector<std::array<Eigen::Matrix<double, 7, 7>, 2>>
-      sum9_;                // (10.9) of the logs before: A and B by channel
-  Eigen::VectorXd size10_;  // delta^2 of the logs before, times their samples
+  std::array<Spread, kMostChannels> sum9_;  // (10.9) of the logs before
+  Channels size10_{};                       // delta^2 of the logs before, times their samples
   double size10_samples_ = 0.0, log_samples_ = 0.0;
 
   int lag_blocks(double h) const {
@@ -212,13 +208,26 @@ class Incremental {
     return std::max(64, static_cast<int>(s.rate * 2.0 * constants::knot_spacing) + 16);
   }
   static Status worse(Status a, Status b) { return a != Status::ok ? a : b; }
+  static bool readable(double time, const double* value, int count) {
+    bool any = false;
+    for (int i = 0; i < count; ++i) {
+      if (std::isinf(value[i])) return false;
+      any = any || std::isfinite(value[i]);
+    }
+    return any && std::isfinite(time);
+  }
   double gap(double period) const { return std::max(5.0 * period, 6.0 * coarsest_); }
+  // All motion, or the sensor, was silent for five periods and six knots: the stretch is over.
+  Status silence(double time) noexcept {
+    const bool over =
+        open() && (time - motion_last() > gap(motion_period()) || time - raw_last_ > gap(raw_period()));
+    return over ? close() : Status::ok;
+  }
   bool open() const {
     if (standing_) return true;
-    if (raw_.empty()) return false;
-    for (std::size_t i = 0; i < lag_.streams(); ++i)
-      if (!motion_[i].empty()) return true;
-    return false;
+    bool any = false;
+    for (std::size_t i = 0; i < lag_.streams(); ++i) any = any || !motion_[i].empty();
+    return any && !raw_.empty();
   }
   double motion_last() const {
     double out = -1e300;
@@ -226,11 +235,19 @@ class Incremental {
       if (motion_[i].end() > 0) out = std::max(out, motion_last_[i]);
     return out;
   }
+  // To which all streams have samples, of a stretch that has not begun; NaN where one has none.
+  double common_begin() const {
+    double out = raw_[raw_.begin()].time;
+    for (std::size_t i = 0; i < lag_.streams(); ++i) {
+      if (motion_[i].empty()) return std::nan("");
+      out = std::max(out, motion_[i][motion_[i].begin()].time);
+    }
+    return out;
+  }
   template <typename Samples>
   static double period_of(const Samples& s) {
-    return s.end() - s.begin() < 2
-               ? 0.0
-               : (s[s.end() - 1].time - s[s.begin()].time) / static_cast<double>(s.end() - s.begin() - 1);
+    const long count = s.end() - s.begin();
+    return count < 2 ? 0.0 : (s[s.end() - 1].time - s[s.begin()].time) / static_cast<double>(count - 1);
   }
   double raw_period() const { return standing_ ? period_ : period_of(raw_); }
   double motion_period() const {
@@ -241,6 +258,9 @@ class Incremental {
       if (p > 0.0 && (out == 0.0 || p < out)) out = p;
     }
     return out;
+  }
+  void note_masked(double begin, double end) {
+    if (masked_count_ < masked_.size()) masked_[masked_count_++] = {begin, end};
   }
 
   // Share of E w chi^2 that Student-t weights leave of n Gaussian channels, so that sigma in the lag is that of FIT.
@@ -254,12 +274,14 @@ class Incremental {
     return sum / all;
   }
 
-  void begin_log();
+  // blocks: incremental_blocks.hpp
   Status advance() noexcept;
   double covered() const;  // [s] to where all streams have come
   Status start(bool partial) noexcept;
-  void lay(double origin, double h, long blocks, bool partial);
-  double fit_first(double origin, double h, long blocks, bool partial);
+  void choose_spacing(double origin, bool partial);
+  long blocks_of(double origin, double h, bool partial) const;
+  void lay(double origin, double h, bool partial);
+  double fit_first(double origin, double h, bool partial);
   void take_block(long g, bool all);
   Status arrive(bool last) noexcept;
   bool sweep(long leaving, bool last);
@@ -268,13 +290,21 @@ class Incremental {
   Status close() noexcept;
   void set_mask(long leaving);
   void depart(long leaving);
-  double resize(const SizeSums& sums, const Eigen::MatrixXd& S);
-  SizeSums window_sums() const;
-  bool solve(const Eigen::MatrixXd& S, bool judge);
+  void count(long from, long to);
+  SizeSums window_sums(long from) const;
+  double objective(bool last) const;
+  double likelihood(bool last) const;
+
+  // theta: incremental_theta.hpp
+  void resize_theta();
+  void begin_log();
+  int own() const {
+    return lag_.offset_at() + (lag_.rig().pool_offsets ? lag_.channels() : 0);
+  }  // the log's, from here on
+  bool factor(const Eigen::MatrixXd& S, bool all, int columns);
   bool invert(const Eigen::MatrixXd& S, bool all);
-  void settle(const Eigen::MatrixXd& S);
-  double objective(bool last);
-  double likelihood(bool last);
+  bool solve(const Eigen::MatrixXd& S, bool judge);
+  double resize(const SizeSums& sums, const Eigen::MatrixXd& S);
   void part(const Eigen::MatrixXd& S);
   Eigen::MatrixXd without_own(const Eigen::MatrixXd& S) const;
 };

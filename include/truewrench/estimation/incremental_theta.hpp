@@ -4,31 +4,60 @@
 
 #include "truewrench/estimation/incremental.hpp"
 
-#include <Eigen/Dense>
-
 namespace truewrench {
+
+inline void Incremental::resize_theta() {
+  const int nt = lag_.parameters();
+  const auto size = static_cast<std::size_t>(nt);
+  past_ = present_ = lag_.make_front();
+  S_ = Sp_ = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
+  P_ = covariance_ = Eigen::MatrixXd::Zero(nt, nt);
+  column_ = theta0_ = theta1_ = Eigen::VectorXd::Zero(nt);
+  work_.assign(size * static_cast<std::size_t>(2 * dense::padded(nt + 1)) + 8, 0.0);
+  use_.reserve(size);
+  active_.assign(size, 1);
+}
+
+// S + Pi^-1 of the active parameters, or of all, into work_ with room for columns after it, and R^T R of it with R^-T of those:
+// of 1 the information vector with the prior's, what is held at its mean; of more the unit matrix.
+inline bool Incremental::factor(const Eigen::MatrixXd& S, bool all, int columns) {
+  const int nt = lag_.parameters();
+  const Eigen::VectorXd& mean = lag_.layout().mean();
+  use_.clear();
+  for (int i = 0; i < nt; ++i)
+    if (all || active_[static_cast<std::size_t>(i)] != 0) use_.push_back(i);
+  const int k = static_cast<int>(use_.size()), half = dense::padded(k), ld = half + dense::padded(columns);
+  std::fill_n(work_.begin(), k * ld, 0.0);
+  for (int i = 0; i < k; ++i) {
+    const int a = use_[static_cast<std::size_t>(i)];
+    double* row = work_.data() + i * ld;
+    for (int j = i; j < k; ++j) row[j] = S(use_[static_cast<std::size_t>(j)], a);
+    row[i] += 1.0 / prior_[a];
+    if (columns > 1) {
+      row[half + i] = 1.0;
+      continue;
+    }
+    row[half] = S(nt, a) + mean[a] / prior_[a];
+    for (int h = 0; h < nt && !all; ++h)
+      if (active_[static_cast<std::size_t>(h)] == 0) row[half] -= S(std::max(a, h), std::min(a, h)) * mean[h];
+  }
+  logdet_s_ = 0.0;
+  return dense::factor(work_.data(), ld, k, logdet_s_);
+}
 
 // P_ = (S + Pi^-1)^-1 over the active parameters, or over all.
 inline bool Incremental::invert(const Eigen::MatrixXd& S, bool all) {
-  use_.clear();
-  for (std::size_t i = 0; i < active_.size(); ++i)
-    if (all || active_[i] != 0) use_.push_back(static_cast<int>(i));
-  const auto k = static_cast<Eigen::Index>(use_.size());
-  for (Eigen::Index j = 0; j < k; ++j)
-    for (Eigen::Index i = j; i < k; ++i)
-      M_(i, j) = S(use_[static_cast<std::size_t>(i)], use_[static_cast<std::size_t>(j)]);
-  for (Eigen::Index j = 0; j < k; ++j) M_(j, j) += 1.0 / prior_[use_[static_cast<std::size_t>(j)]];
-  auto M = M_.topLeftCorner(k, k);
-  if (Eigen::internal::llt_inplace<double, Eigen::Lower>::blocked(M) >= 0) return false;
-  logdet_s_ = 2.0 * M.diagonal().array().log().sum();
-  P_.setZero();
-  auto P = covariance_.topLeftCorner(k, k);
-  P.setIdentity();
-  M.triangularView<Eigen::Lower>().solveInPlace(P);
-  M.transpose().triangularView<Eigen::Upper>().solveInPlace(P);
-  for (Eigen::Index j = 0; j < k; ++j)
-    for (Eigen::Index i = 0; i < k; ++i)
-      P_(use_[static_cast<std::size_t>(i)], use_[static_cast<std::size_t>(j)]) = P(i, j);
+  const int nt = lag_.parameters();
+  if (!factor(S, all, nt)) return false;
+  const int k = static_cast<int>(use_.size()), half = dense::padded(k), columns = dense::padded(nt),
+            ld = half + columns;
+  dense::solve_upper(work_.data(), ld, k, work_.data() + half, ld, columns);
+  std::fill_n(P_.data(), nt * nt, 0.0);
+  for (int i = 0; i < k; ++i)
+    for (int j = i; j < k; ++j) {
+      const int a = use_[static_cast<std::size_t>(i)], b = use_[static_cast<std::size_t>(j)];
+      P_(a, b) = P_(b, a) = work_[static_cast<std::size_t>(i * ld + half + j)];
+    }
   return true;
 }
 
@@ -36,18 +65,18 @@ inline bool Incremental::invert(const Eigen::MatrixXd& S, bool all) {
 inline bool Incremental::solve(const Eigen::MatrixXd& S, bool judge) {
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
-  const auto eta = S.row(nt).head(nt).transpose();
   if (judge) {
     // s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2)                                        (10.1)
     if (!invert(S, true)) return false;
-    column_ = eta + mean.cwiseQuotient(prior_);
-    solved_.noalias() = P_ * column_;
     for (std::size_t i = 0; i < lag_.streams(); ++i) {
       const int at = lag_.clock_at(i);
+      double s = 0.0;
+      for (int j = 0; j < nt; ++j) s += P_(at, j) * (S(nt, j) + mean[j] / prior_[j]);
       const double V = 1.0 / std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 1e-12);
-      const double apart = (solved_[at] - mean[at]) * V / P_(at, at);
-      prior_[at] = stated_[at] + std::max(0.0, apart * apart - V - stated_[at]);
+      const double apart = (s - mean[at]) * V / P_(at, at);
+      column_[at] = stated_[at] + std::max(0.0, apart * apart - V - stated_[at]);
     }
+    for (std::size_t i = 0; i < lag_.streams(); ++i) prior_[lag_.clock_at(i)] = column_[lag_.clock_at(i)];
     // kappa and gamma are held unless the data's own variance is below 1/16
     if (!invert(S, true)) return false;
     std::fill(active_.begin(), active_.end(), char{1});
@@ -59,78 +88,59 @@ inline bool Incremental::solve(const Eigen::MatrixXd& S, bool judge) {
     for (std::size_t i = 0; i < lag_.streams(); ++i) hold(lag_.clock_at(i) + 1);
     hold(lag_.gamma_at());
   }
-  use_.clear();
-  for (std::size_t i = 0; i < active_.size(); ++i)
-    if (active_[i] != 0) use_.push_back(static_cast<int>(i));
-  const auto k = static_cast<Eigen::Index>(use_.size());
-  for (Eigen::Index j = 0; j < k; ++j) {
-    const int at = use_[static_cast<std::size_t>(j)];
-    for (Eigen::Index i = j; i < k; ++i) M_(i, j) = S(use_[static_cast<std::size_t>(i)], at);
-    M_(j, j) += 1.0 / prior_[at];
-    double right = eta[at] + mean[at] / prior_[at];
-    for (std::size_t h = 0; h < active_.size(); ++h) {
-      if (active_[h] != 0) continue;
-      const int held = static_cast<int>(h);
-      right -= S(std::max(at, held), std::min(at, held)) * mean[held];
-    }
-    solved_[j] = right;
-  }
-  auto M = M_.topLeftCorner(k, k);
-  if (Eigen::internal::llt_inplace<double, Eigen::Lower>::blocked(M) >= 0) return false;
-  logdet_s_ = 2.0 * M.diagonal().array().log().sum();
-  auto x = solved_.head(k);
-  M.triangularView<Eigen::Lower>().solveInPlace(x);
-  M.transpose().triangularView<Eigen::Upper>().solveInPlace(x);
-  if (!x.allFinite()) return false;
+  if (!factor(S, false, 1)) return false;
+  const int k = static_cast<int>(use_.size()), half = dense::padded(k), ld = half + 8;
+  dense::solve_upper(work_.data(), ld, k, work_.data() + half, ld, 8);
+  for (int i = 0; i < k; ++i)
+    if (!std::isfinite(work_[static_cast<std::size_t>(i * ld + half)])) return false;
   lag_.theta = mean;
-  for (Eigen::Index j = 0; j < k; ++j) lag_.theta[use_[static_cast<std::size_t>(j)]] = x[j];
+  for (int i = 0; i < k; ++i)
+    lag_.theta[use_[static_cast<std::size_t>(i)]] = work_[static_cast<std::size_t>(i * ld + half)];
   return true;
-}
-
-// P_ of the active parameters, and M_ = S + Pi^-1 over all places (lower triangle; what is held is left out).
-inline void Incremental::settle(const Eigen::MatrixXd& S) {
-  invert(S, false);
-  M_ = S.topLeftCorner(lag_.parameters(), lag_.parameters());
-  for (Eigen::Index i = 0; i < M_.rows(); ++i) M_(i, i) += 1.0 / prior_[i];
 }
 
 // (10.6) once from sums and P_, theta's share of the raw rows by S; the largest relative move.
 inline double Incremental::resize(const SizeSums& sums, const Eigen::MatrixXd& S) {
   const int nt = lag_.parameters(), n = lag_.channels();
   Sizes& z = lag_.sizes;
-  double move = 0.0;
-  Eigen::Array2d of_group = Eigen::Array2d::Zero();
-  double all = 0.0;
+  double move = 0.0, all = 0.0;
+  std::array<double, 2> of_group{};
   for (int i = 0; i < nt; ++i) {
     double share = 0.0;
-    for (int j = 0; j < nt; ++j)
-      share += P_(i, j) * (S(std::max(i, j), std::min(i, j)) - base_(std::max(i, j), std::min(i, j)));
+    for (int j = 0; j < nt; ++j) {
+      const int a = std::max(i, j), b = std::min(i, j);
+      share += P_(i, j) * (S(a, b) - base_(a, b));
+    }
     bool clock = false;
     for (std::size_t s = 0; s < lag_.streams(); ++s)
       clock = clock || i == lag_.clock_at(s) || i == lag_.clock_at(s) + 1;
     if (!clock) all += share;
-    if (i >= lag_.gain_at() && i < lag_.gain_at() + 6 * n)
-      of_group[raw_group((i - lag_.gain_at()) / 6, n)] += share;
-    if (i >= lag_.offset_at() && i < lag_.offset_at() + n)
-      of_group[raw_group(i - lag_.offset_at(), n)] += share;
+    const int c = i - lag_.gain_at(), b = i - lag_.offset_at();
+    if (c >= 0 && c < 6 * n) of_group[static_cast<std::size_t>(raw_group(c / 6, n))] += share;
+    if (b >= 0 && b < n) of_group[static_cast<std::size_t>(raw_group(b, n))] += share;
   }
-  of_group *= std::max(0.0, all) / std::max(of_group.sum(), 1e-300);
-  const auto factor = [&move](double& f, double rss, double rows, double used) {
+  const double scale = std::max(0.0, all) / std::max(of_group[0] + of_group[1], 1e-300);
+  const auto factor_of = [&move](double& f, double rss, double rows, double used) {
     const double to = std::sqrt(std::max(rss, 1e-300) / std::max(rows - used, 1e-3 * std::max(rows, 1.0)));
     const double ratio = std::clamp(to / f, 0.2, 5.0);
     f *= ratio;
     move = std::max(move, std::abs(std::log(ratio)));
   };
-  for (Eigen::Index r = 0; r < z.raw_factor.size(); ++r)
-    if (sums.raw_count[r] > 0.0)
-      factor(z.raw_factor[r], sums.raw[r], sums.raw_count[r], sums.raw_trace[r] + of_group[r]);
+  for (Eigen::Index r = 0; r < z.raw_factor.size(); ++r) {
+    const auto g = static_cast<std::size_t>(r);
+    if (sums.raw_count[g] > 0.0)
+      factor_of(z.raw_factor[r], sums.raw[g], sums.raw_count[g], sums.raw_trace[g] + scale * of_group[g]);
+  }
   for (std::size_t i = 0; i < lag_.streams(); ++i)
-    for (Eigen::Index r = 0; r < z.motion_factor[i].size(); ++r)
-      if (sums.motion_count[i][r] > 0.0)
-        factor(z.motion_factor[i][r], sums.motion[i][r], sums.motion_count[i][r], sums.motion_trace[i][r]);
+    for (Eigen::Index r = 0; r < z.motion_factor[i].size(); ++r) {
+      const auto g = static_cast<std::size_t>(r);
+      if (sums.motion_count[i][g] > 0.0)
+        factor_of(z.motion_factor[i][r], sums.motion[i][g], sums.motion_count[i][g], sums.motion_trace[i][g]);
+    }
   for (int j = 0; j < kComponents; ++j) {
+    const auto ju = static_cast<std::size_t>(j);
     const double size = sums.knots + kDegree5 - smoothness_order(lag_.about().source, j);
-    const double to = std::max(sums.energy[j], 1e-16) / std::max(size - sums.energy_trace[j], 1.0);
+    const double to = std::max(sums.energy[ju], 1e-16) / std::max(size - sums.energy_trace[ju], 1.0);
     const double ratio = std::clamp(to / z.q[j], 1e-3, 1e3);
     z.q[j] *= ratio;
     move = std::max(move, 0.5 * std::abs(std::log(ratio)));
@@ -142,73 +152,100 @@ inline double Incremental::resize(const SizeSums& sums, const Eigen::MatrixXd& S
     squares += lag_.theta[i] * lag_.theta[i];
     freedom += 1.0 - P_(i, i) / prior_[i];
   }
-  prior_.segment(u, n).setConstant(
-      std::max(squares / std::max(freedom, 0.05), constants::quadratic_floor * constants::quadratic_floor));
+  const double floor = constants::quadratic_floor * constants::quadratic_floor;
+  for (int i = u; i < u + n; ++i) prior_[i] = std::max(squares / std::max(freedom, 0.05), floor);
   return move;
 }
 
 // One more lag for one of the two parts of (10.11): what it adds to what was known before it.
 inline void Incremental::part(const Eigen::MatrixXd& S) {
-  parts_[static_cast<std::size_t>(part_)] += S - Sl_;
+  Eigen::MatrixXd& to = parts_[static_cast<std::size_t>(part_)];
+  for (Eigen::Index i = 0; i < S.size(); ++i) to.data()[i] += S.data()[i] - Sl_.data()[i];
   Sl_ = S;
   part_ = 1 - part_;
 }
 
 inline const Eigen::MatrixXd& Incremental::theta_covariance() noexcept {
+  const int nt = lag_.parameters();
   invert(S_, false);
   covariance_ = P_;
-  for (Eigen::Index i = 0; i < P_.rows(); ++i) {
-    if (active_[static_cast<std::size_t>(i)] != 0) continue;
-    for (Eigen::Index j = 0; j < P_.rows(); ++j) solved_[j] = S_(std::max(i, j), std::min(i, j));
-    column_.noalias() = -P_ * solved_;
-    column_[i] = 1.0;
-    for (Eigen::Index j = 0; j < P_.rows(); ++j) covariance_.col(j) += (prior_[i] * column_[j]) * column_;
+  for (int h = 0; h < nt; ++h) {
+    if (active_[static_cast<std::size_t>(h)] != 0) continue;
+    for (int i = 0; i < nt; ++i) {
+      double sum = i == h ? 1.0 : 0.0;
+      for (int j = 0; j < nt; ++j) sum -= P_(i, j) * S_(std::max(h, j), std::min(h, j));
+      column_[i] = sum;
+    }
+    for (int j = 0; j < nt; ++j)
+      for (int i = 0; i < nt; ++i) covariance_(i, j) += prior_[h] * column_[i] * column_[j];
   }
   return covariance_;
 }
 
 inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
-  const int n = lag_.channels();
-  gain_covariance_ = theta_covariance().block(lag_.gain_at(), lag_.gain_at(), 6 * n, 6 * n);
+  const int n = lag_.channels(), C = lag_.gain_at();
+  theta_covariance();
+  for (int j = 0; j < 6 * n; ++j)
+    for (int i = 0; i < 6 * n; ++i) {
+      gain_covariance_(i, j) = covariance_(C + i, C + j);
+      added_(i, j) = 0.0;
+    }
   // (10.9)
-  added_.setZero();
   for (int r = 0; r < raw_groups(n); ++r) found_[static_cast<std::size_t>(r)] = moments_.found(r);
   for (int i = 0; i < n; ++i) {
-    const Moment& m = found_[static_cast<std::size_t>(raw_group(i, n))];
-    Eigen::Matrix<double, 7, 7> A = sum9_[static_cast<std::size_t>(i)][0],
-                                B = sum9_[static_cast<std::size_t>(i)][1], A1, B1;
-    if (moments_.rows() > 10.0) {
-      moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.offset_at() + i], m, A1, B1);
-      A += A1;
-      B += B1;
+    Spread s = sum9_[static_cast<std::size_t>(i)];
+    if (moments_.rows() > 10.0)
+      moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.offset_at() + i],
+                      found_[static_cast<std::size_t>(raw_group(i, n))], s.A, s.B);
+    for (int k = 0; k < 7; ++k) s.A[k][k] += 1.0 / prior_[k < 6 ? C + 6 * i + k : lag_.quadratic_at() + i];
+    double G[7][7];  // its columns: A^-1
+    for (int c = 0; c < 7; ++c) {
+      double A[7][7], b[7] = {};
+      std::copy_n(&s.A[0][0], 49, &A[0][0]);
+      b[c] = 1.0;
+      solve_small(A, b);
+      std::copy_n(b, 7, G[c]);
     }
-    for (int k = 0; k < 6; ++k) A(k, k) += 1.0 / prior_[lag_.gain_at() + 6 * i + k];
-    A(6, 6) += 1.0 / prior_[lag_.quadratic_at() + i];
-    const Eigen::Matrix<double, 7, 7> G = A.llt().solve(Eigen::Matrix<double, 7, 7>::Identity());
-    const Eigen::Matrix<double, 7, 7> GB = G * B;
-    added_.block<6, 6>(6 * i, 6 * i) = (GB * G).topLeftCorner<6, 6>();
+    for (int k = 0; k < 6; ++k)
+      for (int l = 0; l < 6; ++l) {
+        double sum = 0.0;
+        for (int a = 0; a < 7; ++a)
+          for (int b = 0; b < 7; ++b) sum += G[k][a] * s.B[a][b] * G[l][b];
+        added_(6 * i + k, 6 * i + l) = sum;
+        gain_covariance_(6 * i + k, 6 * i + l) += sum;
+      }
   }
-  gain_covariance_ += added_;
-  // (10.10)
   for (int i = 0; i < n; ++i) {
     const Moment& m = found_[static_cast<std::size_t>(raw_group(i, n))];
-    const double now = std::max(log_samples_, 1.0), f2 = std::isfinite(m.z) ? m.delta2 + m.sd : 0.0;
-    discrepancy2_[i] = (now * f2 + size10_[i]) / (now + size10_samples_);
+    const double f2 = std::isfinite(m.z) ? m.delta2 + m.sd : 0.0;
+    discrepancy2_[i] = (log_samples_ * f2 + size10_[static_cast<std::size_t>(i)]) /
+                       std::max(log_samples_ + size10_samples_, 1.0);
   }
   if (settings_.discrepancy == 0.0) return gain_covariance_;
+  // Cov(C_i) += f_i^2 A / (1 - A) (E w w^T)^-1 / 6                                                                 (10.10)
   const PoseShare share = pose_.share();
-  Matrix6 ww = share.ww;
-  ww.diagonal().array() += 1e-12 * std::max(ww.trace(), 1e-12);
-  const Matrix6 hidden = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0 * ww.inverse();
+  const double least = 1e-12 * std::max(share.ww.trace(), 1e-12);
+  const double times = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0;
+  double inverse[6][6];
+  for (int c = 0; c < 6; ++c) {
+    double ww[6][6], b[6] = {};
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j < 6; ++j) ww[i][j] = share.ww(i, j) + (i == j ? least : 0.0);
+    b[c] = 1.0;
+    solve_small(ww, b);
+    std::copy_n(b, 6, inverse[c]);
+  }
   for (int i = 0; i < n; ++i) {
     const double stated = std::max(settings_.discrepancy, 0.0),
                  f2 = std::max(discrepancy2_[i], stated * stated);
-    Vector6 g;
+    double g[6];
     for (int k = 0; k < 6; ++k) {
-      const double room = prior_[lag_.gain_at() + 6 * i + k] - gain_covariance_(6 * i + k, 6 * i + k);
-      g[k] = std::sqrt(std::clamp(room / std::max(f2 * hidden(k, k), 1e-300), 0.0, 1.0));
+      const double room = prior_[C + 6 * i + k] - gain_covariance_(6 * i + k, 6 * i + k);
+      g[k] = std::sqrt(std::clamp(room / std::max(f2 * times * inverse[k][k], 1e-300), 0.0, 1.0));
     }
-    gain_covariance_.block<6, 6>(6 * i, 6 * i) += f2 * g.asDiagonal() * hidden * g.asDiagonal();
+    for (int k = 0; k < 6; ++k)
+      for (int l = 0; l < 6; ++l)
+        gain_covariance_(6 * i + k, 6 * i + l) += f2 * times * g[k] * inverse[k][l] * g[l];
   }
   return gain_covariance_;
 }
@@ -216,16 +253,14 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
 // Delta^T V^-1 Delta, V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a                                                 (10.11)
 inline Agreement Incremental::agreement() const {
   Agreement out;
-  const int n = lag_.channels(), nt = lag_.parameters();
+  const int n = lag_.channels(), nt = lag_.parameters(), gains = 6 * n;
+  const Eigen::VectorXd& mean = lag_.layout().mean();
   std::vector<int> use;
-  for (std::size_t i = 0; i < active_.size(); ++i)
-    if (active_[i] != 0) use.push_back(static_cast<int>(i));
+  for (int i = 0; i < nt; ++i)
+    if (active_[static_cast<std::size_t>(i)] != 0) use.push_back(i);
   const auto k = static_cast<Eigen::Index>(use.size());
   std::array<Eigen::MatrixXd, 2> P;
   std::array<Eigen::VectorXd, 2> theta;
-  const Eigen::VectorXd& mean = lag_.layout().mean();
-  Eigen::VectorXd prior(k);
-  for (Eigen::Index i = 0; i < k; ++i) prior[i] = prior_[use[static_cast<std::size_t>(i)]];
   for (std::size_t p = 0; p < 2; ++p) {
     Eigen::MatrixXd S(k, k);
     Eigen::VectorXd right(k);
@@ -233,30 +268,35 @@ inline Agreement Incremental::agreement() const {
       const int a = use[static_cast<std::size_t>(i)];
       for (Eigen::Index j = 0; j < k; ++j) {
         const int b = use[static_cast<std::size_t>(j)];
-        S(i, j) = parts_[p](std::max(a, b), std::min(a, b));
+        S(i, j) = parts_[p](std::max(a, b), std::min(a, b)) + (i == j ? 1.0 / prior_[a] : 0.0);
       }
-      right[i] = parts_[p](nt, a) + mean[a] / prior[i];
+      right[i] = parts_[p](nt, a) + mean[a] / prior_[a];
       for (int h = 0; h < nt; ++h)
         if (active_[static_cast<std::size_t>(h)] == 0)
           right[i] -= parts_[p](std::max(a, h), std::min(a, h)) * mean[h];
     }
-    S.diagonal() += prior.cwiseInverse();
-    const Eigen::LDLT<Eigen::MatrixXd> solver(S);
-    P[p] = solver.solve(Eigen::MatrixXd::Identity(k, k));
-    theta[p] = solver.solve(right);
+    double logdet = 0.0;
+    if (!dense::invert(S, P[p], logdet)) return out;
+    theta[p] = dense::times(P[p], right);
   }
-  const Eigen::MatrixXd both = P[0] * prior.cwiseInverse().asDiagonal() * P[1];
-  // either part has half of the rows that (10.9) had
-  const Eigen::MatrixXd V =
-      (P[0] + P[1] - both - both.transpose()).topLeftCorner(6 * n, 6 * n) + 4.0 * added_;
-  const Eigen::VectorXd scale = prior.head(6 * n).cwiseSqrt();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(scale.cwiseInverse().asDiagonal() * V *
-                                                             scale.cwiseInverse().asDiagonal());
-  const Eigen::VectorXd projected =
-      eigen.eigenvectors().transpose() * (theta[0] - theta[1]).head(6 * n).cwiseQuotient(scale);
-  for (int i = 0; i < 6 * n; ++i) {
-    if (eigen.eigenvalues()[i] <= 1e-9) continue;
-    out.chi2 += projected[i] * projected[i] / eigen.eigenvalues()[i];
+  Eigen::MatrixXd V(gains, gains);
+  Eigen::VectorXd scale(gains);
+  for (int i = 0; i < gains; ++i) scale[i] = std::sqrt(prior_[use[static_cast<std::size_t>(i)]]);
+  for (int i = 0; i < gains; ++i)
+    for (int j = 0; j < gains; ++j) {
+      double both = 0.0;
+      for (Eigen::Index l = 0; l < k; ++l)
+        both +=
+            (P[0](i, l) * P[1](l, j) + P[1](i, l) * P[0](l, j)) / prior_[use[static_cast<std::size_t>(l)]];
+      // (10.9) of either part: it has half of the rows
+      V(i, j) = (P[0](i, j) + P[1](i, j) - both + 4.0 * added_(i, j)) / (scale[i] * scale[j]);
+    }
+  const dense::Spectrum spectrum = dense::eigen(V);
+  for (int c = 0; c < gains; ++c) {
+    if (!(spectrum.values[c] > 1e-9)) continue;
+    double x = 0.0;
+    for (int i = 0; i < gains; ++i) x += spectrum.vectors(i, c) * (theta[0][i] - theta[1][i]) / scale[i];
+    out.chi2 += x * x / spectrum.values[c];
     ++out.freedom;
   }
   out.p = out.freedom > 0 ? std::exp(chi_square_log_tail(out.chi2, out.freedom)) : 1.0;
@@ -266,84 +306,92 @@ inline Agreement Incremental::agreement() const {
 // ------------------------------------------------------------------------------------------------ logs
 
 inline void Incremental::begin_log() {
-  const int n = lag_.channels();
-  stated_ = lag_.layout().sigma().cwiseMax(1e-9).cwiseMin(1e30).cwiseAbs2();
-  if (first_log_) {
-    prior_ = stated_;
-    size10_ = discrepancy2_ = Eigen::VectorXd::Zero(n);
+  const Eigen::VectorXd& sigma = lag_.layout().sigma();
+  stated_ = sigma;
+  for (Eigen::Index i = 0; i < sigma.size(); ++i) {
+    const double s = std::clamp(sigma[i], 1e-9, 1e30);
+    stated_[i] = s * s;
   }
+  if (first_log_) prior_ = stated_;
   active_.assign(static_cast<std::size_t>(lag_.parameters()), 1);
   left_ = SizeSums();
   first_stretch_ = true;
   chosen_ = false;
+  hops_ = 0;
   moments_.clear();
   log_samples_ = 0.0;
 }
 
 // The information without a log's own parameters: what is held at its mean, the rest eliminated with its prior.
 inline Eigen::MatrixXd Incremental::without_own(const Eigen::MatrixXd& S) const {
-  const int nt = lag_.parameters(), n = lag_.channels();
-  const int from = lag_.offset_at() + (lag_.rig().pool_offsets ? n : 0);
+  const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
-  Eigen::MatrixXd full = S;
-  full.triangularView<Eigen::StrictlyUpper>() = S.transpose();
-  for (int i = from; i < nt; ++i) {
-    if (active_[static_cast<std::size_t>(i)] != 0) {
-      full(i, i) += 1.0 / prior_[i];
-      full(nt, i) += mean[i] / prior_[i];
-      full(i, nt) = full(nt, i);
-      const Eigen::VectorXd c = full.col(i) / full(i, i);
-      full -= c * full.row(i).eval();
-    } else {
-      full.row(nt) -= mean[i] * full.row(i).eval();
-      full.col(nt) -= mean[i] * full.col(i).eval();
+  Eigen::MatrixXd full(nt + 1, nt + 1);
+  for (int i = 0; i <= nt; ++i)
+    for (int j = 0; j <= nt; ++j) full(i, j) = S(std::max(i, j), std::min(i, j));
+  for (int o = own(); o < nt; ++o) {
+    const bool held = active_[static_cast<std::size_t>(o)] == 0;
+    if (!held) {
+      full(o, o) += 1.0 / prior_[o];
+      full(nt, o) = full(o, nt) = full(nt, o) + mean[o] / prior_[o];
     }
-    full.row(i).setZero();
-    full.col(i).setZero();
+    for (int j = 0; j <= nt; ++j) {
+      if (j == o) continue;
+      if (held) {
+        if (j < nt) full(nt, j) = full(j, nt) = full(nt, j) - mean[o] * full(o, j);
+        continue;
+      }
+      const double c = full(j, o) / full(o, o);
+      for (int i = 0; i <= nt; ++i)
+        if (i != o) full(i, j) -= full(i, o) * c;
+    }
+    for (int j = 0; j <= nt; ++j) full(o, j) = full(j, o) = 0.0;
   }
   return full;
 }
 
 inline Status Incremental::next_log(const RecordedLog& about) {
   const Status status = close();
-  const int n = lag_.channels();
+  const int n = lag_.channels(), shared = own(), before = lag_.parameters();
   covariance();
-  const int shared = lag_.offset_at() + (lag_.rig().pool_offsets ? n : 0);
-  for (int i = 0; i < n; ++i) {
+  for (int i = 0; i < n && moments_.rows() > 10.0; ++i) {
     const Moment& m = found_[static_cast<std::size_t>(raw_group(i, n))];
-    if (moments_.rows() <= 10.0) continue;
-    Eigen::Matrix<double, 7, 7> A, B;
-    moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.offset_at() + i], m, A, B);
-    sum9_[static_cast<std::size_t>(i)][0] += A;
-    sum9_[static_cast<std::size_t>(i)][1] += B;
-    size10_[i] += log_samples_ * (m.delta2 + m.sd);
+    Spread& s = sum9_[static_cast<std::size_t>(i)];
+    moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.offset_at() + i], m, s.A, s.B);
+    size10_[static_cast<std::size_t>(i)] += log_samples_ * (m.delta2 + m.sd);
   }
   size10_samples_ += log_samples_;
-  const Eigen::VectorXd theta = lag_.theta, prior = prior_;
-  std::array<Eigen::MatrixXd, 2> parts{without_own(parts_[0]), without_own(parts_[1])};
-  const Eigen::MatrixXd S = without_own(S_);
-  const int before = lag_.parameters();
+  const Eigen::VectorXd theta = lag_.theta, prior = prior_, fixed = lag_.fixed();
+  const std::array<Eigen::MatrixXd, 3> old{without_own(S_), without_own(parts_[0]), without_own(parts_[1])};
+  const bool frozen = lag_.frozen();
+  const RowMatrix lagged = lag_.lagged;
   lag_.carry(about);
+  lag_.resize_work();
+  resize_theta();
   const int nt = lag_.parameters();
   const auto moved = [&](const Eigen::MatrixXd& from) {
     Eigen::MatrixXd to = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
-    to.topLeftCorner(shared, shared) = from.topLeftCorner(shared, shared);
-    to.row(nt).head(shared) = from.row(before).head(shared);
+    for (int j = 0; j < shared; ++j) {
+      for (int i = j; i < shared; ++i) to(i, j) = from(i, j);
+      to(nt, j) = from(before, j);
+    }
     return to;
   };
-  S_ = Sl_ = Sp_ = base_ = moved(S);
-  parts_ = {moved(parts[0]), moved(parts[1])};
-  lag_.resize_work();
-  past_ = present_ = lag_.make_front();
-  past_.T = S_;
-  eta_ = solved_ = column_ = theta0_ = theta1_ = Eigen::VectorXd::Zero(nt);
-  P_ = M_ = covariance_ = Eigen::MatrixXd::Zero(nt, nt);
-  use_.reserve(static_cast<std::size_t>(nt));
-  prior_ = lag_.layout().sigma().cwiseMax(1e-9).cwiseMin(1e30).cwiseAbs2();
-  prior_.head(shared) = prior.head(shared);
-  lag_.theta.head(shared) = theta.head(shared);
-  first_log_ = false;
+  S_ = Sl_ = base_ = moved(old[0]);
+  parts_ = {moved(old[1]), moved(old[2])};
+  lag_.set_front(past_, S_);
   begin_log();
+  prior_ = stated_;
+  if (frozen) {
+    std::copy_n(fixed.data(), shared, lag_.theta.data());
+    lag_.freeze(0);  // the log's own at their means, until some of it leaves
+    lag_.lagged = lagged;
+  }
+  for (int i = 0; i < shared; ++i) {
+    prior_[i] = prior[i];
+    lag_.theta[i] = theta[i];
+  }
+  first_log_ = first_log_ && !frozen;
   raw_ = {};
   raw_.reserve(masked_.size());
   for (auto& m : motion_) {

@@ -1,523 +1,422 @@
-// The blocks of a lag: what they predict, their elimination, the way back and the traces. Included by lag.hpp.
+// The blocks of a lag: their elimination, the way back and the traces. Included by lag.hpp.
 #pragma once
 
 #include "truewrench/estimation/lag.hpp"
 
 namespace truewrench {
 
-// raw = C w + b + u (C_0 w)^2 + slope dT                                                                        (10.3)
-inline void Lag::predict(long g) {
-  model();
-  PairVector xx;
-  xx << block(g).x, block(g + 1).x;
-  for (int o = 0; o < kBlock; ++o) {
-    Interval& v = interval(kBlock * g + o);
-    const Eigen::Map<const Gram> local(xx.data() + kComponents * o);
-    for (int r = 0; r < v.rows; ++r) {
-      RawRow& row = v.row[static_cast<std::size_t>(r)];
-      const Vector6 x0 = local * row.b0, x1 = local * row.b1;
-      if (about_.source == Source::twist) {
-        row.nu = x0;
-        row.a = x1;
-      } else {  // IMU: a_s takes the place of vdot + Omega x v - g
-        row.nu << Vector3::Zero(), x0.tail<3>();
-        row.a << x0.head<3>(), x1.tail<3>();
-      }
-      row.g.setZero();
-      if (gravity_) {
-        row.g = row.R * root_;
-        // g+ = g + gamma [ s Omega x g + (1 - kappa) s^2 Omega x (Omega x g) + kappa s^2 Omegadot x g ]           (10.5)
-        if (gamma_ >= 0) {
-          const double s = theta[clock_[0]], kappa = theta[clock_[0] + 1];
-          const Vector3 omega = row.nu.tail<3>(), first = omega.cross(row.g);
-          row.g += theta[gamma_] *
-                   (s * first +
-                    s * s * ((1.0 - kappa) * omega.cross(first) + kappa * row.a.tail<3>().cross(row.g)));
-        }
-      }
-      row.w = scale_.cwiseProduct(wrench_about(payload_, about_.point, row.nu, row.a, row.g));
-      row.cw.noalias() = lagged.lazyProduct(row.w);
-      for (int i = 0; i < n_; ++i) {
-        double e =
-            row.value[i] - gain_.row(i).dot(row.w) - theta[b_ + i] - theta[u_ + i] * row.cw[i] * row.cw[i];
-        if (slope_ >= 0) e -= row.temperature * theta[slope_ + i];
-        row.residual[i] = row.have[i] * e;
-      }
-    }
-  }
-}
-
-// d w (fractions of range) by [x, x'] and by the dense parameters, at one row.
-inline void Lag::jacobians(const RawRow& row, Wrenches& J, Dense& X) const {
-  const Vector6 w = row.w.cwiseQuotient(scale_);
-  MotionJacobian j = motion_jacobian(payload_, about_.point, row.nu);
-  X.resize(6, nd_);
-  X.leftCols<kBodyParameters>() = body_jacobian(payload_, row.nu, row.a, w);
-  int at = kBodyParameters;
-  if (gravity_) {
-    const Vector3 g = row.R * root_, omega = row.nu.tail<3>(), alpha = row.a.tail<3>();
-    Matrix3 late = Matrix3::Identity();  // d g+ / d g
-    if (gamma_ >= 0) {                   // of (10.5)
-      const double t = theta[clock_[0]], kappa = theta[clock_[0] + 1], gamma = theta[gamma_];
-      const Vector3 first = omega.cross(g), turn = omega.cross(first), spin = alpha.cross(g);
-      const Vector3 second = (1.0 - kappa) * turn + kappa * spin;
-      X.col(at) = j.g * (gamma * (first + 2.0 * t * second));
-      X.col(at + 1) = j.g * (gamma * t * t * (spin - turn));
-      X.col(at + 2) = j.g * (t * first + t * t * second);
-      at += 3;
-      const Matrix3 O = cross_matrix(omega);
-      late += gamma * (t * O + t * t * ((1.0 - kappa) * O * O + kappa * cross_matrix(alpha)));
-      j.nu.rightCols<3>() -= gamma * t * j.g * cross_matrix(g);  // to first order in s
-    }
-    if (tilt_ >= 0) X.middleCols<2>(at) = j.g * (late * (row.R * by_tilt_));
-  }
-  if (about_.source == Source::twist) {
-    J << j.nu, j.a;
-  } else {
-    J << j.a.leftCols<3>(), j.nu.rightCols<3>(), Matrix6::Zero().leftCols<3>(), j.a.rightCols<3>();
-  }
-  for (int r = 0; r < 6; ++r) {
-    J.row(r) *= scale_[r];
-    X.row(r) *= scale_[r];
-  }
-}
-
-// (10.1): c^T R c / q.
-inline void Lag::add_smoothness(long g, const PairVector& xx, SizeSums& sums) {
-  static_cast<void>(g);
+// (10.1): c^T R c / q, and its gradient at xx where there is one.
+inline void Lag::add_smoothness(double* P, double* N, const double* xx, SizeSums* sums) const {
   for (int j = 0; j < kComponents; ++j) {
     const Gram R = smoothness(j);
     const double v = 1.0 / sizes.q[j];
     for (int o = 0; o < kBlock; ++o) {
-      const Eigen::Map<const Gram> local(xx.data() + kComponents * o);
-      const Basis x = local.row(j).transpose(), pull = R * x;
-      sums.energy[j] += x.dot(pull);
+      const Places at = places(o, P, N);
+      double pull[kLocal] = {}, energy = 0.0;
+      if (xx != nullptr) {
+        const double *x = xx + kComponents * o + j,
+                     from = x[0];  // R annihilates a constant, which would drown the rest
+        for (int k = 0; k < kLocal; ++k)
+          for (int l = 0; l < kLocal; ++l) pull[k] += R(k, l) * (x[kComponents * l] - from);
+        for (int k = 0; k < kLocal; ++k) energy += pull[k] * (x[kComponents * k] - from);
+      }
+      if (sums != nullptr) sums->energy[static_cast<std::size_t>(j)] += energy;
       for (int k = 0; k < kLocal; ++k) {
-        F_(kComponents * (o + k) + j, nt_) -= v * pull[k];
-        for (int l = 0; l <= k; ++l) H_(kComponents * (o + k) + j, kComponents * (o + l) + j) += v * R(k, l);
+        double* row = at.row[static_cast<std::size_t>(k)] + j * ld_;
+        row[kTheta + nt_] -= v * pull[k];
+        for (int l = k; l < kLocal; ++l)
+          row[at.column[static_cast<std::size_t>(k)][static_cast<std::size_t>(l)] + j] += v * R(k, l);
       }
     }
   }
-  sums.knots += kBlock;
+  if (sums != nullptr) sums->knots += kBlock;
 }
 
-// Rows of (10.4).
-inline void Lag::add_motion(Front& f, long g, bool last, const PairVector& xx, SizeSums& sums) {
-  for (std::size_t i = 0; i < streams_; ++i) {
-    const MotionStream& stream = about_.motion[i];
-    Vector6 v;
-    for (int j = 0; j < 6; ++j) v[j] = 1.0 / (motion_noise(i, j) * motion_noise(i, j));
-    for (int o = 0; o < kBlock; ++o) interval(kBlock * g + o).motion[i].setZero();
-    const int s_at = clock_[i];
-    Placed at;
-    for (; f.next[i] < motion_[i].end(); ++f.next[i]) {
-      const MotionRow& row = motion_[i][f.next[i]];
-      if (!placed(i, row, g, last, xx, at)) break;
-      const Eigen::Map<const Gram> local(xx.data() + kComponents * at.o);
-      const Vector6 by_s = local * at.by_s, by_kappa = local * at.by_kappa;
-      const Gram bb = row.size * at.b * at.b.transpose();
-      interval(kBlock * g + at.o).motion[i] += bb * (row.have.sum() / 6.0);
-      const int base = kComponents * at.o;
-      for (int j = 0; j < kComponents; ++j) {
-        if (row.have[j] == 0.0) continue;
-        const int group = stream.group[j];
-        const double stated = 1.0 / (stream.sigma[j] * stream.sigma[j]);
-        sums.motion[i][group] += stated * (row.size * at.residual[j] * at.residual[j] + row.remainder[j]);
-        sums.motion_count[i][group] += 1.0 + row.spared;
-        const double y = row.size * v[j], r = y * at.residual[j];
-        for (int k = 0; k < kLocal; ++k) {
-          const int to = base + kComponents * k + j;
-          F_(to, nt_) += at.b[k] * r;
-          F_(to, s_at) += y * at.b[k] * by_s[j];
-          F_(to, s_at + 1) += y * at.b[k] * by_kappa[j];
-          if (bias_[i] >= 0) F_(to, bias_[i] + j) += y * at.b[k];
-          for (int l = 0; l <= k; ++l) H_(to, base + kComponents * l + j) += v[j] * bb(k, l);
-        }
-        f.T(s_at, s_at) += y * by_s[j] * by_s[j];
-        f.T(s_at + 1, s_at) += y * by_s[j] * by_kappa[j];
-        f.T(s_at + 1, s_at + 1) += y * by_kappa[j] * by_kappa[j];
-        f.T(nt_, s_at) += r * by_s[j];
-        f.T(nt_, s_at + 1) += r * by_kappa[j];
-        if (bias_[i] < 0) continue;
-        const int b = bias_[i] + j;
-        f.T(b, b) += y;
-        f.T(nt_, b) += r;
-        f.T(std::max(b, s_at), std::min(b, s_at)) += y * by_s[j];
-        f.T(std::max(b, s_at + 1), std::min(b, s_at + 1)) += y * by_kappa[j];
-      }
-    }
+inline bool Lag::placed(std::size_t i, const MotionRow& row, long g, bool last, const double* xx,
+                        Placed& out) const {
+  const double s = theta[clock_[i]], kappa = theta[clock_[i] + 1], x = (row.time + s - origin_) / h_;
+  const auto interval_of = static_cast<long>(std::floor(x + 1e-9));
+  if (interval_of >= kBlock * (g + 1) && !last) return false;
+  out.o = static_cast<int>(std::clamp<long>(interval_of - kBlock * g, 0, kBlock - 1));
+  const double u = x - static_cast<double>(kBlock * g + out.o);
+  const int p = about_.motion[i].derivative;
+  const Basis b0 = spline_.at(u, p), b1 = spline_.at(u, p + 1), b2 = spline_.at(u, p + 2),
+              b3 = spline_.at(u, p + 3);
+  for (std::size_t j = 0; j < kComponents; ++j) {
+    out.by_s[j] = out.by_kappa[j] = 0.0;
+    out.residual[j] = row.value[j] - (bias_[i] >= 0 ? theta[bias_[i] + static_cast<int>(j)] : 0.0);
   }
-}
-
-// Rows of (10.3) of one interval: one Jacobian, the mean of its rows', for H and F alike; the gradient is exact.
-inline void Lag::add_raw(Front& f, Interval& v, int o, SizeSums& sums) {
-  v.m00.setZero();
-  v.m01.setZero();
-  v.m11.setZero();
-  double total = 0.0, all = 0.0;
-  for (int i = 0; i < n_; ++i) v.v[i] = 1.0 / (noise(i) * noise(i));
-  Wrenches mean = Wrenches::Zero(), J;
-  Channels cw_mean = Channels::Zero(n_), vr(n_), have = Channels::Zero(n_);
-  const int base = kComponents * o;
-  for (int r = 0; r < v.rows; ++r) {
-    RawRow& row = v.row[static_cast<std::size_t>(r)];
-    if (row.masked) continue;
-    const double weight = row.weight * row.size;
-    Dense& X = X_[static_cast<std::size_t>(r)];
-    jacobians(row, J, X);
-    mean += weight * J;
-    cw_mean += weight * row.cw;
-    have += weight * row.have;
-    total += weight;
-    all += row.size;
-    for (int i = 0; i < n_; ++i) {
-      const double e = row.residual[i] / rig_.noise[i];
-      sums.raw[raw_group(i, n_)] += weight * e * e;
-      sums.raw_count[raw_group(i, n_)] += row.have[i];
-    }
-    // J^T V^-1 r
-    vr = weight * v.v.cwiseProduct(row.residual);
-    Vector6 y = Vector6::Zero();
-    for (int i = 0; i < n_; ++i) {
-      y += vr[i] * gain_.row(i).transpose();
-      const double bend = 2.0 * theta[u_ + i] * row.cw[i] * vr[i];
-      y += bend * lagged.row(i).transpose();
-      f.T(nt_, u_ + i) += vr[i] * row.cw[i] * row.cw[i];
-    }
-    const Vector6 z0 = J.leftCols<6>().transpose() * y, z1 = J.rightCols<6>().transpose() * y;
-    for (int k = 0; k < kLocal; ++k)
-      F_.col(nt_).segment<6>(base + kComponents * k) += row.b0[k] * z0 + row.b1[k] * z1;
-    v.m00 += weight * row.b0 * row.b0.transpose();
-    v.m01 += weight * row.b0 * row.b1.transpose();
-    v.m11 += weight * row.b1 * row.b1.transpose();
-    for (int x = 0; x < nd_; ++x) f.T(nt_, dense_[static_cast<std::size_t>(x)]) += X.col(x).dot(y);
-  }
-  if (total <= 0.0) {
-    v.v.setZero();
-    return;
-  }
-  if (v.spared > 0.0)
-    for (int i = 0; i < n_; ++i) {
-      sums.raw[raw_group(i, n_)] += total / all * v.remainder[i] / (rig_.noise[i] * rig_.noise[i]);
-      sums.raw_count[raw_group(i, n_)] += v.spared;
-    }
-  mean /= total;
-  cw_mean /= total;
-  v.v = v.v.cwiseProduct(have / total);  // of what cells are there
-  Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::ColMajor, kMostChannels, 6> slope(n_, 6);  // d raw / d w
-  for (int i = 0; i < n_; ++i) slope.row(i) = gain_.row(i) + 2.0 * theta[u_ + i] * cw_mean[i] * lagged.row(i);
-  v.J = slope.lazyProduct(mean);
-  Eigen::Matrix<double, 6, Eigen::Dynamic, Eigen::ColMajor, 6, kMostChannels> SV(6, n_);
-  for (int i = 0; i < n_; ++i) SV.col(i) = v.v[i] * slope.row(i).transpose();
-  const Matrix6 Q = SV.lazyProduct(slope);
-  // H_xx, lower triangle
-  const Matrix6 T00 = mean.leftCols<6>().transpose() * (Q * mean.leftCols<6>()),
-                T01 = mean.leftCols<6>().transpose() * (Q * mean.rightCols<6>()), T10 = T01.transpose(),
-                T11 = mean.rightCols<6>().transpose() * (Q * mean.rightCols<6>());
-  for (int k = 0; k < kLocal; ++k)
-    for (int l = 0; l <= k; ++l)
-      H_.block<6, 6>(base + kComponents * k, base + kComponents * l) +=
-          v.m00(k, l) * T00 + v.m01(k, l) * T01 + v.m01(l, k) * T10 + v.m11(k, l) * T11;
-  add_raw_theta(f, v, o, mean, SV, Q);
-}
-
-// H_xt and H_tt of the rows of one interval.
-inline void Lag::add_raw_theta(
-    Front& f, const Interval& v, int o, const Wrenches& mean,
-    const Eigen::Matrix<double, 6, Eigen::Dynamic, Eigen::ColMajor, 6, kMostChannels>& SV, const Matrix6& Q) {
-  Eigen::Matrix<double, 8, 8> FF = Eigen::Matrix<double, 8, 8>::Zero();
-  Eigen::Matrix<double, 8, 1> x;
-  Eigen::Matrix<double, kLocal, 8> BF0 = Eigen::Matrix<double, kLocal, 8>::Zero(), BF1 = BF0;
-  Eigen::Matrix<double, 8, Eigen::Dynamic, Eigen::ColMajor, 8, kMostChannels> FU(8, n_);
-  Eigen::Matrix<double, kLocal, Eigen::Dynamic, Eigen::ColMajor, kLocal, kMostChannels> BU0(kLocal, n_),
-      BU1(kLocal, n_);
-  Channels UU = Channels::Zero(n_), cw2(n_);
-  FU.setZero();
-  BU0.setZero();
-  BU1.setZero();
-  const int flat = 6 * nd_;
-  auto FX = FX_.topRows(flat);
-  auto UX = UX_.topRows(flat);
-  FX.setZero();
-  UX.setZero();
-  for (auto& b : BX_) b.topRows(flat).setZero();
-  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kMostDense, kMostDense> XX(nd_, nd_);
-  XX.setZero();
-  Dense QX(6, nd_);
-  for (int r = 0; r < v.rows; ++r) {
-    const RawRow& row = v.row[static_cast<std::size_t>(r)];
-    if (row.masked) continue;
-    const double weight = row.weight * row.size;
-    x << row.w, 1.0, row.temperature;
-    cw2 = row.cw.cwiseAbs2();
-    const Dense& X = X_[static_cast<std::size_t>(r)];
-    const Eigen::Map<const DenseFlat> all(X.data(), flat);
-    FF += weight * x * x.transpose();
-    BF0 += (weight * row.b0) * x.transpose();
-    BF1 += (weight * row.b1) * x.transpose();
-    for (int i = 0; i < n_; ++i) {
-      const double wu = weight * cw2[i];
-      FU.col(i) += wu * x;
-      BU0.col(i) += wu * row.b0;
-      BU1.col(i) += wu * row.b1;
-      UU[i] += wu * cw2[i];
-      UX.col(i) += wu * all;
-      const double y = v.v[i] > 0.0 ? weight * row.residual[i] / (noise(i) * noise(i)) : 0.0;
-      for (int k = 0; k < 6; ++k) f.T(nt_, C_ + 6 * i + k) += y * row.w[k];
-      f.T(nt_, b_ + i) += y;
-      if (slope_ >= 0) f.T(nt_, slope_ + i) += y * row.temperature;
-    }
-    for (int k = 0; k < nf_; ++k) FX.col(k) += (weight * x[k]) * all;
-    for (int l = 0; l < kLocal; ++l) {
-      BX_[0].col(l).head(flat) += (weight * row.b0[l]) * all;
-      BX_[1].col(l).head(flat) += (weight * row.b1[l]) * all;
-    }
-    QX.noalias() = (weight * Q).lazyProduct(X);
-    XX.noalias() += X.transpose().lazyProduct(QX);
-  }
-  // H_xt
-  const Matrix6 left0 = mean.leftCols<6>().transpose() * Q, left1 = mean.rightCols<6>().transpose() * Q;
   for (int l = 0; l < kLocal; ++l) {
-    const int at = kComponents * (o + l);
-    for (int i = 0; i < n_; ++i) {
-      const Vector6 j0 = v.v[i] * v.J.row(i).head<6>().transpose(),
-                    j1 = v.v[i] * v.J.row(i).tail<6>().transpose();
-      F_.block<6, 6>(at, C_ + 6 * i) += j0 * BF0.row(l).head<6>() + j1 * BF1.row(l).head<6>();
-      F_.col(b_ + i).segment<6>(at) += BF0(l, 6) * j0 + BF1(l, 6) * j1;
-      F_.col(u_ + i).segment<6>(at) += BU0(l, i) * j0 + BU1(l, i) * j1;
-      if (slope_ >= 0) F_.col(slope_ + i).segment<6>(at) += BF0(l, 7) * j0 + BF1(l, 7) * j1;
-    }
-    const Eigen::Map<const Dense> X0(BX_[0].col(l).data(), 6, nd_), X1(BX_[1].col(l).data(), 6, nd_);
-    for (int y = 0; y < nd_; ++y)
-      F_.col(dense_[static_cast<std::size_t>(y)]).segment<6>(at) += left0 * X0.col(y) + left1 * X1.col(y);
+    out.b[l] = b0[l] + (kappa - 0.5) * s * s * b2[l];
+    const double* c = xx + kComponents * (out.o + l);
+    dense::add<6>(out.residual, -out.b[l], c);
+    dense::add<6>(out.by_s, b1[l] + (kappa - 0.5) * (2.0 * s * b2[l] + s * s * b3[l]), c);
+    dense::add<6>(out.by_kappa, s * s * b2[l], c);
   }
-  // H_tt, lower triangle
-  const auto add = [&f](int a, int b, double y) { f.T(std::max(a, b), std::min(a, b)) += y; };
-  for (int i = 0; i < n_; ++i) {
-    const double y = v.v[i];
-    for (int k = 0; k < 6; ++k)
-      for (int l = 0; l <= k; ++l) f.T(C_ + 6 * i + k, C_ + 6 * i + l) += y * FF(k, l);
-    for (int k = 0; k < 6; ++k) {
-      add(b_ + i, C_ + 6 * i + k, y * FF(6, k));
-      add(u_ + i, C_ + 6 * i + k, y * FU(k, i));
-      if (slope_ >= 0) add(slope_ + i, C_ + 6 * i + k, y * FF(7, k));
-    }
-    f.T(b_ + i, b_ + i) += y * FF(6, 6);
-    add(b_ + i, u_ + i, y * FU(6, i));
-    f.T(u_ + i, u_ + i) += y * UU[i];
-    if (slope_ >= 0) {
-      add(slope_ + i, b_ + i, y * FF(7, 6));
-      add(slope_ + i, u_ + i, y * FU(7, i));
-      f.T(slope_ + i, slope_ + i) += y * FF(7, 7);
-    }
-  }
-  auto cross = UT_.topLeftCorner(nd_, n_);
-  for (int k = 0; k < nf_; ++k) {
-    const Eigen::Map<const Dense> X(FX_.col(k).data(), 6, nd_);
-    cross.noalias() = X.transpose().lazyProduct(SV);
-    for (int i = 0; i < n_; ++i) {
-      const int at = k < 6 ? C_ + 6 * i + k : (k == 6 ? b_ : slope_) + i;
-      for (int y = 0; y < nd_; ++y) add(at, dense_[static_cast<std::size_t>(y)], cross(y, i));
-    }
-  }
-  for (int i = 0; i < n_; ++i) {
-    const Eigen::Map<const Dense> X(UX_.col(i).data(), 6, nd_);
-    for (int y = 0; y < nd_; ++y) add(u_ + i, dense_[static_cast<std::size_t>(y)], X.col(y).dot(SV.col(i)));
-  }
-  for (int y = 0; y < nd_; ++y)
-    for (int z = 0; z <= y; ++z)
-      add(dense_[static_cast<std::size_t>(y)], dense_[static_cast<std::size_t>(z)], XX(y, z));
-}
-
-inline void Lag::expect(const Front& f, long g, bool last) {
-  H_.topLeftCorner<kWidth, kWidth>() = f.H;
-  H_.bottomRows<kWidth>().setZero();
-  PairVector b = PairVector::Zero();
-  b.head<kWidth>() = f.F.col(nt_);
-  b.head<kWidth>().noalias() -= f.F.leftCols(nt_) * theta;
-  for (int j = 0; j < kComponents; ++j) {
-    const Gram R = smoothness(j) / sizes.q[j];
-    for (int o = 0; o < kBlock; ++o)
-      for (int k = 0; k < kLocal; ++k)
-        for (int l = 0; l <= k; ++l) H_(kComponents * (o + k) + j, kComponents * (o + l) + j) += R(k, l);
-  }
-  const PairVector none = PairVector::Zero();
-  for (std::size_t i = 0; i < streams_; ++i) {
-    Placed at;
-    for (long r = f.next[i]; r < motion_[i].end(); ++r) {
-      const MotionRow& row = motion_[i][r];
-      if (!placed(i, row, g, last, none, at)) break;  // the residual of nothing: the value
-      for (int j = 0; j < kComponents; ++j) {
-        const double v = row.have[j] * row.size / (motion_noise(i, j) * motion_noise(i, j));
-        for (int k = 0; k < kLocal; ++k) {
-          b[kComponents * (at.o + k) + j] += v * at.b[k] * at.residual[j];
-          for (int l = 0; l <= k; ++l)
-            H_(kComponents * (at.o + k) + j, kComponents * (at.o + l) + j) += v * at.b[k] * at.b[l];
-        }
-      }
-    }
-  }
-  if (Eigen::internal::llt_inplace<double, Eigen::Lower>::blocked(H_) >= 0) return;
-  H_.triangularView<Eigen::Lower>().solveInPlace(b);
-  H_.transpose().triangularView<Eigen::Upper>().solveInPlace(b);
-  block(g).x = b.head<kWidth>();
-  block(g + 1).x = b.tail<kWidth>();
-}
-
-inline bool Lag::eliminate(Front& f, long g, bool last) {
-  model();
-  Block& B = block(g);
-  PairVector xx;
-  xx << B.x, block(g + 1).x;
-  H_.topLeftCorner<kWidth, kWidth>() = f.H;
-  H_.bottomRows<kWidth>().setZero();
-  F_.topRows<kWidth>() = f.F;
-  F_.bottomRows<kWidth>().setZero();
-  // from the information vector to the gradient at the coefficients and theta as they stand
-  auto g_x = F_.col(nt_).head<kWidth>();
-  g_x.noalias() -= f.H.selfadjointView<Eigen::Lower>() * B.x;
-  g_x.noalias() -= f.F.leftCols(nt_) * theta;
-  Z_.row(0).head(nt_).noalias() = B.x.transpose() * f.F.leftCols(nt_);
-  f.T.row(nt_).head(nt_) -= Z_.row(0).head(nt_);
-  yt_.noalias() = f.T.topLeftCorner(nt_, nt_).selfadjointView<Eigen::Lower>() * theta;
-  f.T.row(nt_).head(nt_) -= yt_.transpose();
-
-  B.sums = SizeSums();
-  add_smoothness(g, xx, B.sums);
-  add_motion(f, g, last, xx, B.sums);
-  for (int o = 0; o < kBlock; ++o) add_raw(f, interval(kBlock * g + o), o, B.sums);
-
-  B.L = H_.topLeftCorner<kWidth, kWidth>();
-  if (Eigen::internal::llt_inplace<double, Eigen::Lower>::unblocked(B.L) >= 0) return false;
-  f.logdet += 2.0 * B.L.diagonal().array().log().sum();
-  B.Y = F_.topRows<kWidth>();
-  B.L.triangularView<Eigen::Lower>().solveInPlace(B.Y);
-  B.B = H_.bottomLeftCorner<kWidth, kWidth>();
-  B.L.transpose().triangularView<Eigen::Upper>().solveInPlace<Eigen::OnTheRight>(B.B);
-  f.H = H_.bottomRightCorner<kWidth, kWidth>();
-  f.H.selfadjointView<Eigen::Lower>().rankUpdate(B.B, -1.0);
-  f.F = F_.bottomRows<kWidth>();
-  f.F.noalias() -= B.B * B.Y;
-  f.T.selfadjointView<Eigen::Lower>().rankUpdate(B.Y.transpose(), -1.0);
-
-  // back to absolute coordinates
-  const auto after = xx.tail<kWidth>();
-  B.Y.col(nt_).noalias() += B.L.triangularView<Eigen::Lower>().transpose() * B.x;
-  B.Y.col(nt_).noalias() += B.Y.leftCols(nt_) * theta;
-  B.Y.col(nt_).noalias() += B.B.transpose() * after;
-  f.F.col(nt_).noalias() += f.H.selfadjointView<Eigen::Lower>() * after;
-  f.F.col(nt_).noalias() += f.F.leftCols(nt_) * theta;
-  Z_.row(0).head(nt_).noalias() = after.transpose() * f.F.leftCols(nt_);
-  f.T.row(nt_).head(nt_) += Z_.row(0).head(nt_);
-  yt_.noalias() = f.T.topLeftCorner(nt_, nt_).selfadjointView<Eigen::Lower>() * theta;
-  f.T.row(nt_).head(nt_) += yt_.transpose();
+  for (std::size_t j = 0; j < kComponents; ++j) out.residual[j] *= row.have[j];
   return true;
 }
 
-inline double Lag::terminal(const Front& f, Eigen::MatrixXd& S, Eigen::VectorXd& eta) {
-  Lf_ = f.H;
-  if (Eigen::internal::llt_inplace<double, Eigen::Lower>::unblocked(Lf_) >= 0) return std::nan("");
-  Yf_ = f.F;
-  Lf_.triangularView<Eigen::Lower>().solveInPlace(Yf_);
-  S = f.T;
-  S.selfadjointView<Eigen::Lower>().rankUpdate(Yf_.transpose(), -1.0);
-  eta = S.row(nt_).head(nt_).transpose();
-  return f.logdet + 2.0 * Lf_.diagonal().array().log().sum();
-}
-
-inline void Lag::back(long from) {
-  BlockVector x, y;
-  for (long g = end_; g >= from; --g) {
-    const bool free = g == end_;
-    const Eigen::MatrixXd& Y = free ? Yf_ : block(g).Y;
-    y = Y.col(nt_);
-    y.noalias() -= Y.leftCols(nt_) * theta;
-    if (!free) y.noalias() -= block(g).B.transpose() * x;
-    (free ? Lf_ : block(g).L).transpose().triangularView<Eigen::Upper>().solveInPlace(y);
-    x = block(g).x = y;
+// Rows of (10.4).
+inline void Lag::add_motion(Front& f, double* P, double* N, long g, bool last, const double* xx,
+                            SizeSums& sums) {
+  for (std::size_t i = 0; i < streams_; ++i) {
+    const MotionStream& stream = about_.motion[i];
+    double information[kComponents];
+    for (int j = 0; j < kComponents; ++j) information[j] = 1.0 / (motion_noise(i, j) * motion_noise(i, j));
+    for (int o = 0; o < kBlock; ++o) interval(kBlock * g + o).motion[i].fill(0.0);
+    const int s_at = clock_[i], bias = bias_[i];
+    Placed row_at;
+    for (; f.next[i] < motion_[i].end(); ++f.next[i]) {
+      const MotionRow& row = motion_[i][f.next[i]];
+      if (!placed(i, row, g, last, xx, row_at)) break;
+      const Places at = places(row_at.o, P, N);
+      double* products = interval(kBlock * g + row_at.o).motion[i].data();
+      const double* b = row_at.b.data();
+      for (int k = 0; k < kLocal; ++k)
+        for (int l = k; l < kLocal; ++l)
+          dense::add<6>(products + knot_pair(k, l) * kComponents, row.size * b[k] * b[l], row.have.data());
+      for (int j = 0; j < kComponents; ++j) {
+        const auto ju = static_cast<std::size_t>(j);
+        if (row.have[ju] == 0.0) continue;
+        const auto group = static_cast<std::size_t>(stream.group[j]);
+        sums.motion[i][group] += (row.size * row_at.residual[j] * row_at.residual[j] + row.remainder[ju]) /
+                                 (stream.sigma[j] * stream.sigma[j]);
+        sums.motion_count[i][group] += 1.0 + row.spared;
+        const double y = row.size * information[j], r = y * row_at.residual[j], by_s = row_at.by_s[j],
+                     by_kappa = row_at.by_kappa[j];
+        for (int k = 0; k < kLocal; ++k) {
+          double* to = at.row[static_cast<std::size_t>(k)] + j * ld_ + kTheta;
+          to[nt_] += b[k] * r;
+          to[s_at] += y * b[k] * by_s;
+          to[s_at + 1] += y * b[k] * by_kappa;
+          if (bias >= 0) to[bias + j] += y * b[k];
+        }
+        f.T[this->at(s_at, s_at)] += y * by_s * by_s;
+        f.T[this->at(s_at, s_at + 1)] += y * by_s * by_kappa;
+        f.T[this->at(s_at + 1, s_at + 1)] += y * by_kappa * by_kappa;
+        f.T[this->at(s_at, nt_)] += r * by_s;
+        f.T[this->at(s_at + 1, nt_)] += r * by_kappa;
+        if (bias < 0) continue;
+        f.T[this->at(bias + j, bias + j)] += y;
+        f.T[this->at(bias + j, nt_)] += r;
+        f.T[this->at(bias + j, s_at)] += y * by_s;
+        f.T[this->at(bias + j, s_at + 1)] += y * by_kappa;
+      }
+    }
+    for (int o = 0; o < kBlock; ++o) {
+      const Places at = places(o, P, N);
+      const double* products = interval(kBlock * g + o).motion[i].data();
+      for (int k = 0; k < kLocal; ++k)
+        for (int l = k; l < kLocal; ++l)
+          for (int j = 0; j < kComponents; ++j)
+            at.row[static_cast<std::size_t>(k)]
+                  [j * ld_ + at.column[static_cast<std::size_t>(k)][static_cast<std::size_t>(l)] + j] +=
+                information[j] * products[knot_pair(k, l) * kComponents + j];
+    }
   }
 }
 
+// The last column of a panel and of T: the information vector less (sign -1) or plus (1) Lambda [x; theta].
+inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
+  const double* t = theta.data();
+  double Hx[kWidth] = {};
+  for (int i = 0; i < kWidth; ++i) {
+    const double* row = panel + i * ld_;
+    double sum = row[i] * x[i];
+    for (int j = i + 1; j < kWidth; ++j) {
+      sum += row[j] * x[j];
+      Hx[j] += row[j] * x[i];
+    }
+    for (int k = 0; k < nt_; ++k) sum += row[kTheta + k] * t[k];
+    Hx[i] += sum;
+  }
+  for (int k = 0; k < nt_;
+       ++k) {  // a row of T: what the diagonal and the columns after it see, and what they give back
+    const double* row = f.T.data() + k * ldt_;
+    double sum = row[k] * t[k];
+    for (int l = k + 1; l < nt_; ++l) sum += row[l] * t[l];
+    f.T[at(k, nt_)] += sign * sum;
+  }
+  double* column = T_.data();
+  std::fill_n(column, nt_, 0.0);
+  for (int k = 0; k < nt_; ++k) {
+    const double* row = f.T.data() + k * ldt_;
+    for (int l = k + 1; l < nt_; ++l) column[l] += row[l] * t[k];
+  }
+  for (int i = 0; i < kWidth; ++i) {
+    const double* row = panel + i * ld_ + kTheta;
+    for (int k = 0; k < nt_; ++k) column[k] += row[k] * x[i];
+  }
+  for (int k = 0; k < nt_; ++k) f.T[at(k, nt_)] += sign * column[k];
+  for (int i = 0; i < kWidth; ++i) panel[i * ld_ + kTheta + nt_] += sign * Hx[i];
+}
+
+inline bool Lag::eliminate(Front& f, long g, bool last) {
+  by_ = model(frozen_ ? fixed_ : theta);
+  Block& B = block(g);
+  double xx[2 * kWidth];
+  coefficients(g, xx);
+  double *P = B.panel.data(), *N = f.panel.data();
+  std::copy_n(N, kWidth * ld_, P);
+  std::fill_n(N, kWidth * ld_, 0.0);
+  turn(f, P, xx, -1.0);  // to the gradient at the coefficients and theta as they stand
+
+  B.sums = SizeSums();
+  add_smoothness(P, N, xx, &B.sums);
+  add_motion(f, P, N, g, last, xx, B.sums);
+  for (int o = 0; o < kBlock; ++o) add_raw(f, interval(kBlock * g + o), places(o, P, N), B.sums);
+
+  if (!dense::factor(P, ld_, kWidth, f.logdet)) return false;
+  for (int t = 0; t <= nt_; t += dense::tile_rows) {
+    const int c = t & ~7;
+    dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), f.T.data() + t * ldt_ + c, ldt_, P + kTheta + t,
+                   1, ld_, P + kTheta + c, ld_, ldt_ - c, kWidth);
+  }
+  for (int t = 0; t < kWidth; t += dense::tile_rows) {
+    const int c = t & ~7;  // a knot of the next block lies at most five after what it sees
+    const double *A = P + t * ld_ + kPadded + t, *from = P + t * ld_;
+    dense::tile_of(dense::tile_rows, N + t * ld_ + c, ld_, A, 1, ld_, from + kPadded + c, ld_, kPadded - c,
+                   kWidth - t);
+    dense::tile_of(dense::tile_rows, N + t * ld_ + kTheta, ld_, A, 1, ld_, from + kTheta, ld_, ldt_,
+                   kWidth - t);
+  }
+  // and back to absolute coordinates: R^-T of [H, H of the next block, H_xt] [x; x of the next; theta]
+  for (int i = 0; i < kWidth; ++i) {
+    double* row = P + i * ld_;
+    double sum = 0.0;
+    for (int j = i; j < kWidth; ++j) sum += row[j] * xx[j];
+    for (int j = 0; j < kWidth; ++j) sum += row[kPadded + j] * xx[kWidth + j];
+    for (int k = 0; k < nt_; ++k) sum += row[kTheta + k] * theta[k];
+    row[kTheta + nt_] += sum;
+  }
+  turn(f, N, xx + kWidth, 1.0);
+  return true;
+}
+
+inline double Lag::terminal(const Front& f, Eigen::MatrixXd& S) {
+  std::copy(f.panel.begin(), f.panel.end(), last_.begin());
+  std::copy(f.T.begin(), f.T.end(), T_.begin());
+  double logdet = f.logdet;
+  if (!dense::factor(last_.data(), ld_, kWidth, logdet)) return std::nan("");
+  for (int t = 0; t <= nt_; t += dense::tile_rows) {
+    const int c = t & ~7;
+    dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), T_.data() + t * ldt_ + c, ldt_,
+                   last_.data() + kTheta + t, 1, ld_, last_.data() + kTheta + c, ld_, ldt_ - c, kWidth);
+  }
+  for (int i = 0; i <= nt_; ++i)
+    std::copy(T_.begin() + i * ldt_ + i, T_.begin() + i * ldt_ + nt_ + 1, S.data() + i * (nt_ + 1) + i);
+  return logdet;
+}
+
+inline void Lag::back(long from) {
+  double x[2 * kWidth] = {};  // of a block and the next
+  for (long g = end_; g >= from; --g) {
+    const double* P = g == end_ ? last_.data() : block(g).panel.data();
+    std::copy_n(x, kWidth, x + kWidth);
+    for (int i = kWidth - 1; i >= 0; --i) {
+      const double* row = P + i * ld_;
+      double sum = row[kTheta + nt_];
+      for (int k = 0; k < nt_; ++k) sum -= row[kTheta + k] * theta[k];
+      if (g < end_)
+        for (int j = 0; j < kWidth; ++j) sum -= row[kPadded + j] * x[kWidth + j];
+      for (int j = i + 1; j < kWidth; ++j) sum -= row[j] * x[j];
+      x[i] = sum / row[i];
+    }
+    std::copy_n(x, kWidth, block(g).x.data());
+  }
+}
+
+inline void Lag::expect(const Front& f, long g, bool last) {
+  // [motion alone, theta as it stands] in the places of a panel: two blocks and one column
+  double *P = block(g).panel.data(), *N = last_.data();
+  std::copy_n(f.panel.data(), kWidth * ld_, P);
+  std::fill_n(N, kWidth * ld_, 0.0);
+  for (int i = 0; i < kWidth; ++i) {
+    double* row = P + i * ld_ + kTheta;
+    double sum = row[nt_];
+    for (int k = 0; k < nt_; ++k) sum -= row[k] * theta[k];
+    std::fill_n(row, nt_, 0.0);
+    row[nt_] = sum;
+  }
+  add_smoothness(P, N, nullptr, nullptr);
+  const double none[2 * kWidth] = {};
+  for (std::size_t i = 0; i < streams_; ++i) {
+    Placed row_at;
+    for (long r = f.next[i]; r < motion_[i].end(); ++r) {
+      const MotionRow& row = motion_[i][r];
+      if (!placed(i, row, g, last, none, row_at)) break;  // the residual of nothing: the value
+      const Places at = places(row_at.o, P, N);
+      for (int j = 0; j < kComponents; ++j) {
+        const double v =
+            row.have[static_cast<std::size_t>(j)] * row.size / (motion_noise(i, j) * motion_noise(i, j));
+        for (int k = 0; k < kLocal; ++k) {
+          double* to = at.row[static_cast<std::size_t>(k)] + j * ld_;
+          to[kTheta + nt_] += v * row_at.b[k] * row_at.residual[j];
+          for (int l = k; l < kLocal; ++l)
+            to[at.column[static_cast<std::size_t>(k)][static_cast<std::size_t>(l)] + j] +=
+                v * row_at.b[k] * row_at.b[l];
+        }
+      }
+    }
+  }
+  // the columns that hold something: [own, next block's] and the one after theta
+  double logdet = 0.0;
+  for (int i = 0; i < kWidth; ++i) P[i * ld_ + kTheta] = P[i * ld_ + kTheta + nt_];
+  if (!dense::factor(P, ld_, kWidth, logdet)) return;
+  for (int i = 0; i < kWidth; ++i) {
+    double* row = N + i * ld_;
+    for (int k = 0; k < kWidth; ++k) {
+      const double* R = P + k * ld_;
+      const double y = R[kPadded + i];
+      for (int j = i; j < kWidth; ++j) row[j] -= y * R[kPadded + j];
+      row[kTheta + nt_] -= y * R[kTheta];
+    }
+    row[kTheta] = row[kTheta + nt_];
+  }
+  if (!dense::factor(N, ld_, kWidth, logdet)) return;
+  double x[2 * kWidth] = {};
+  for (const bool second : {true, false})
+    for (int i = kWidth - 1; i >= 0; --i) {
+      const double* row = (second ? N : P) + i * ld_;
+      double *to = second ? x + kWidth : x, sum = row[kTheta];
+      for (int j = i + 1; j < kWidth; ++j) sum -= row[j] * to[j];
+      if (!second)
+        for (int j = 0; j < kWidth; ++j) sum -= row[kPadded + j] * x[kWidth + j];
+      to[i] = sum / row[i];
+    }
+  std::copy_n(x, kWidth, block(g).x.data());
+  std::copy_n(x + kWidth, kWidth, block(g + 1).x.data());
+}
+
+// By selected inversion: S_gh = - G S_hh, S_gg = R^-1 R^-T - S_gh G^T, h the next block, G = R^-1 R^-T H_gh; theta known.
 inline void Lag::traces(long from) {
-  // covariance of two blocks, theta known
-  Linv_.setIdentity();
-  Lf_.triangularView<Eigen::Lower>().solveInPlace(Linv_);
-  pair_.topLeftCorner<kWidth, kWidth>().noalias() = Linv_.transpose() * Linv_;
-  for (long g = end_ - 1; g >= from; --g) {
-    Block& B = block(g);
-    next_ = pair_.topLeftCorner<kWidth, kWidth>();
-    Linv_.setIdentity();
-    B.L.triangularView<Eigen::Lower>().solveInPlace(Linv_);
-    Gt_.noalias() = B.B * Linv_;
-    pair_.bottomRightCorner<kWidth, kWidth>() = next_;
-    pair_.bottomLeftCorner<kWidth, kWidth>().noalias() = -next_ * Gt_;
-    pair_.topRightCorner<kWidth, kWidth>() = pair_.bottomLeftCorner<kWidth, kWidth>().transpose();
-    pair_.topLeftCorner<kWidth, kWidth>().noalias() = Linv_.transpose() * Linv_;
-    pair_.topLeftCorner<kWidth, kWidth>().noalias() -=
-        Gt_.transpose() * pair_.bottomLeftCorner<kWidth, kWidth>();
-    SizeSums& s = B.sums;
-    s.raw_trace.setZero();
-    s.energy_trace.setZero();
-    for (auto& m : s.motion_trace) m.setZero();
+  for (long g = end_; g >= from; --g) {
+    const double* P = g == end_ ? last_.data() : block(g).panel.data();
+    const bool free = g == end_;
+    std::swap(here_, next_);
+    std::fill(inverse_.begin(), inverse_.end(), 0.0);  // R^-1 [1, R^-T H of the next block]
+    for (int i = 0; i < kWidth; ++i) {
+      inverse_[static_cast<std::size_t>(i * kTheta + i)] = 1.0;
+      if (!free) std::copy_n(P + i * ld_ + kPadded, kWidth, inverse_.begin() + i * kTheta + kPadded);
+    }
+    dense::solve_upper(P, ld_, kWidth, inverse_.data(), kTheta, kTheta);
+    for (int i = 0; i < kWidth; ++i)
+      for (int j = 0; j < kWidth; ++j) {
+        V_[static_cast<std::size_t>(j * kPadded + i)] = -inverse_[static_cast<std::size_t>(i * kTheta + j)];
+        V_[static_cast<std::size_t>((kWidth + j) * kPadded + i)] =
+            inverse_[static_cast<std::size_t>(i * kTheta + kPadded + j)];
+      }
+    double* here = here_.data();
+    if (!free)
+      dense::subtract(here + kPadded, kTheta, inverse_.data() + kPadded, kTheta, 1, next_.data(), kTheta,
+                      kWidth, kPadded, kWidth, dense::Mode::fresh);
+    for (int t = 0; t < kWidth; t += dense::tile_rows)
+      dense::tile_of(dense::tile_rows, here + t * kTheta, kTheta, inverse_.data() + t * kTheta + t, kTheta, 1,
+                     V_.data() + t * kPadded, kPadded, kPadded, kWidth - t, nullptr, 0, dense::Mode::fresh);
+    if (free) continue;
+    dense::subtract(here, kTheta, here + kPadded, kTheta, 1, V_.data() + kWidth * kPadded, kPadded, kWidth,
+                    kPadded, kWidth);
+    SizeSums& sums = block(g).sums;
+    sums.raw_trace.fill(0.0);
+    sums.energy_trace.fill(0.0);
+    for (auto& m : sums.motion_trace) m.fill(0.0);
     for (int o = 0; o < kBlock; ++o) {
       const Interval& v = interval(kBlock * g + o);
-      const int base = kComponents * o;
-      for (int j = 0; j < kComponents; ++j) {
-        Gram local;
-        for (int k = 0; k < kLocal; ++k)
-          for (int l = 0; l < kLocal; ++l)
-            local(k, l) = pair_(base + kComponents * k + j, base + kComponents * l + j);
-        s.energy_trace[j] += smoothness(j).cwiseProduct(local).sum() / sizes.q[j];
-        for (std::size_t i = 0; i < streams_; ++i)
-          s.motion_trace[i][about_.motion[i].group[j]] +=
-              v.motion[i].cwiseProduct(local).sum() / (motion_noise(i, j) * motion_noise(i, j));
-      }
-      if (v.rows == 0 || v.v.isZero()) continue;
-      Matrix6 D00 = Matrix6::Zero(), D01 = D00, D11 = D00;  // sum of m(k, l) Cov(x_k, x_l)
+      // U: sums of m_pq(k, l) Cov(x_k, x_l)
+      double U[3 * 36] = {};
+      const bool raw = v.rows > 0 && *std::max_element(v.v.begin(), v.v.end()) > 0.0;
       for (int k = 0; k < kLocal; ++k)
-        for (int l = 0; l < kLocal; ++l) {
-          const auto cov = pair_.block<6, 6>(base + kComponents * k, base + kComponents * l);
-          D00 += v.m00(k, l) * cov;
-          D01 += v.m01(k, l) * cov;
-          D11 += v.m11(k, l) * cov;
+        for (int l = k; l < kLocal; ++l) {
+          const int a = o + k, b = o + l;
+          const double* cov =
+              a < kBlock ? here + a * kComponents * kTheta +
+                               (b < kBlock ? b * kComponents : kPadded + (b - kBlock) * kComponents)
+                         : next_.data() + (a - kBlock) * kComponents * kTheta + (b - kBlock) * kComponents;
+          const double twice = k == l ? 1.0 : 2.0;
+          for (int j = 0; j < kComponents; ++j) {
+            const auto ju = static_cast<std::size_t>(j);
+            const double own = twice * cov[j * kTheta + j];
+            sums.energy_trace[ju] += own * smoothness_pair(j, k, l) / sizes.q[j];
+            for (std::size_t i = 0; i < streams_; ++i)
+              sums.motion_trace[i][static_cast<std::size_t>(about_.motion[i].group[j])] +=
+                  own * v.motion[i][static_cast<std::size_t>(knot_pair(k, l) * kComponents + j)] /
+                  (motion_noise(i, j) * motion_noise(i, j));
+          }
+          if (!raw) continue;
+          for (int j = 0; j < kComponents; ++j) {
+            const double* row = cov + j * kTheta;
+            dense::add<6>(U + 6 * j, twice * v.m[0](k, l), row);
+            dense::add<6>(U + 72 + 6 * j, twice * v.m[2](k, l), row);
+            dense::add<6>(U + 36 + 6 * j, v.m[1](k, l), row);
+            if (k == l) continue;
+            for (int h = 0; h < kComponents; ++h)
+              U[36 + 6 * h + j] += v.m[1](l, k) * row[h];  // Cov(x_l, x_k)
+          }
         }
+      if (!raw) continue;
       for (int i = 0; i < n_; ++i) {
-        const Vector6 j0 = v.J.row(i).head<6>().transpose(), j1 = v.J.row(i).tail<6>().transpose();
-        s.raw_trace[raw_group(i, n_)] +=
-            v.v[i] * (j0.dot(D00 * j0) + 2.0 * j0.dot(D01 * j1) + j1.dot(D11 * j1));
+        const double* J = v.J.data() + 12 * i;
+        double value = 0.0;
+        for (int j = 0; j < 6; ++j)
+          for (int h = 0; h < 6; ++h)
+            value += J[j] * U[6 * j + h] * J[h] + 2.0 * J[j] * U[36 + 6 * j + h] * J[6 + h] +
+                     J[6 + j] * U[72 + 6 * j + h] * J[6 + h];
+        sums.raw_trace[static_cast<std::size_t>(raw_group(i, n_))] +=
+            v.v[static_cast<std::size_t>(i)] * value;
       }
     }
   }
 }
 
 inline double Lag::objective(long g, Cursor& next, bool last) const {
-  double sum = 0.0;
-  PairVector xx;
-  xx << block(g).x, block(g + 1).x;
+  double sum = 0.0, xx[2 * kWidth];
+  coefficients(g, xx);
   for (int o = 0; o < kBlock; ++o) {
-    const Interval& v = intervals_[static_cast<std::size_t>(kBlock * g + o) % intervals_.size()];
-    const double mean = v.spared > 0.0 ? mean_chi2(v) : 0.0;
+    const Interval& v = interval(kBlock * g + o);
     for (int r = 0; r < v.rows; ++r) {
       const RawRow& row = v.row[static_cast<std::size_t>(r)];
-      const double x = v.spared > 0.0 ? mean : chi2(row);
-      sum += row.size * (constants::freedom + row.channels) * std::log1p(x / constants::freedom);
-    }
-    const Eigen::Map<const Gram> local(xx.data() + kComponents * o);
-    for (int j = 0; j < kComponents; ++j) {
-      const Basis x = local.row(j).transpose();
-      sum += x.dot(smoothness(j) * x) / sizes.q[j];
+      sum += row.size * (constants::freedom + row.channels) * std::log1p(chi2(v, row) / constants::freedom);
     }
   }
+  for (int j = 0; j < kComponents; ++j)
+    for (int o = 0; o < kBlock; ++o)
+      for (int k = 0; k < kLocal; ++k)
+        for (int l = 0; l < kLocal; ++l) {
+          const double* x = xx + kComponents * o + j;
+          sum += smoothness_pair(j, k, l) / sizes.q[j] * (x[kComponents * k] - x[0]) *
+                 (x[kComponents * l] - x[0]);
+        }
   for (std::size_t i = 0; i < streams_; ++i) {
-    Placed at;
+    Placed row_at;
     for (; next[i] < motion_[i].end(); ++next[i]) {
       const MotionRow& row = motion_[i][next[i]];
-      if (!placed(i, row, g, last, xx, at)) break;
+      if (!placed(i, row, g, last, xx, row_at)) break;
       for (int j = 0; j < kComponents; ++j) {
-        const double z = at.residual[j] / motion_noise(i, j);
-        sum += row.size * z * z + row.remainder[j] / (motion_noise(i, j) * motion_noise(i, j));
+        const double v = 1.0 / (motion_noise(i, j) * motion_noise(i, j));
+        sum += v * (row.size * row_at.residual[j] * row_at.residual[j] +
+                    row.remainder[static_cast<std::size_t>(j)]);
       }
     }
+  }
+  return sum;
+}
+
+inline double Lag::objective(const Front& f, long g) const {
+  double sum = 0.0;
+  const double *x = block(g).x.data(), *t = theta.data();
+  for (int i = 0; i < kWidth; ++i) {
+    const double* row = f.panel.data() + i * ld_;
+    double y = row[i] * x[i];
+    for (int j = i + 1; j < kWidth; ++j) y += 2.0 * row[j] * x[j];
+    for (int k = 0; k < nt_; ++k) y += 2.0 * row[kTheta + k] * t[k];
+    sum += x[i] * (y - 2.0 * row[kTheta + nt_]);
+  }
+  for (int k = 0; k < nt_; ++k) {
+    const double* row = f.T.data() + k * ldt_;
+    double y = row[k] * t[k] - 2.0 * row[nt_];
+    for (int l = k + 1; l < nt_; ++l) y += 2.0 * row[l] * t[l];
+    sum += t[k] * y;
   }
   return sum;
 }
