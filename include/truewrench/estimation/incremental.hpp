@@ -1,20 +1,24 @@
-// The estimator as samples arrive (METHOD 10.6): the same model on a fixed lag of blocks, fixed memory, no allocation after
-// construction, status codes in place of exceptions. For a control loop, without Python.
+// The estimator as samples arrive (METHOD 10.6): the same model on a fixed lag
+// of blocks, fixed memory, no allocation after construction, status codes in
+// place of exceptions. For a control loop, without Python.
 //
-//   Incremental online(statement, about, {});            // about: a log without samples
-//   online.push_motion(0, t, twist);                     // as they come, each stream with its own stamps
-//   online.push_raw(t, raw, R_sensor_root);
-//   if (online.ready()) use(online.gain(), online.covariance());
-//   online.finish();
+//   Incremental online(statement, about, {});            // about: a log
+//   without samples online.push_motion(0, t, twist);                     // as
+//   they come, each stream with its own stamps online.push_raw(t, raw,
+//   R_sensor_root); if (online.ready()) use(online.gain(),
+//   online.covariance()); online.finish();
 //
-// The first lag is fitted like a record: h by (10.7), START, ROBUST (10.2, 10.3). From there a completed block of five knots is
-// eliminated once as it comes, and once a lag the last two lags are linearised anew at theta as it stands: the older one, its
-// mask set, leaves for good, the newer stays with robust weights. What left is a Gaussian on (next block, theta), and running
-// sums give sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit. It
-// decides forward only.
+// The first lag is fitted like a record: h by (10.7), START, ROBUST
+// (10.2, 10.3). From there a completed block of five knots is eliminated once
+// as it comes, and once a lag the last two lags are linearised anew at theta as
+// it stands: the older one, its mask set, leaves for good, the newer stays with
+// robust weights. What left is a Gaussian on (next block, theta), and running
+// sums give sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No
+// steps, no repair, no discrepancy in the fit. It decides forward only.
 //
-// A push takes microseconds, one that completes a block some tens, once a lag some hundreds; the push that completes the first
-// lag fits it: tens of milliseconds.
+// A push takes microseconds, one that completes a block some tens, once a lag
+// some hundreds; the push that completes the first lag fits it: tens of
+// milliseconds.
 #pragma once
 
 #include "truewrench/estimation/lag_start.hpp"
@@ -26,11 +30,13 @@
 namespace truewrench {
 
 struct IncrementalSettings {
-  double lag = 2.0;           // [s], and 20 knots at least: a coefficient forgets what is beyond to 1e-5
+  double lag = 2.0;           // [s], and 20 knots at least: a coefficient forgets what is
+                              // beyond to 1e-5
   double rate = 1000.0;       // [Hz] samples of one stream at most
   double spacing = 0.0;       // [s] h; 0: chosen on the first lag
   double finest = 0.0125;     // [s] smallest h that is tried: what memory is for
-  double discrepancy = -1.0;  // stated: -1 auto, 0 none, else at least so much [fraction of range]
+  double discrepancy = -1.0;  // stated: -1 auto, 0 none, else at least so much
+                              // [fraction of range]
 };
 
 // A time that was left out: a sample (begin = end), or an interval of knots.
@@ -59,14 +65,17 @@ class Incremental {
     discrepancy2_ = Eigen::VectorXd::Zero(n);
     consistent_ = consistency(n);
     resize_theta();
-    Sl_ = base_ = S_;
+    Zl_ = base_ = S_;
     parts_ = {S_, S_};
+    others_ = {S_, S_, S_};
     begin_log();
   }
 
   // ---------------------------------------------------------------- samples
-  // Values that are NaN are missing; a row of nothing else is refused. not_increasing and not_finite: the sample was not taken;
-  // wrong_size: there is no room for it, the other streams have not come along; not_factorizable: the lag was lost.
+  // Values that are NaN are missing; a row of nothing else is refused.
+  // not_increasing and not_finite: the sample was not taken; wrong_size: there
+  // is no room for it, the other streams have not come along; not_factorizable:
+  // the lag was lost.
   Status push_motion(std::size_t stream, double time, const double* value) noexcept {
     if (stream >= lag_.streams()) return Status::wrong_size;
     if (!readable(time, value, kComponents)) return Status::not_finite;
@@ -103,16 +112,17 @@ class Incremental {
   // The record ends here.
   Status finish() noexcept { return close(); }
 
-  // Another log of the same sensor: theta's shared part goes on, with the information on it; what is the log's own starts anew.
-  // Allocates.
+  // Another log of the same sensor: theta's shared part goes on, with the
+  // information on it; what is the log's own starts anew. Allocates.
   Status next_log(const RecordedLog& about);
 
-  // ---------------------------------------------------------------- results, after every completed block
+  // ---------------------------------------------------------------- results,
+  // after every completed block
   bool ready() const { return ready_; }
   std::int64_t blocks() const { return blocks_; }    // completed
   std::int64_t samples() const { return samples_; }  // that left the lag
   std::int64_t masked_samples() const { return masked_samples_; }
-  int dropped() const { return dropped_; }         // stretches too short
+  int dropped() const { return dropped_; }  // stretches too short
   bool unresolved() const { return unresolved_; }  // (10.7) still falls at the finest h that was tried
   Status status() const { return status_; }
   double spacing() const { return h_; }
@@ -132,12 +142,13 @@ class Incremental {
   const Eigen::MatrixXd& theta_covariance() noexcept;
   // Of C (6n, 6n), with (10.9) and (10.10).
   const Eigen::MatrixXd& covariance() noexcept;
-  const Eigen::MatrixXd& added() const { return added_; }                // (10.9), of the last covariance()
-  const std::vector<Moment>& moments() const { return found_; }          // likewise
+  const Eigen::MatrixXd& added() const { return added_; }  // (10.9), of the last covariance()
+  const std::vector<Moment>& moments() const { return found_; }  // likewise
   const Eigen::VectorXd& discrepancy2() const { return discrepancy2_; }  // delta_i^2 for (10.10), likewise
   PoseShare pose() const { return pose_.share(); }
-  // (10.11): lags in turn, each with what it adds to what was known before it. Allocates.
-  Agreement agreement() const;
+  // (10.11): lags in turn, each with what it adds to what was known before it.
+  // Allocates.
+  Agreement agreement();
 
   // What was masked since the last call of clear_masked().
   std::size_t masked_spans() const { return masked_count_; }
@@ -181,10 +192,13 @@ class Incremental {
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
 
   Front past_, present_;
-  // information (nt + 1, nt + 1), lower triangle, the information vector in the last row: of all, of what left, at the last
-  // part, at the beginning of the log
-  Eigen::MatrixXd S_, Sp_, Sl_, base_;
+  // information (nt + 1, nt + 1), lower triangle, the information vector in the
+  // last row. Of the coordinates: of all, of what left, at the last part; of
+  // theta: of all, at the beginning of the log
+  Eigen::MatrixXd Z_, Zp_, Zl_, S_, base_;
   std::array<Eigen::MatrixXd, 2> parts_;  // (10.11)
+  // of theta: all, and the parts, of logs with another body
+  std::array<Eigen::MatrixXd, 3> others_;
   Eigen::MatrixXd P_, covariance_, gain_covariance_, added_;
   Eigen::VectorXd column_, theta0_, theta1_, stated_, prior_, discrepancy2_;
   std::vector<double> work_, x0_, x1_;
@@ -217,7 +231,8 @@ class Incremental {
     return any && std::isfinite(time);
   }
   double gap(double period) const { return std::max(5.0 * period, 6.0 * coarsest_); }
-  // All motion, or the sensor, was silent for five periods and six knots: the stretch is over.
+  // All motion, or the sensor, was silent for five periods and six knots: the
+  // stretch is over.
   Status silence(double time) noexcept {
     const bool over =
         open() && (time - motion_last() > gap(motion_period()) || time - raw_last_ > gap(raw_period()));
@@ -235,7 +250,8 @@ class Incremental {
       if (motion_[i].end() > 0) out = std::max(out, motion_last_[i]);
     return out;
   }
-  // To which all streams have samples, of a stretch that has not begun; NaN where one has none.
+  // To which all streams have samples, of a stretch that has not begun; NaN
+  // where one has none.
   double common_begin() const {
     double out = raw_[raw_.begin()].time;
     for (std::size_t i = 0; i < lag_.streams(); ++i) {
@@ -263,7 +279,8 @@ class Incremental {
     if (masked_count_ < masked_.size()) masked_[masked_count_++] = {begin, end};
   }
 
-  // Share of E w chi^2 that Student-t weights leave of n Gaussian channels, so that sigma in the lag is that of FIT.
+  // Share of E w chi^2 that Student-t weights leave of n Gaussian channels, so
+  // that sigma in the lag is that of FIT.
   static double consistency(int n) {
     double sum = 0.0, all = 0.0;
     for (double x = 0.01; x < 40.0 + 4.0 * n; x += 0.02) {
@@ -301,10 +318,11 @@ class Incremental {
   int own() const {
     return lag_.offset_at() + (lag_.rig().pool_offsets ? lag_.channels() : 0);
   }  // the log's, from here on
-  bool factor(const Eigen::MatrixXd& S, bool all, int columns);
-  bool invert(const Eigen::MatrixXd& S, bool all);
-  bool solve(const Eigen::MatrixXd& S, bool judge);
-  double resize(const SizeSums& sums, const Eigen::MatrixXd& S);
+  bool factor(bool all, int columns);
+  bool invert(bool all);
+  void gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S);
+  bool solve(bool judge);
+  double resize(const SizeSums& sums);
   void part(const Eigen::MatrixXd& S);
   Eigen::MatrixXd without_own(const Eigen::MatrixXd& S) const;
 };

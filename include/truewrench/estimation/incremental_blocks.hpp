@@ -1,5 +1,5 @@
-// The life of a block: samples to rows, its arrival, the re-linearisation of two lags, its mask, its departure. Included by
-// incremental.hpp.
+// The life of a block: samples to rows, its arrival, the re-linearisation of
+// two lags, its mask, its departure. Included by incremental.hpp.
 #pragma once
 
 #include "truewrench/estimation/incremental.hpp"
@@ -78,7 +78,8 @@ inline void Incremental::lay(double origin, double h, bool partial) {
 inline double Incremental::fit_first(double origin, double h, bool partial) {
   lay(origin, h, partial);
   kept_ = lag_.sizes;
-  if (first_stretch_) {  // theta's own part, and for the first log all of it, at the mean
+  if (first_stretch_) {  // theta's own part, and for the first log all of it, at
+                         // the mean
     for (int i = first_log_ ? 0 : own(); i < lag_.parameters(); ++i) {
       lag_.theta[i] = lag_.layout().mean()[i];
       prior_[i] = stated_[i];
@@ -96,7 +97,8 @@ inline double Incremental::fit_first(double origin, double h, bool partial) {
   return likelihood(partial);
 }
 
-// h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving; again from there (10.2).
+// h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving;
+// again from there (10.2).
 inline void Incremental::choose_spacing(double origin, bool partial) {
   std::array<double, 8> ladder{}, cost{};
   std::size_t count = 0, now = 0, best_alone = 0;
@@ -157,7 +159,8 @@ inline Status Incremental::start(bool partial) noexcept {
   return Status::ok;
 }
 
-// A block has come: its motion as expected, weights against its own scale, eliminated behind the others; theta from all.
+// A block has come: its motion as expected, weights against its own scale,
+// eliminated behind the others; theta from all.
 inline Status Incremental::arrive(bool last) noexcept {
   Status status = Status::ok;
   if (lag_.end() - lag_.first() >= 2 * lag_blocks(h_)) status = hop();
@@ -167,7 +170,8 @@ inline Status Incremental::arrive(bool last) noexcept {
   for (std::size_t i = 0; i < lag_.streams(); ++i) motion_[i].drop_before(motion_at_[i]);
   lag_.expect(present_, g, last);
   lag_.predict(g);
-  // before its motion is known, chi^2 is that of the expectation: the weights compare the samples of the block with each other
+  // before its motion is known, chi^2 is that of the expectation: the weights
+  // compare the samples of the block with each other
   entries_.clear();
   for (long i = kBlock * g; i < kBlock * (g + 1); ++i)
     for (int r = 0; r < lag_.interval(i).rows; ++r) {
@@ -191,31 +195,33 @@ inline Status Incremental::arrive(bool last) noexcept {
   const bool ok = lag_.eliminate(present_, g, last);
   lag_.grow();
   ++blocks_;
-  if (!ok || !std::isfinite(logdet_x_ = lag_.terminal(present_, S_)) || !solve(S_, false))
+  if (!ok || !std::isfinite(logdet_x_ = lag_.terminal(present_, Z_)) || !solve(false))
     return status_ = Status::not_factorizable;
   lag_.back(std::max(lag_.first(), g - 3));
   return status;
 }
 
-// Eliminate the blocks of the lag as predicted and weighted; the first `leaving` for good.
+// Eliminate the blocks of the lag as predicted and weighted; the first
+// `leaving` for good.
 inline bool Incremental::sweep(long leaving, bool last) {
   const long first = lag_.first(), end = lag_.end(), lag = lag_blocks(h_);
   for (long g = first; g < first + leaving; ++g) {
     if (!lag_.eliminate(past_, g, last && g + 1 == end)) return false;
     if ((g + 1 - first) % lag != 0 && g + 1 != first + leaving) continue;
-    if (!std::isfinite(lag_.terminal(past_, Sp_))) return false;
-    part(Sp_);
+    if (!std::isfinite(lag_.terminal(past_, Zp_))) return false;
+    part(Zp_);
   }
   present_ = past_;
   for (long g = first + leaving; g < end; ++g)
     if (!lag_.eliminate(present_, g, last && g + 1 == end)) return false;
-  return std::isfinite(logdet_x_ = lag_.terminal(present_, S_));
+  return std::isfinite(logdet_x_ = lag_.terminal(present_, Z_));
 }
 
-// Gauss-Newton and (10.6) on all blocks of the lag, robust weights, as Fit::run() does.
+// Gauss-Newton and (10.6) on all blocks of the lag, robust weights, as
+// Fit::run() does.
 inline bool Incremental::run(int most, bool last) {
   const int nt = lag_.parameters();
-  if (!lag_.frozen())
+  if (first_log_ && left_.knots == 0.0)
     std::copy_n(lag_.theta.data() + lag_.gain_at(), 6 * lag_.channels(), lag_.lagged.data());
   const long first = lag_.first(), end = lag_.end();
   const auto predict = [&] {
@@ -235,7 +241,7 @@ inline bool Incremental::run(int most, bool last) {
     const double before = objective(last);
     theta0_ = lag_.theta;
     coefficients(x0_);
-    if (!solve(S_, true)) return false;
+    if (!solve(true)) return false;
     lag_.back(first);
     theta1_ = lag_.theta;
     coefficients(x1_);
@@ -259,15 +265,15 @@ inline bool Incremental::run(int most, bool last) {
                 (theta1_[j] - theta0_[j]);
     move = std::sqrt(std::max(move, 0.0) / static_cast<double>(use_.size()));
     weigh();
-    invert(S_, false);
+    invert(false);
     lag_.traces(first);
     SizeSums sums = window_sums(first);
     sums += left_;
-    const double sized = resize(sums, S_);
+    const double sized = resize(sums);
     weigh();
     if (iteration > 2 && move < constants::theta_move && sized < constants::size_move) break;
   }
-  if (!sweep(0, last) || !solve(S_, true)) return false;
+  if (!sweep(0, last) || !solve(true)) return false;
   lag_.back(first);
   predict();
   weigh();
@@ -282,27 +288,28 @@ inline SizeSums Incremental::window_sums(long from) const {
   return out;
 }
 
-// Two lags are full: linearise all of them at what is known now; the older one leaves.
+// Two lags are full: linearise all of them at what is known now; the older one
+// leaves.
 inline Status Incremental::hop() noexcept {
   const long first = lag_.first(), leaving = lag_blocks(h_);
   lag_.back(first);
   if (hops_ < 2 && !run(hops_ == 0 ? 6 : 1, false)) return status_ = Status::not_factorizable;
-  if (hops_ == 0) lag_.freeze(lag_.frozen() ? own() : 0);
   for (long g = first; g < lag_.end(); ++g) {
     lag_.predict(g);
     lag_.reweigh(g);
   }
   set_mask(leaving);
-  if (!sweep(leaving, false) || !solve(S_, true)) return status_ = Status::not_factorizable;
+  if (!sweep(leaving, false) || !solve(true)) return status_ = Status::not_factorizable;
   lag_.back(first);
   depart(leaving);
   return Status::ok;
 }
 
-// Sums of what leaves; sizes by them, and while little has left by what stays too.
+// Sums of what leaves; sizes by them, and while little has left by what stays
+// too.
 inline void Incremental::depart(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
-  invert(S_, false);
+  invert(false);
   const bool young = hops_ < 4,
              traced = young || hops_ % 4 == 0;  // later the traces' share of the rows hardly changes
   SizeSums gone;
@@ -322,10 +329,12 @@ inline void Incremental::depart(long leaving) {
   if (young) {
     SizeSums all = window_sums(stay);
     all += left_;
-    resize(all, S_);
+    resize(all);
   } else {
-    invert(Sp_, false);
-    resize(left_, Sp_);
+    gather(Zp_, 0, S_);
+    invert(false);
+    resize(left_);
+    gather(Z_, 0, S_);
   }
   count(first, stay);
   lag_.drop_before(stay);
@@ -333,7 +342,8 @@ inline void Incremental::depart(long leaving) {
   ++hops_;
 }
 
-// Blocks [from, to) into the running sums of (10.9) and (10.10), at theta as it stands.
+// Blocks [from, to) into the running sums of (10.9) and (10.10), at theta as it
+// stands.
 inline void Incremental::count(long from, long to) {
   for (long g = from; g < to; ++g) {
     lag_.predict(g);
@@ -359,8 +369,9 @@ inline void Incremental::count(long from, long to) {
   }
 }
 
-// MASK of the first `leaving` blocks: w_t < 0.3; gaps of up to 30 ms closed; what then lasts 30 ms or more widened by 20 ms each
-// side, as far as it has not left.
+// MASK of the first `leaving` blocks: w_t < 0.3; gaps of up to 30 ms closed;
+// what then lasts 30 ms or more widened by 20 ms each side, as far as it has
+// not left.
 inline void Incremental::set_mask(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
   const double ahead =
@@ -443,9 +454,8 @@ inline Status Incremental::close() noexcept {
     const long first = lag_.first(), leaving = lag_.end() - first;
     lag_.back(first);
     if (!run(3, true)) status = Status::not_factorizable;
-    if (hops_ == 0) lag_.freeze(lag_.frozen() ? own() : 0);
     set_mask(leaving);
-    if (status == Status::ok && sweep(leaving, true) && solve(S_, true)) {
+    if (status == Status::ok && sweep(leaving, true) && solve(true)) {
       lag_.back(first);
       depart(leaving);
     } else {
@@ -453,8 +463,9 @@ inline Status Incremental::close() noexcept {
     }
   }
   // what is known of theta goes on
-  if (status != Status::ok) S_ = Sl_;
-  lag_.set_front(past_, S_);
+  if (status != Status::ok) Z_ = Zl_;
+  gather(Z_, 0, S_);
+  lag_.set_front(past_, Z_);
   pose_.end_stretch();
   run_ = {-1e300, -1e300};
   standing_ = false;
@@ -476,7 +487,8 @@ inline double Incremental::objective(bool last) const {
   return sum;
 }
 
-// (10.7) of the first lag, with the Student-t sum; noise in units of the stated, so that what was left out costs nothing.
+// (10.7) of the first lag, with the Student-t sum; noise in units of the
+// stated, so that what was left out costs nothing.
 inline double Incremental::likelihood(bool last) const {
   double sum = objective(last) + logdet_x_ + logdet_s_;
   const Sizes& z = lag_.sizes;

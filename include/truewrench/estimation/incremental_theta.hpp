@@ -1,5 +1,6 @@
-// theta and its covariance from the information as it stands; the rules of (10.1); sizes by (10.6); what a log leaves to the
-// next. Included by incremental.hpp.
+// theta and its covariance from the information as it stands; the rules of
+// (10.1); sizes by (10.6); what a log leaves to the next. Included by
+// incremental.hpp.
 #pragma once
 
 #include "truewrench/estimation/incremental.hpp"
@@ -10,7 +11,7 @@ inline void Incremental::resize_theta() {
   const int nt = lag_.parameters();
   const auto size = static_cast<std::size_t>(nt);
   past_ = present_ = lag_.make_front();
-  S_ = Sp_ = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
+  S_ = Z_ = Zp_ = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
   P_ = covariance_ = Eigen::MatrixXd::Zero(nt, nt);
   column_ = theta0_ = theta1_ = Eigen::VectorXd::Zero(nt);
   work_.assign(size * static_cast<std::size_t>(2 * dense::padded(nt + 1)) + 8, 0.0);
@@ -18,9 +19,11 @@ inline void Incremental::resize_theta() {
   active_.assign(size, 1);
 }
 
-// S + Pi^-1 of the active parameters, or of all, into work_ with room for columns after it, and R^T R of it with R^-T of those:
-// of 1 the information vector with the prior's, what is held at its mean; of more the unit matrix.
-inline bool Incremental::factor(const Eigen::MatrixXd& S, bool all, int columns) {
+// S + Pi^-1 of the active parameters, or of all, into work_ with room for
+// columns after it, and R^T R of it with R^-T of those: of 1 the information
+// vector with the prior's, what is held at its mean; of more the unit matrix.
+inline bool Incremental::factor(bool all, int columns) {
+  const Eigen::MatrixXd& S = S_;
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
   use_.clear();
@@ -46,9 +49,9 @@ inline bool Incremental::factor(const Eigen::MatrixXd& S, bool all, int columns)
 }
 
 // P_ = (S + Pi^-1)^-1 over the active parameters, or over all.
-inline bool Incremental::invert(const Eigen::MatrixXd& S, bool all) {
+inline bool Incremental::invert(bool all) {
   const int nt = lag_.parameters();
-  if (!factor(S, all, nt)) return false;
+  if (!factor(all, nt)) return false;
   const int k = static_cast<int>(use_.size()), half = dense::padded(k), columns = dense::padded(nt),
             ld = half + columns;
   dense::solve_upper(work_.data(), ld, k, work_.data() + half, ld, columns);
@@ -61,46 +64,59 @@ inline bool Incremental::invert(const Eigen::MatrixXd& S, bool all) {
   return true;
 }
 
-// theta by S and its information vector; `judge`: the rules for s, kappa and gamma first.
-inline bool Incremental::solve(const Eigen::MatrixXd& S, bool judge) {
+// Information on theta of the coordinates' and of the logs with another body:
+// all, or one part.
+inline void Incremental::gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S) {
+  lag_.pull(Z, S);
+  for (Eigen::Index i = 0; i < S.size(); ++i) S.data()[i] += others_[of].data()[i];
+}
+
+// theta by the information Z_ and the prior; `judge`: the rules for s, kappa
+// and gamma, and Gauss-Newton on the coordinates.
+inline bool Incremental::solve(bool judge) {
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
-  if (judge) {
-    // s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2)                                        (10.1)
-    if (!invert(S, true)) return false;
-    for (std::size_t i = 0; i < lag_.streams(); ++i) {
-      const int at = lag_.clock_at(i);
-      double s = 0.0;
-      for (int j = 0; j < nt; ++j) s += P_(at, j) * (S(nt, j) + mean[j] / prior_[j]);
-      const double V = 1.0 / std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 1e-12);
-      const double apart = (s - mean[at]) * V / P_(at, at);
-      column_[at] = stated_[at] + std::max(0.0, apart * apart - V - stated_[at]);
+  for (int round = 0; round < (judge ? 2 : 1); ++round) {
+    gather(Z_, 0, S_);
+    if (judge) {
+      // s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2)
+      // (10.1)
+      if (!invert(true)) return false;
+      for (std::size_t i = 0; i < lag_.streams(); ++i) {
+        const int at = lag_.clock_at(i);
+        double s = 0.0;
+        for (int j = 0; j < nt; ++j) s += P_(at, j) * (S_(nt, j) + mean[j] / prior_[j]);
+        const double V = 1.0 / std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 1e-12);
+        const double apart = (s - mean[at]) * V / P_(at, at);
+        column_[at] = stated_[at] + std::max(0.0, apart * apart - V - stated_[at]);
+      }
+      for (std::size_t i = 0; i < lag_.streams(); ++i) prior_[lag_.clock_at(i)] = column_[lag_.clock_at(i)];
+      // kappa and gamma are held unless the data's own variance is below 1/16
+      if (!invert(true)) return false;
+      std::fill(active_.begin(), active_.end(), char{1});
+      const auto hold = [&](int at) {
+        if (at < 0 || std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 0.0) > constants::filter_information)
+          return;
+        active_[static_cast<std::size_t>(at)] = 0;
+      };
+      for (std::size_t i = 0; i < lag_.streams(); ++i) hold(lag_.clock_at(i) + 1);
+      hold(lag_.gamma_at());
     }
-    for (std::size_t i = 0; i < lag_.streams(); ++i) prior_[lag_.clock_at(i)] = column_[lag_.clock_at(i)];
-    // kappa and gamma are held unless the data's own variance is below 1/16
-    if (!invert(S, true)) return false;
-    std::fill(active_.begin(), active_.end(), char{1});
-    const auto hold = [&](int at) {
-      if (at < 0 || std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 0.0) > constants::filter_information)
-        return;
-      active_[static_cast<std::size_t>(at)] = 0;
-    };
-    for (std::size_t i = 0; i < lag_.streams(); ++i) hold(lag_.clock_at(i) + 1);
-    hold(lag_.gamma_at());
+    if (!factor(false, 1)) return false;
+    const int k = static_cast<int>(use_.size()), half = dense::padded(k), ld = half + 8;
+    dense::solve_upper(work_.data(), ld, k, work_.data() + half, ld, 8);
+    for (int i = 0; i < k; ++i)
+      if (!std::isfinite(work_[static_cast<std::size_t>(i * ld + half)])) return false;
+    lag_.theta = mean;
+    for (int i = 0; i < k; ++i)
+      lag_.theta[use_[static_cast<std::size_t>(i)]] = work_[static_cast<std::size_t>(i * ld + half)];
   }
-  if (!factor(S, false, 1)) return false;
-  const int k = static_cast<int>(use_.size()), half = dense::padded(k), ld = half + 8;
-  dense::solve_upper(work_.data(), ld, k, work_.data() + half, ld, 8);
-  for (int i = 0; i < k; ++i)
-    if (!std::isfinite(work_[static_cast<std::size_t>(i * ld + half)])) return false;
-  lag_.theta = mean;
-  for (int i = 0; i < k; ++i)
-    lag_.theta[use_[static_cast<std::size_t>(i)]] = work_[static_cast<std::size_t>(i * ld + half)];
   return true;
 }
 
-// (10.6) once from sums and P_, theta's share of the raw rows by S; the largest relative move.
-inline double Incremental::resize(const SizeSums& sums, const Eigen::MatrixXd& S) {
+// (10.6) once from sums and P_, theta's share of the raw rows by S_; the
+// largest relative move.
+inline double Incremental::resize(const SizeSums& sums) {
   const int nt = lag_.parameters(), n = lag_.channels();
   Sizes& z = lag_.sizes;
   double move = 0.0, all = 0.0;
@@ -109,7 +125,7 @@ inline double Incremental::resize(const SizeSums& sums, const Eigen::MatrixXd& S
     double share = 0.0;
     for (int j = 0; j < nt; ++j) {
       const int a = std::max(i, j), b = std::min(i, j);
-      share += P_(i, j) * (S(a, b) - base_(a, b));
+      share += P_(i, j) * (S_(a, b) - base_(a, b));
     }
     bool clock = false;
     for (std::size_t s = 0; s < lag_.streams(); ++s)
@@ -157,17 +173,19 @@ inline double Incremental::resize(const SizeSums& sums, const Eigen::MatrixXd& S
   return move;
 }
 
-// One more lag for one of the two parts of (10.11): what it adds to what was known before it.
+// One more lag for one of the two parts of (10.11): what it adds to what was
+// known before it.
 inline void Incremental::part(const Eigen::MatrixXd& S) {
   Eigen::MatrixXd& to = parts_[static_cast<std::size_t>(part_)];
-  for (Eigen::Index i = 0; i < S.size(); ++i) to.data()[i] += S.data()[i] - Sl_.data()[i];
-  Sl_ = S;
+  for (Eigen::Index i = 0; i < S.size(); ++i) to.data()[i] += S.data()[i] - Zl_.data()[i];
+  Zl_ = S;
   part_ = 1 - part_;
 }
 
 inline const Eigen::MatrixXd& Incremental::theta_covariance() noexcept {
   const int nt = lag_.parameters();
-  invert(S_, false);
+  gather(Z_, 0, S_);
+  invert(false);
   covariance_ = P_;
   for (int h = 0; h < nt; ++h) {
     if (active_[static_cast<std::size_t>(h)] != 0) continue;
@@ -222,7 +240,7 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
                        std::max(log_samples_ + size10_samples_, 1.0);
   }
   if (settings_.discrepancy == 0.0) return gain_covariance_;
-  // Cov(C_i) += f_i^2 A / (1 - A) (E w w^T)^-1 / 6                                                                 (10.10)
+  // Cov(C_i) += f_i^2 A / (1 - A) (E w w^T)^-1 / 6 (10.10)
   const PoseShare share = pose_.share();
   const double least = 1e-12 * std::max(share.ww.trace(), 1e-12);
   const double times = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0;
@@ -250,8 +268,8 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
   return gain_covariance_;
 }
 
-// Delta^T V^-1 Delta, V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a                                                 (10.11)
-inline Agreement Incremental::agreement() const {
+// Delta^T V^-1 Delta, V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a (10.11)
+inline Agreement Incremental::agreement() {
   Agreement out;
   const int n = lag_.channels(), nt = lag_.parameters(), gains = 6 * n;
   const Eigen::VectorXd& mean = lag_.layout().mean();
@@ -262,18 +280,20 @@ inline Agreement Incremental::agreement() const {
   std::array<Eigen::MatrixXd, 2> P;
   std::array<Eigen::VectorXd, 2> theta;
   for (std::size_t p = 0; p < 2; ++p) {
+    Eigen::MatrixXd part(nt + 1, nt + 1);
+    gather(parts_[p], 1 + p, part);
     Eigen::MatrixXd S(k, k);
     Eigen::VectorXd right(k);
     for (Eigen::Index i = 0; i < k; ++i) {
       const int a = use[static_cast<std::size_t>(i)];
       for (Eigen::Index j = 0; j < k; ++j) {
         const int b = use[static_cast<std::size_t>(j)];
-        S(i, j) = parts_[p](std::max(a, b), std::min(a, b)) + (i == j ? 1.0 / prior_[a] : 0.0);
+        S(i, j) = part(std::max(a, b), std::min(a, b)) + (i == j ? 1.0 / prior_[a] : 0.0);
       }
-      right[i] = parts_[p](nt, a) + mean[a] / prior_[a];
+      right[i] = part(nt, a) + mean[a] / prior_[a];
       for (int h = 0; h < nt; ++h)
         if (active_[static_cast<std::size_t>(h)] == 0)
-          right[i] -= parts_[p](std::max(a, h), std::min(a, h)) * mean[h];
+          right[i] -= part(std::max(a, h), std::min(a, h)) * mean[h];
     }
     double logdet = 0.0;
     if (!dense::invert(S, P[p], logdet)) return out;
@@ -303,7 +323,8 @@ inline Agreement Incremental::agreement() const {
   return out;
 }
 
-// ------------------------------------------------------------------------------------------------ logs
+// ------------------------------------------------------------------------------------------------
+// logs
 
 inline void Incremental::begin_log() {
   const Eigen::VectorXd& sigma = lag_.layout().sigma();
@@ -322,7 +343,8 @@ inline void Incremental::begin_log() {
   log_samples_ = 0.0;
 }
 
-// The information without a log's own parameters: what is held at its mean, the rest eliminated with its prior.
+// The information without a log's own parameters: what is held at its mean, the
+// rest eliminated with its prior.
 inline Eigen::MatrixXd Incremental::without_own(const Eigen::MatrixXd& S) const {
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
@@ -361,9 +383,13 @@ inline Status Incremental::next_log(const RecordedLog& about) {
     size10_[static_cast<std::size_t>(i)] += log_samples_ * (m.delta2 + m.sd);
   }
   size10_samples_ += log_samples_;
-  const Eigen::VectorXd theta = lag_.theta, prior = prior_, fixed = lag_.fixed();
-  const std::array<Eigen::MatrixXd, 3> old{without_own(S_), without_own(parts_[0]), without_own(parts_[1])};
-  const bool frozen = lag_.frozen();
+  const Eigen::VectorXd theta = lag_.theta, prior = prior_;
+  const bool other = about.body != lag_.about().body;
+  std::array<Eigen::MatrixXd, 3> old{Z_, parts_[0], parts_[1]};
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (other) gather(Eigen::MatrixXd(old[k]), k, old[k]);
+    old[k] = without_own(old[k]);
+  }
   const RowMatrix lagged = lag_.lagged;
   lag_.carry(about);
   lag_.resize_work();
@@ -377,21 +403,24 @@ inline Status Incremental::next_log(const RecordedLog& about) {
     }
     return to;
   };
-  S_ = Sl_ = base_ = moved(old[0]);
-  parts_ = {moved(old[1]), moved(old[2])};
-  lag_.set_front(past_, S_);
-  begin_log();
-  prior_ = stated_;
-  if (frozen) {
-    std::copy_n(fixed.data(), shared, lag_.theta.data());
-    lag_.freeze(0);  // the log's own at their means, until some of it leaves
-    lag_.lagged = lagged;
+  const Eigen::MatrixXd none = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
+  for (std::size_t k = 0; k < 3; ++k) {
+    Eigen::MatrixXd& to = k == 0 ? Z_ : parts_[k - 1];
+    others_[k] = moved(other ? old[k] : others_[k]);
+    to = other ? none : moved(old[k]);
   }
-  for (int i = 0; i < shared; ++i) {
+  Zl_ = Z_;
+  lag_.set_front(past_, Z_);
+  first_log_ = !ready_;
+  begin_log();
+  if (ready_) lag_.lagged = lagged;
+  prior_ = stated_;
+  for (int i = 0; i < shared && ready_; ++i) {
     prior_[i] = prior[i];
     lag_.theta[i] = theta[i];
   }
-  first_log_ = first_log_ && !frozen;
+  gather(Z_, 0, S_);
+  base_ = S_;
   raw_ = {};
   raw_.reserve(masked_.size());
   for (auto& m : motion_) {

@@ -1,16 +1,19 @@
-// A fixed lag of blocks of five knots: linearised at the coefficients as they stand, eliminated block by block, back for the
-// motion that belongs to a theta, and the exact traces of (10.6) by selected inversion (METHOD 9, 10.6). What was eliminated is
-// a Gaussian on (first block that remains, theta), kept in absolute coordinates: a later theta may use it.
+// A fixed lag of blocks of five knots: linearised at the coefficients as they
+// stand, eliminated block by block, back for the motion that belongs to a
+// theta, and the exact traces of (10.6) by selected inversion (METHOD 9, 10.6).
+// What was eliminated is a Gaussian on (first block that remains, theta), kept
+// in absolute coordinates: a later theta may use it.
 //
-// The same information as a Sweep over a stretch, on memory that is fixed at construction, with twists or an IMU alone.
+// The same information as a Sweep over a stretch, on memory that is fixed at
+// construction, with twists or an IMU alone.
 //
-// Once information has left, Jacobians by theta are taken at one theta that stays (`freeze`), residuals at theta as it is: with a
-// theta of its own in every lag, what no lag can tell (a heavier payload and a smaller gain) would be told by their difference.
-// Found on 30 clean records of 8 s without it: sigma of single gains 0.3 of `map`'s, NEES 1.19 for 1.03.
+// theta's columns, and what waits for a later theta, are in the coordinates of
+// products.hpp.
 #pragma once
 
 #include "truewrench/estimation/intervals.hpp"
 #include "truewrench/estimation/lag_rows.hpp"
+#include "truewrench/estimation/products.hpp"
 
 namespace truewrench {
 
@@ -52,8 +55,9 @@ struct SizeSums {
   }
 };
 
-// The information that eliminated blocks leave on the next one and on theta, in absolute coordinates: rows of the block's
-// [H, - ; H_xt, information vector], and theta's. Upper triangles.
+// The information that eliminated blocks leave on the next one and on theta, in
+// absolute coordinates: rows of the block's [H, - ; H_xt, information vector],
+// and theta's. Upper triangles.
 struct Front {
   std::vector<double> panel, T;
   Cursor next{};        // first motion row that is not in it
@@ -76,8 +80,8 @@ class Lag {
         motion;  // sum of B B^T by component
   };
   struct Block {
-    std::vector<double>
-        panel;  // R of the pivot, R^-T of the next block's columns, R^-T [H_xt, information vector]
+    std::vector<double> panel;  // R of the pivot, R^-T of the next block's
+                                // columns, R^-T [H_xt, information vector]
     BlockVector x = BlockVector::Zero();
     SizeSums sums;
   };
@@ -107,7 +111,8 @@ class Lag {
     f.T.assign(static_cast<std::size_t>((nt_ + 1) * ldt_ + 8), 0.0);
     return f;
   }
-  // theta's information alone: S (nt + 1, nt + 1), lower triangle, the information vector in its last row.
+  // theta's information alone: S (nt + 1, nt + 1), lower triangle, the
+  // information vector in its last row.
   void set_front(Front& f, const Eigen::MatrixXd& S) const {
     std::fill(f.panel.begin(), f.panel.end(), 0.0);
     for (int i = 0; i < nt_; ++i)
@@ -123,14 +128,6 @@ class Lag {
     for (auto& m : motion_) m.clear();
     spline_ = UnitBasis(h);
   }
-  // Jacobians by theta's parameters from place `from` on stay at what theta is now; what comes before is fixed already.
-  void freeze(int from) {
-    std::copy(theta.data() + from, theta.data() + nt_, fixed_.data() + from);
-    frozen_ = true;
-  }
-  bool frozen() const { return frozen_; }
-  const Eigen::VectorXd& fixed() const { return fixed_; }
-
   Eigen::VectorXd theta;
   RowMatrix lagged;  // C_0 of (10.3)
   Sizes sizes;
@@ -166,7 +163,8 @@ class Lag {
   }
   double clock(std::size_t i) const { return theta[clock_[i]]; }
 
-  // Rows of the sensor's samples [from, to) of one interval; what it leaves out goes to `masked(begin, end)`.
+  // Rows of the sensor's samples [from, to) of one interval; what it leaves out
+  // goes to `masked(begin, end)`.
   template <typename Masked>
   void take(long at, const Ring<RawSample>& samples, long from, long to, const Masked& masked);
   // Rows of the motion's samples [from, to) of one interval.
@@ -174,7 +172,8 @@ class Lag {
 
   // Residuals of the sensor's rows of a block at its coefficients and theta.
   void predict(long g);
-  // w_t of 10.3; `scale` divides chi^2. One weight for all that the rows of an interval stand for.
+  // w_t of 10.3; `scale` divides chi^2. One weight for all that the rows of an
+  // interval stand for.
   void reweigh(long g, double scale = 1.0) {
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
       Interval& v = interval(i);
@@ -208,20 +207,31 @@ class Lag {
     return sum;
   }
 
-  // Coefficients of a block and the next from what a front knows of the first, and the block's motion, theta as it stands.
+  // Coefficients of a block and the next from what a front knows of the first,
+  // and the block's motion, theta as it stands.
   void expect(const Front& f, long g, bool last);
-  // Linearise a block as predicted and weighted and eliminate it; `last`: with all motion rows that remain. False where it
-  // cannot be factored.
+  // Linearise a block as predicted and weighted and eliminate it; `last`: with
+  // all motion rows that remain. False where it cannot be factored.
   bool eliminate(Front& f, long g, bool last);
-  // theta's information with the first block that remains eliminated too, as in set_front(); log |H|.
+  // theta's information with the first block that remains eliminated too, as in
+  // set_front(); log |H|.
   double terminal(const Front& f, Eigen::MatrixXd& S);
-  // The coefficients that belong to theta, of blocks [from, end()], after terminal() of the front at end().
+  // The coefficients that belong to theta, of blocks [from, end()], after
+  // terminal() of the front at end().
   void back(long from);
-  // Traces of (10.6) into the sums of blocks [from, end()), after terminal() likewise.
+  // Traces of (10.6) into the sums of blocks [from, end()), after terminal()
+  // likewise.
   void traces(long from);
-  // The terms of (10.7) in the motion and the rows of a block, the sensor's as predicted.
+  // The terms of (10.7) in the motion and the rows of a block, the sensor's as
+  // predicted.
   double objective(long g, Cursor& next, bool last) const;
-  // z^T Lambda z - 2 z^T eta of a front, at the coefficients of its block and theta.
+  // Information on theta, to first order at it, from that on the coordinates.
+  void pull(const Eigen::MatrixXd& from, Eigen::MatrixXd& to) {
+    refresh();
+    products_.pull(from, theta.data(), z_.data(), to, full_);
+  }
+  // z^T Lambda z - 2 z^T eta of a front, at the coefficients of its block and
+  // theta.
   double objective(const Front& f, long g) const;
 
   // R_p of an interval (10.1).
@@ -260,16 +270,6 @@ class Lag {
   const UnitBasis& basis() const { return spline_; }
 
  private:
-  // The model at a theta.
-  struct Model {
-    Payload body;
-    Vector3 root = Vector3::Zero();
-    Eigen::Matrix<double, 3, 2> by_tilt = Eigen::Matrix<double, 3, 2>::Zero();
-    double s = 0.0, kappa = 0.5, gamma = 0.0;  // of (10.5)
-    std::array<double, 6 * kMostChannels> C{};
-    Channels u{};
-  };
-
   Statement rig_;
   RecordedLog about_;
   Layout layout_;
@@ -277,8 +277,8 @@ class Lag {
   int C_ = 0, b_ = 0, u_ = 0, body_ = 0, slope_ = -1, tilt_ = -1, gamma_ = -1;
   std::array<int, kMostStreams> clock_{}, bias_{};
   std::size_t streams_ = 0;
-  bool gravity_ = false, frozen_ = false;
-  Eigen::VectorXd fixed_;
+  bool gravity_ = false;
+  Products products_;
   std::vector<int> dense_;
   double origin_ = 0.0, h_ = 1.0;
   UnitBasis spline_;
@@ -289,18 +289,24 @@ class Lag {
   Nodes nodes_;
   std::vector<long> picked_;
   std::vector<double> spikes_, sorted_, scale_;
-  Model now_, by_;  // for residuals and for Jacobians
+  // the model at theta
+  Vector3 root_ = Vector3::Zero(),
+          point_ = Vector3::Zero();  // gravity; the twist's point seen from the centre
+  Eigen::Matrix<double, 3, 2> by_tilt_ = Eigen::Matrix<double, 3, 2>::Zero();
+  double s_ = 0.0, kappa_ = 0.5, late_ = 0.0;  // of (10.5)
+  std::vector<double> z_, lagged_;             // coordinates; C_0 by phi
 
   // work space
-  std::vector<double> last_, T_, phi_, X_, weights_, G_, left_, of_dense_, VJ_, slopes_, SV_, XX_, here_,
-      next_, inverse_, V_;
+  std::vector<double> last_, T_, phi_, X_, weights_, G_, left_, of_dense_, VJ_, slopes_, full_, SV_, XX_,
+      here_, next_, inverse_, V_;
 
   std::size_t at(int i, int j) const {
     return static_cast<std::size_t>(i <= j ? i * ldt_ + j : j * ldt_ + i);
   }
   static int knot_pair(int k, int l) { return k * kLocal - k * (k - 1) / 2 + l - k; }
 
-  // Where the rows of a knot under interval o of a block begin, and their columns.
+  // Where the rows of a knot under interval o of a block begin, and their
+  // columns.
   struct Places {
     std::array<double*, kLocal> row;
     std::array<std::array<int, kLocal>, kLocal> column;  // of knot l in the rows of knot k <= l
@@ -319,13 +325,13 @@ class Lag {
     return out;
   }
 
-  Model model(const Eigen::VectorXd& at) const;
-  // Gravity that the sensor feels (10.5), and the wrench in fractions of range, at a row's motion.
-  Vector3 gravity_of(const Model& m, const RawRow& row) const;
-  Vector6 wrench_of(const Model& m, const RawRow& row, const Vector3& g) const;
-  void jacobians(const RawRow& row, const Vector6& w, double* J, double* X) const;
+  void refresh();
+  // Gravity that the sensor feels (10.5), at a row's motion.
+  Vector3 gravity_of(const RawRow& row) const;
+  void jacobians(const RawRow& row, double* J, double* X) const;
 
-  // One motion row against the coefficients of its block: which interval of the block, its basis (10.4), its derivatives.
+  // One motion row against the coefficients of its block: which interval of the
+  // block, its basis (10.4), its derivatives.
   struct Placed {
     int o = 0;
     Basis b;
@@ -354,3 +360,4 @@ class Lag {
 
 #include "truewrench/estimation/lag_sums.hpp"
 #include "truewrench/estimation/lag_sweep.hpp"
+#include "truewrench/estimation/lag_take.hpp"

@@ -1,6 +1,8 @@
-// The rows of a fixed lag: what one interval of knots holds of the sensor's samples and of the motion's. Where a rate gives an
-// interval more samples than it can tell apart, they are replaced, once, by weighted rows at the Gauss nodes of their own
-// sampling (METHOD 9). Nothing here allocates after construction.
+// The rows of a fixed lag: what one interval of knots holds of the sensor's
+// samples and of the motion's. Where a rate gives an interval more samples than
+// it can tell apart, they are replaced, once, by weighted rows at the Gauss
+// nodes of their own sampling (METHOD 9). Nothing here allocates after
+// construction.
 #pragma once
 
 #include "truewrench/estimation/constants.hpp"
@@ -46,7 +48,8 @@ struct RawRow {
   Matrix3 R = Matrix3::Identity();
   // as predicted
   Channels residual{}, cw{};  // 0 where a cell is missing; C_0 w
-  Vector6 nu = Vector6::Zero(), a = Vector6::Zero(), w = Vector6::Zero();
+  Vector6 nu = Vector6::Zero(), a = Vector6::Zero(), w = Vector6::Zero(),
+          phi = Vector6::Zero();  // w = B phi
 
   bool has(int i) const { return (cells >> i & 1U) != 0; }
 };
@@ -79,7 +82,8 @@ class Ring {
   long begin_ = 0, end_ = 0;
 };
 
-// Eigenvalues of a symmetric matrix onto its diagonal, eigenvectors as columns: cyclic Jacobi, without an allocation.
+// Eigenvalues of a symmetric matrix onto its diagonal, eigenvectors as columns:
+// cyclic Jacobi, without an allocation.
 template <int N>
 void diagonalise(double (&a)[N][N], double (&v)[N][N]) {
   double size = 0.0;
@@ -114,7 +118,8 @@ void diagonalise(double (&a)[N][N], double (&v)[N][N]) {
   }
 }
 
-// x of A x = b, A (N, N) symmetric positive definite, its lower triangle read: LDL^T in place.
+// x of A x = b, A (N, N) symmetric positive definite, its lower triangle read:
+// LDL^T in place.
 template <int N>
 void solve_small(double (&A)[N][N], double (&b)[N]) {
   for (int j = 0; j < N; ++j) {
@@ -131,8 +136,9 @@ void solve_small(double (&A)[N][N], double (&b)[N]) {
     for (int i = j + 1; i < N; ++i) b[j] -= A[i][j] * b[i];
 }
 
-// The Gauss quadrature of a discrete measure, and the projection of samples on polynomials of a lower degree: a sum over the
-// samples of such a polynomial times the values is the weighted sum over the nodes.
+// The Gauss quadrature of a discrete measure, and the projection of samples on
+// polynomials of a lower degree: a sum over the samples of such a polynomial
+// times the values is the weighted sum over the nodes.
 class Nodes {
  public:
   void reserve(int most) { basis_.resize(static_cast<std::size_t>(most * kNodes)); }
@@ -140,7 +146,8 @@ class Nodes {
 
   std::array<double, kNodes> time{}, weight{};
 
-  // Orthonormal polynomials at `count` times (Stieltjes), nodes and weights from their three-term recurrence.
+  // Orthonormal polynomials at `count` times (Stieltjes), nodes and weights
+  // from their three-term recurrence.
   template <typename Time>
   void sample(int count, const Time& at) {
     double low = at(0), high = at(0);
@@ -201,7 +208,8 @@ class Nodes {
     return std::max(squares, 0.0);
   }
 
-  // The polynomial of a projection at a sample, by the projection's values at the nodes.
+  // The polynomial of a projection at a sample, by the projection's values at
+  // the nodes.
   double back(int k, const std::array<double, kNodes>& value) const {
     double sum = 0.0;
     for (int m = 0; m < kNodes; ++m) {

@@ -1,5 +1,6 @@
-// START (METHOD 10.3) on the blocks of a lag, on memory of its own: the motion from its own measurements alone, then gain and
-// offset by a robust regression. The same as start.hpp does for whole records.
+// START (METHOD 10.3) on the blocks of a lag, on memory of its own: the motion
+// from its own measurements alone, then gain and offset by a robust regression.
+// The same as start.hpp does for whole records.
 #pragma once
 
 #include "truewrench/estimation/lag.hpp"
@@ -39,7 +40,8 @@ class LagStart {
            ((2 * p - 1) * (N - p) + p * (p - 1)) * std::log(lag.h());
   }
 
-  // Coefficients, q and the factors of the motion's noise of all blocks, clocks at their means. -2 log L (10.7) of the motion.
+  // Coefficients, q and the factors of the motion's noise of all blocks, clocks
+  // at their means. -2 log L (10.7) of the motion.
   double motion_alone(Lag& lag, int most = 80) {
     const auto N = static_cast<std::size_t>(kBlock * (lag.end() + 1));
     const std::size_t streams = lag.streams();
@@ -135,8 +137,9 @@ class LagStart {
     return deviance;
   }
 
-  // Gain and offset (theta, raw_factor) by Cauchy weights (1 + n) / (1 + chi^2_n), scale 1.48 median and at least the stated
-  // sigma; `gain` false: the offset alone. Rows as predicted; prior: variances of theta.
+  // Gain and offset (theta, raw_factor) by Cauchy weights (1 + n) / (1 +
+  // chi^2_n), scale 1.48 median and at least the stated sigma; `gain` false:
+  // the offset alone. Rows as predicted; prior: variances of theta.
   void regress(Lag& lag, const Eigen::VectorXd& prior, bool gain) {
     const int n = lag.channels();
     const Statement& rig = lag.rig();

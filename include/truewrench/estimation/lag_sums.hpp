@@ -1,5 +1,5 @@
-// The rows of a lag: where theta's parameters stand, samples to rows, what the model predicts at a row, and the sums over the
-// rows of an interval. Included by lag.hpp.
+// The rows of a lag: where theta's parameters stand, what the model predicts at
+// a row, and the sums over the rows of an interval. Included by lag.hpp.
 #pragma once
 
 #include "truewrench/estimation/lag.hpp"
@@ -29,8 +29,7 @@ inline void Lag::carry(const RecordedLog& about) {
   nd_ = static_cast<int>(dense_.size());
   nf_ = slope_ >= 0 ? 8 : 7;
   theta = layout_.mean();
-  fixed_ = theta;
-  frozen_ = false;
+  products_ = Products(n_, C_, body_, nt_, about_.payload, rig_.range);
   sizes.raw_factor = Eigen::VectorXd::Ones(raw_groups(n_));
   sizes.q = Eigen::VectorXd::Constant(kComponents, constants::smoothness_start);
   sizes.motion_factor.clear();
@@ -62,6 +61,9 @@ inline void Lag::resize_work() {
   assign(of_dense_, std::max(kComponents, n_) * ldx_);
   assign(VJ_, 12 * n_);
   assign(slopes_, 6 * n_);
+  assign(lagged_, 6 * n_);
+  assign(z_, nt_);
+  assign(full_, (nt_ + 1) * nt_);
   assign(SV_, 6 * n_);
   assign(XX_, nd_ * ldx_);
   assign(here_, kWidth * kTheta);
@@ -72,45 +74,37 @@ inline void Lag::resize_work() {
   for (int r = 0; r < 6; ++r) scale_[static_cast<std::size_t>(r)] = rig_.sign / rig_.range[r];
 }
 
-inline Lag::Model Lag::model(const Eigen::VectorXd& point) const {
-  Model m;
-  BodyVector by;
-  std::copy_n(point.data() + body_, kBodyParameters, by.data());
-  m.body = departed(about_.payload, by);
-  m.root = gravity_ && tilt_ >= 0
-               ? tilted(rig_.gravity, Eigen::Vector2d(point[tilt_], point[tilt_ + 1]), m.by_tilt)
-               : rig_.gravity;
-  if (gravity_ && gamma_ >= 0) {
-    m.s = point[clock_[0]];
-    m.kappa = point[clock_[0] + 1];
-    m.gamma = point[gamma_];
-  }
-  std::copy_n(point.data() + C_, 6 * n_, m.C.begin());
-  std::copy_n(point.data() + u_, n_, m.u.begin());
-  return m;
+// What rows and blocks need of theta.
+inline void Lag::refresh() {
+  products_.set(theta.data());
+  products_.coordinates(theta.data(), z_.data());
+  products_.times(lagged.data(), lagged_.data());
+  for (int i = 0; i < 3; ++i) point_[i] = about_.point[i] - products_.centre[i];
+  root_ = gravity_ && tilt_ >= 0
+              ? tilted(rig_.gravity, Eigen::Vector2d(theta[tilt_], theta[tilt_ + 1]), by_tilt_)
+              : rig_.gravity;
+  if (!gravity_ || gamma_ < 0) return;
+  s_ = theta[clock_[0]];
+  kappa_ = theta[clock_[0] + 1];
+  late_ = theta[gamma_];
 }
 
-// g+ = g + gamma [ s Omega x g + (1 - kappa) s^2 Omega x (Omega x g) + kappa s^2 Omegadot x g ]                    (10.5)
-inline Vector3 Lag::gravity_of(const Model& m, const RawRow& row) const {
+// g+ = g + gamma [ s Omega x g + (1 - kappa) s^2 Omega x (Omega x g) + kappa
+// s^2 Omegadot x g ]                    (10.5)
+inline Vector3 Lag::gravity_of(const RawRow& row) const {
   if (!gravity_) return Vector3::Zero();
-  Vector3 g = product(row.R, m.root);
-  if (m.gamma == 0.0) return g;
+  Vector3 g = product(row.R, root_);
+  if (late_ == 0.0) return g;
   const Vector3 omega = angular(row.nu), first = cross(omega, g), turn = cross(omega, first),
                 spin = cross(angular(row.a), g);
   for (int i = 0; i < 3; ++i)
-    g[i] += m.gamma * (m.s * first[i] + m.s * m.s * ((1.0 - m.kappa) * turn[i] + m.kappa * spin[i]));
+    g[i] += late_ * (s_ * first[i] + s_ * s_ * ((1.0 - kappa_) * turn[i] + kappa_ * spin[i]));
   return g;
 }
 
-inline Vector6 Lag::wrench_of(const Model& m, const RawRow& row, const Vector3& g) const {
-  Vector6 w = wrench_about(m.body, about_.point, row.nu, row.a, g);
-  for (int r = 0; r < 6; ++r) w[r] *= scale_[static_cast<std::size_t>(r)];
-  return w;
-}
-
-// raw = C w + b + u (C_0 w)^2 + slope dT                                                                          (10.3)
+// raw = C w + b + u (C_0 w)^2 + slope dT (10.3)
 inline void Lag::predict(long g) {
-  now_ = model(theta);
+  refresh();
   double xx[2 * kWidth];
   coefficients(g, xx);
   for (int o = 0; o < kBlock; ++o) {
@@ -128,16 +122,22 @@ inline void Lag::predict(long g) {
         row.nu[j] = imu && j < 3 ? 0.0 : x[j];
         row.a[j] = imu && j < 3 ? x[j] : x[6 + j];
       }
-      row.w = wrench_of(now_, row, gravity_of(now_, row));
+      row.phi = wrench_about(products_.body, point_, row.nu, row.a, gravity_of(row));
+      for (int k = 0; k < 6; ++k) row.phi[k] *= scale_[static_cast<std::size_t>(k)];
+      for (int k = 0; k < 6; ++k) {
+        double sum = 0.0;
+        for (int l = 0; l < 6; ++l) sum += products_.B[k][l] * row.phi[l];
+        row.w[k] = sum;
+      }
       for (int i = 0; i < n_; ++i) {
         const auto iu = static_cast<std::size_t>(i);
         double cw = 0.0, e = row.value[iu] - theta[b_ + i];
         for (int k = 0; k < 6; ++k) {
           cw += lagged(i, k) * row.w[k];
-          e -= now_.C[static_cast<std::size_t>(6 * i + k)] * row.w[k];
+          e -= products_.D[static_cast<std::size_t>(6 * i + k)] * row.phi[k];
         }
         row.cw[iu] = cw;
-        e -= now_.u[iu] * cw * cw;
+        e -= theta[u_ + i] * cw * cw;
         if (slope_ >= 0) e -= row.temperature * theta[slope_ + i];
         row.residual[iu] = row.has(i) ? e : 0.0;
       }
@@ -145,14 +145,16 @@ inline void Lag::predict(long g) {
   }
 }
 
-// d w (fractions of range) by [x, x'] (6, 12) and by the dense parameters (6, ldx), row by row, at one row of wrench w.
-inline void Lag::jacobians(const RawRow& row, const Vector6& w, double* J, double* X) const {
-  Vector6 newton;
-  for (int r = 0; r < 6; ++r) newton[r] = w[r] / scale_[static_cast<std::size_t>(r)];
-  MotionJacobian j = motion_jacobian(by_.body, about_.point, row.nu);
-  const BodyJacobian by_body = body_jacobian(by_.body, row.nu, row.a, newton);
-  for (int c = 0; c < kBodyParameters; ++c)
-    for (int r = 0; r < 6; ++r) X[r * ldx_ + c] = scale_[static_cast<std::size_t>(r)] * by_body(r, c);
+// d phi (fractions of range) by [x, x'] (6, 12) and by the dense parameters (6,
+// ldx), row by row, at one row.
+inline void Lag::jacobians(const RawRow& row, double* J, double* X) const {
+  MotionJacobian j = motion_jacobian(products_.body, point_, row.nu);
+  const BodyJacobian by_body = body_jacobian(products_.body, row.nu, row.a, row.phi);
+  for (int c = 0; c < kBodyParameters; ++c)  // the mass and the lever arm are in D: of the centre the point's
+                                             // motion alone
+    for (int r = 0; r < 6; ++r)
+      X[r * ldx_ + c] =
+          c == 0 || (c < 4 && r >= 3) ? 0.0 : scale_[static_cast<std::size_t>(r)] * by_body(r, c);
   if (gravity_) {
     int to = kBodyParameters;
     const auto put = [&](const double* x) {  // a parameter of gravity
@@ -161,8 +163,8 @@ inline void Lag::jacobians(const RawRow& row, const Vector6& w, double* J, doubl
             scale_[static_cast<std::size_t>(r)] * (j.g(r, 0) * x[0] + j.g(r, 1) * x[1] + j.g(r, 2) * x[2]);
       ++to;
     };
-    const Vector3 g = product(row.R, by_.root), omega = angular(row.nu), alpha = angular(row.a);
-    const double t = by_.s, kappa = by_.kappa, gamma = by_.gamma;
+    const Vector3 g = product(row.R, root_), omega = angular(row.nu), alpha = angular(row.a);
+    const double t = s_, kappa = kappa_, gamma = late_;
     if (gamma_ >= 0) {  // of (10.5)
       const Vector3 first = cross(omega, g), turn = cross(omega, first), spin = cross(alpha, g);
       double by[3][3];
@@ -175,7 +177,7 @@ inline void Lag::jacobians(const RawRow& row, const Vector6& w, double* J, doubl
       for (const auto& x : by) put(x);
     }
     for (int c = 0; tilt_ >= 0 && c < 2; ++c) {
-      const Vector3 x = product(row.R, Vector3(by_.by_tilt(0, c), by_.by_tilt(1, c), by_.by_tilt(2, c)));
+      const Vector3 x = product(row.R, Vector3(by_tilt_(0, c), by_tilt_(1, c), by_tilt_(2, c)));
       const Vector3 first = cross(omega, x), turn = cross(omega, first), spin = cross(alpha, x);
       double by[3];
       for (int i = 0; i < 3; ++i)
@@ -221,7 +223,8 @@ inline void Lag::add_raw(Front& f, Interval& v, const Places& at, SizeSums& sums
              sums);
 }
 
-// Sums over the rows with the cells `same`: one Jacobian, the mean of the rows', for H and F alike.
+// Sums over the rows with the cells `same`: one Jacobian, the mean of the
+// rows', for H and F alike.
 inline void Lag::sum_rows(Front& f, Interval& v, int same, bool keep, const Places& at, SizeSums& sums) {
   const int left_rows = 2 * kLocal + nf_ + 2 * n_, ldw = dense::padded(left_rows);
   double mean[72] = {}, J[72], gradient[2 * kComponents * kLocal] = {}, by_dense[kMostDense] = {};
@@ -242,10 +245,9 @@ inline void Lag::sum_rows(Front& f, Interval& v, int same, bool keep, const Plac
     ++count;
     total += weight;
     all += row.size;
-    const Vector6 w = frozen_ ? wrench_of(by_, row, gravity_of(by_, row)) : row.w;
-    jacobians(row, w, J, X);
+    jacobians(row, J, X);
     for (int c = 0; c < 6; ++c) {
-      phi[c] = w[c];
+      phi[c] = row.phi[c];
       std::copy_n(X + c * ldx_, nd_, phi + nf_ + n_ + c * nd_);
     }
     phi[6] = 1.0;
@@ -259,8 +261,8 @@ inline void Lag::sum_rows(Front& f, Interval& v, int same, bool keep, const Plac
       phi[nf_ + i] = cw * cw;
       cw_mean[iu] += weight * cw;
       vr[i] = -x;
-      dense::add<6>(y, x, by_.C.data() + 6 * i);
-      dense::add<6>(y, 2.0 * by_.u[iu] * cw * x, lagged.data() + 6 * i);
+      dense::add<6>(y, x, products_.D.data() + 6 * i);
+      dense::add<6>(y, 2.0 * theta[u_ + i] * cw * x, lagged_.data() + 6 * i);
       const double e = row.residual[iu] / rig_.noise[i];
       const auto group = static_cast<std::size_t>(raw_group(i, n_));
       sums.raw[group] += weight * e * e;
@@ -295,8 +297,9 @@ inline void Lag::sum_rows(Front& f, Interval& v, int same, bool keep, const Plac
   for (int i = 0; i < n_; ++i)  // d raw / d w
     for (int c = 0; c < 6; ++c) {
       const auto iu = static_cast<std::size_t>(i);
-      slopes_[6 * iu + static_cast<std::size_t>(c)] = by_.C[6 * iu + static_cast<std::size_t>(c)] +
-                                                      2.0 * by_.u[iu] * (cw_mean[iu] / total) * lagged(i, c);
+      slopes_[6 * iu + static_cast<std::size_t>(c)] =
+          products_.D[6 * iu + static_cast<std::size_t>(c)] +
+          2.0 * theta[u_ + i] * (cw_mean[iu] / total) * lagged_[6 * iu + static_cast<std::size_t>(c)];
     }
   dense::subtract(G_.data(), ldp_, weights_.data(), 1, ldw, phi_.data(), ldp_, left_rows, ldp_, count,
                   dense::Mode::fresh);
@@ -309,7 +312,8 @@ inline void Lag::sum_rows(Front& f, Interval& v, int same, bool keep, const Plac
     f.T[this->at(u_ + i, nt_)] += g[nf_ + i];
   }
   for (int x = 0; x < nd_; ++x) f.T[this->at(dense_[static_cast<std::size_t>(x)], nt_)] += by_dense[x];
-  // (d raw / d w)^T V^-1, its product with d raw / d w, and with the mean Jacobian
+  // (d raw / d w)^T V^-1, its product with d raw / d w, and with the mean
+  // Jacobian
   double Q[36] = {}, JC[12 * kMostChannels] = {};
   for (int i = 0; i < n_; ++i)
     for (int c = 0; c < 6; ++c) {
@@ -423,151 +427,6 @@ inline void Lag::add_theta(Front& f, const Channels& v) {
     for (int y = x; y < nd_; ++y)
       tt(dense_[static_cast<std::size_t>(x)], dense_[static_cast<std::size_t>(y)]) +=
           XX_[static_cast<std::size_t>(x * ldx_ + y)];
-}
-
-// ------------------------------------------------------------------------------------------------ samples
-
-template <typename Masked>
-void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, const Masked& masked) {
-  Interval& v = interval(at);
-  v.rows = 0;
-  v.spared = 0.0;
-  v.remainder.fill(0.0);
-  v.begin = origin_ + h_ * static_cast<double>(at);
-  v.end = v.begin + h_;
-  const auto n = static_cast<std::size_t>(n_);
-  const unsigned whole = (1U << n) - 1U;
-  const auto cells = [&](const RawSample& s) {
-    unsigned out = 0;
-    for (std::size_t c = 0; c < n; ++c) out |= std::isfinite(s.value[c]) ? 1U << c : 0U;
-    return out;
-  };
-  const auto finish = [&](RawRow& row) {
-    const double u = (row.time - v.begin) / h_;
-    const Basis b0 = spline_.at(u, 0), b1 = spline_.at(u, 1);
-    std::copy_n(b0.data(), kLocal, row.basis.begin());
-    std::copy_n(b1.data(), kLocal, row.basis.begin() + kLocal);
-    row.masked = false;
-    row.weight = 1.0;
-    row.channels = 0;
-    for (int c = 0; c < n_; ++c) {
-      row.channels += row.has(c) ? 1 : 0;
-      if (!row.has(c)) row.value[static_cast<std::size_t>(c)] = 0.0;
-    }
-  };
-  if (to - from <= kMostRows) {
-    for (long k = from; k < to; ++k) {
-      RawRow& row = v.row[static_cast<std::size_t>(v.rows++)];
-      const RawSample& s = samples[k];
-      row.time = s.time;
-      row.size = 1.0;
-      row.temperature = s.temperature;
-      row.R = s.R;
-      row.value = s.value;
-      row.cells = cells(s);
-      finish(row);
-    }
-    return;
-  }
-  int count = 0;
-  for (long k = from; k < to && count < nodes_.capacity(); ++k)
-    if (cells(samples[k]) == whole) picked_[static_cast<std::size_t>(count++)] = k;
-  if (count < kMostRows) return;
-  const auto sample = [&](int k) -> const RawSample& {
-    return samples[picked_[static_cast<std::size_t>(k)]];
-  };
-  std::array<std::array<double, kNodes>, kMostChannels> value{};
-  for (int round = 0; round <= kMostRows; ++round) {
-    nodes_.sample(count, [&](int k) { return sample(k).time - v.begin; });
-    double expected = 0.0;
-    for (std::size_t c = 0; c < n; ++c) {
-      v.remainder[c] = nodes_.project(count, [&](int k) { return sample(k).value[c]; }, value[c]);
-      expected += v.remainder[c] / (noise(static_cast<int>(c)) * noise(static_cast<int>(c)));
-    }
-    // spikes: what their own interval's polynomial does not take (METHOD 10.3)
-    if (round == kMostRows || count <= kMostRows + 1 || expected < 2.0 * n_ * (count - kNodes)) break;
-    for (int k = 0; k < count; ++k) {
-      double sum = 0.0;
-      for (std::size_t c = 0; c < n; ++c) {
-        const double z = (sample(k).value[c] - nodes_.back(k, value[c])) / noise(static_cast<int>(c));
-        sum += z * z;
-      }
-      spikes_[static_cast<std::size_t>(k)] = sorted_[static_cast<std::size_t>(k)] = sum;
-    }
-    std::nth_element(sorted_.begin(), sorted_.begin() + count / 2, sorted_.begin() + count);
-    const double scale = std::max(
-        1.0, sorted_[static_cast<std::size_t>(count / 2)] / n_);  // the noise may be more than stated
-    const auto worst =
-        static_cast<int>(std::max_element(spikes_.begin(), spikes_.begin() + count) - spikes_.begin());
-    if (spikes_[static_cast<std::size_t>(worst)] / scale <
-        (constants::freedom + n_) / constants::mask_weight - constants::freedom)
-      break;
-    masked(sample(worst).time, sample(worst).time);
-    std::copy(picked_.begin() + worst + 1, picked_.begin() + count, picked_.begin() + worst);
-    --count;
-  }
-  v.rows = kNodes;
-  v.spared = count - kNodes;
-  int k = 0;
-  for (std::size_t m = 0; m < kNodes; ++m) {
-    RawRow& row = v.row[m];
-    row.time = v.begin + nodes_.time[m];
-    row.size = nodes_.weight[m];
-    while (k + 2 < count && sample(k + 1).time < row.time) ++k;
-    const RawSample &before = sample(k), &after = sample(k + 1);
-    const double share = std::clamp((row.time - before.time) / (after.time - before.time), 0.0, 1.0);
-    for (int x = 0; x < 9; ++x)
-      row.R.data()[x] = (1.0 - share) * before.R.data()[x] + share * after.R.data()[x];
-    row.temperature = before.temperature;
-    row.cells = whole;
-    for (std::size_t c = 0; c < n; ++c) row.value[c] = value[c][m];
-    finish(row);
-  }
-}
-
-inline void Lag::take(std::size_t stream, const Ring<MotionSample>& samples, long from, long to) {
-  Ring<MotionRow>& out = motion_[stream];
-  int count = 0;
-  const auto whole = [](const MotionSample& s) {
-    for (const double x : s.value)
-      if (!std::isfinite(x)) return false;
-    return true;
-  };
-  if (to - from > kMostRows)
-    for (long k = from; k < to && count < nodes_.capacity(); ++k)
-      if (whole(samples[k])) picked_[static_cast<std::size_t>(count++)] = k;
-  if (to - from <= kMostRows || count <= kMostRows) {
-    for (long k = from; k < std::min(to, from + kMostRows) && !out.full(); ++k) {
-      MotionRow& row = out.push();
-      row = MotionRow();
-      row.time = samples[k].time;
-      for (std::size_t j = 0; j < 6; ++j) {
-        row.have[j] = std::isfinite(samples[k].value[j]) ? 1.0 : 0.0;
-        row.value[j] = row.have[j] > 0.0 ? samples[k].value[j] : 0.0;
-      }
-    }
-    return;
-  }
-  const double begin = samples[from].time;
-  const auto sample = [&](int k) -> const MotionSample& {
-    return samples[picked_[static_cast<std::size_t>(k)]];
-  };
-  nodes_.sample(count, [&](int k) { return sample(k).time - begin; });
-  std::array<std::array<double, kNodes>, 6> value{};
-  std::array<double, 6> remainder{};
-  for (std::size_t j = 0; j < 6; ++j)
-    remainder[j] = nodes_.project(count, [&](int k) { return sample(k).value[j]; }, value[j]);
-  for (std::size_t m = 0; m < kNodes && !out.full(); ++m) {
-    MotionRow& row = out.push();
-    row = MotionRow();
-    row.time = begin + nodes_.time[m];
-    row.size = nodes_.weight[m];
-    row.have.fill(1.0);
-    for (std::size_t j = 0; j < 6; ++j) row.value[j] = value[j][m];
-    if (m > 0) continue;
-    row.remainder = remainder;
-    row.spared = count - kNodes;
-  }
 }
 
 }  // namespace truewrench

@@ -1,4 +1,5 @@
-// The blocks of a lag: their elimination, the way back and the traces. Included by lag.hpp.
+// The blocks of a lag: their elimination, the way back and the traces. Included
+// by lag.hpp.
 #pragma once
 
 #include "truewrench/estimation/lag.hpp"
@@ -117,9 +118,10 @@ inline void Lag::add_motion(Front& f, double* P, double* N, long g, bool last, c
   }
 }
 
-// The last column of a panel and of T: the information vector less (sign -1) or plus (1) Lambda [x; theta].
+// The last column of a panel and of T: the information vector less (sign -1) or
+// plus (1) Lambda [x; theta].
 inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
-  const double* t = theta.data();
+  const double* t = z_.data();
   double Hx[kWidth] = {};
   for (int i = 0; i < kWidth; ++i) {
     const double* row = panel + i * ld_;
@@ -131,8 +133,8 @@ inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
     for (int k = 0; k < nt_; ++k) sum += row[kTheta + k] * t[k];
     Hx[i] += sum;
   }
-  for (int k = 0; k < nt_;
-       ++k) {  // a row of T: what the diagonal and the columns after it see, and what they give back
+  for (int k = 0; k < nt_; ++k) {  // a row of T: what the diagonal and the columns after it see, and
+                                   // what they give back
     const double* row = f.T.data() + k * ldt_;
     double sum = row[k] * t[k];
     for (int l = k + 1; l < nt_; ++l) sum += row[l] * t[l];
@@ -153,14 +155,15 @@ inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
 }
 
 inline bool Lag::eliminate(Front& f, long g, bool last) {
-  by_ = model(frozen_ ? fixed_ : theta);
+  refresh();
   Block& B = block(g);
   double xx[2 * kWidth];
   coefficients(g, xx);
   double *P = B.panel.data(), *N = f.panel.data();
   std::copy_n(N, kWidth * ld_, P);
   std::fill_n(N, kWidth * ld_, 0.0);
-  turn(f, P, xx, -1.0);  // to the gradient at the coefficients and theta as they stand
+  turn(f, P, xx,
+       -1.0);  // to the gradient at the coefficients and theta as they stand
 
   B.sums = SizeSums();
   add_smoothness(P, N, xx, &B.sums);
@@ -181,13 +184,14 @@ inline bool Lag::eliminate(Front& f, long g, bool last) {
     dense::tile_of(dense::tile_rows, N + t * ld_ + kTheta, ld_, A, 1, ld_, from + kTheta, ld_, ldt_,
                    kWidth - t);
   }
-  // and back to absolute coordinates: R^-T of [H, H of the next block, H_xt] [x; x of the next; theta]
+  // and back to absolute coordinates: R^-T of [H, H of the next block, H_xt]
+  // [x; x of the next; theta]
   for (int i = 0; i < kWidth; ++i) {
     double* row = P + i * ld_;
     double sum = 0.0;
     for (int j = i; j < kWidth; ++j) sum += row[j] * xx[j];
     for (int j = 0; j < kWidth; ++j) sum += row[kPadded + j] * xx[kWidth + j];
-    for (int k = 0; k < nt_; ++k) sum += row[kTheta + k] * theta[k];
+    for (int k = 0; k < nt_; ++k) sum += row[kTheta + k] * z_[static_cast<std::size_t>(k)];
     row[kTheta + nt_] += sum;
   }
   turn(f, N, xx + kWidth, 1.0);
@@ -210,6 +214,7 @@ inline double Lag::terminal(const Front& f, Eigen::MatrixXd& S) {
 }
 
 inline void Lag::back(long from) {
+  refresh();
   double x[2 * kWidth] = {};  // of a block and the next
   for (long g = end_; g >= from; --g) {
     const double* P = g == end_ ? last_.data() : block(g).panel.data();
@@ -217,7 +222,7 @@ inline void Lag::back(long from) {
     for (int i = kWidth - 1; i >= 0; --i) {
       const double* row = P + i * ld_;
       double sum = row[kTheta + nt_];
-      for (int k = 0; k < nt_; ++k) sum -= row[kTheta + k] * theta[k];
+      for (int k = 0; k < nt_; ++k) sum -= row[kTheta + k] * z_[static_cast<std::size_t>(k)];
       if (g < end_)
         for (int j = 0; j < kWidth; ++j) sum -= row[kPadded + j] * x[kWidth + j];
       for (int j = i + 1; j < kWidth; ++j) sum -= row[j] * x[j];
@@ -228,14 +233,16 @@ inline void Lag::back(long from) {
 }
 
 inline void Lag::expect(const Front& f, long g, bool last) {
-  // [motion alone, theta as it stands] in the places of a panel: two blocks and one column
+  refresh();
+  // [motion alone, theta as it stands] in the places of a panel: two blocks and
+  // one column
   double *P = block(g).panel.data(), *N = last_.data();
   std::copy_n(f.panel.data(), kWidth * ld_, P);
   std::fill_n(N, kWidth * ld_, 0.0);
   for (int i = 0; i < kWidth; ++i) {
     double* row = P + i * ld_ + kTheta;
     double sum = row[nt_];
-    for (int k = 0; k < nt_; ++k) sum -= row[k] * theta[k];
+    for (int k = 0; k < nt_; ++k) sum -= row[k] * z_[static_cast<std::size_t>(k)];
     std::fill_n(row, nt_, 0.0);
     row[nt_] = sum;
   }
@@ -260,7 +267,8 @@ inline void Lag::expect(const Front& f, long g, bool last) {
       }
     }
   }
-  // the columns that hold something: [own, next block's] and the one after theta
+  // the columns that hold something: [own, next block's] and the one after
+  // theta
   double logdet = 0.0;
   for (int i = 0; i < kWidth; ++i) P[i * ld_ + kTheta] = P[i * ld_ + kTheta + nt_];
   if (!dense::factor(P, ld_, kWidth, logdet)) return;
@@ -289,13 +297,15 @@ inline void Lag::expect(const Front& f, long g, bool last) {
   std::copy_n(x + kWidth, kWidth, block(g + 1).x.data());
 }
 
-// By selected inversion: S_gh = - G S_hh, S_gg = R^-1 R^-T - S_gh G^T, h the next block, G = R^-1 R^-T H_gh; theta known.
+// By selected inversion: S_gh = - G S_hh, S_gg = R^-1 R^-T - S_gh G^T, h the
+// next block, G = R^-1 R^-T H_gh; theta known.
 inline void Lag::traces(long from) {
   for (long g = end_; g >= from; --g) {
     const double* P = g == end_ ? last_.data() : block(g).panel.data();
     const bool free = g == end_;
     std::swap(here_, next_);
-    std::fill(inverse_.begin(), inverse_.end(), 0.0);  // R^-1 [1, R^-T H of the next block]
+    std::fill(inverse_.begin(), inverse_.end(),
+              0.0);  // R^-1 [1, R^-T H of the next block]
     for (int i = 0; i < kWidth; ++i) {
       inverse_[static_cast<std::size_t>(i * kTheta + i)] = 1.0;
       if (!free) std::copy_n(P + i * ld_ + kPadded, kWidth, inverse_.begin() + i * kTheta + kPadded);
@@ -404,7 +414,7 @@ inline double Lag::objective(long g, Cursor& next, bool last) const {
 
 inline double Lag::objective(const Front& f, long g) const {
   double sum = 0.0;
-  const double *x = block(g).x.data(), *t = theta.data();
+  const double *x = block(g).x.data(), *t = z_.data();
   for (int i = 0; i < kWidth; ++i) {
     const double* row = f.panel.data() + i * ld_;
     double y = row[i] * x[i];

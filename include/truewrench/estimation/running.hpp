@@ -1,4 +1,5 @@
-// Running sums of what left the lag: the moments of (10.9) without a second look at the rows, and those of (10.10).
+// Running sums of what left the lag: the moments of (10.9) without a second
+// look at the rows, and those of (10.10).
 #pragma once
 
 #include "truewrench/estimation/discrepancy.hpp"
@@ -9,11 +10,13 @@
 
 namespace truewrench {
 
-// (10.9). Z = [w, 1, (C_0 w)_i^2, r_i] of all rows, K the Matern-3/2 correlation. Z^T K Z and Z^T K^2 Z are sums over pairs of
-// rows that recursions take as the rows come: with A the part of K before the diagonal and D the diagonal, K^2 is
-// (A + D)^T (A + D) + [A (A + D) + its transpose] + A A^T; of each, what a row meets is a state that the rows before left and
-// that decays. Residuals may be of a theta since left: X = [w, 1, (C_0 w)^2] is projected out at the end, and a change of theta
-// moves them within it.
+// (10.9). Z = [w, 1, (C_0 w)_i^2, r_i] of all rows, K the Matern-3/2
+// correlation. Z^T K Z and Z^T K^2 Z are sums over pairs of rows that
+// recursions take as the rows come: with A the part of K before the diagonal
+// and D the diagonal, K^2 is (A + D)^T (A + D) + [A (A + D) + its transpose] +
+// A A^T; of each, what a row meets is a state that the rows before left and
+// that decays. Residuals may be of a theta since left: X = [w, 1, (C_0 w)^2] is
+// projected out at the end, and a change of theta moves them within it.
 class MomentSums {
  public:
   explicit MomentSums(int channels = 6) : n_(channels), d_(7 + 2 * channels) {
@@ -37,7 +40,8 @@ class MomentSums {
     }
   }
 
-  // A row of `size` samples. With c the root of size, rows are c Z and K is c_j c_k K_jk.
+  // A row of `size` samples. With c the root of size, rows are c Z and K is c_j
+  // c_k K_jk.
   void add(const RawRow& row) {
     const double c = std::sqrt(row.size), c2 = row.size;
     for (int k = 0; k < 6; ++k) z_[static_cast<std::size_t>(k)] = c * row.w[k];
@@ -60,7 +64,8 @@ class MomentSums {
       k.p0 *= ee;
       const double alpha = k.p0 + k.p1, beta = k.p1 + k.p2;
       for (std::size_t i = 0; i < z_.size(); ++i) {
-        // (A Z)_k = c (a + b), a and b the sums of e^-x and x e^-x over the rows before
+        // (A Z)_k = c (a + b), a and b the sums of e^-x and x e^-x over the
+        // rows before
         k.b[i] = e * (k.b[i] + x * k.a[i]);
         k.a[i] *= e;
         k.d[i] = e * (k.d[i] + x * k.c[i]);
@@ -146,7 +151,8 @@ class MomentSums {
     return best;
   }
 
-  // X^T X and delta^2 X^T K X of [C_i, u_i], added to A and B; the offset, of prior variance `offset`, eliminated; v: 1 / sigma_i^2.
+  // X^T X and delta^2 X^T K X of [C_i, u_i], added to A and B; the offset, of
+  // prior variance `offset`, eliminated; v: 1 / sigma_i^2.
   void spread(int i, double v, double offset, const Moment& m, double (&A)[7][7], double (&B)[7][7]) const {
     std::size_t t = 0;
     while (t + 1 < kernels_.size() && constants::taus[t] != m.tau) ++t;
@@ -197,7 +203,8 @@ class MomentSums {
   }
 };
 
-// (10.10): w against the pose, the integral of the twist component by component, means by stretch.
+// (10.10): w against the pose, the integral of the twist component by
+// component, means by stretch.
 class PoseSums {
  public:
   void add(const RawRow& row) {

@@ -1,0 +1,152 @@
+// Samples to the rows of an interval: as they are, or at the Gauss nodes of
+// their own sampling (METHOD 9). Included by lag.hpp.
+#pragma once
+
+#include "truewrench/estimation/lag.hpp"
+
+namespace truewrench {
+
+template <typename Masked>
+void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, const Masked& masked) {
+  Interval& v = interval(at);
+  v.rows = 0;
+  v.spared = 0.0;
+  v.remainder.fill(0.0);
+  v.begin = origin_ + h_ * static_cast<double>(at);
+  v.end = v.begin + h_;
+  const auto n = static_cast<std::size_t>(n_);
+  const unsigned whole = (1U << n) - 1U;
+  const auto cells = [&](const RawSample& s) {
+    unsigned out = 0;
+    for (std::size_t c = 0; c < n; ++c) out |= std::isfinite(s.value[c]) ? 1U << c : 0U;
+    return out;
+  };
+  const auto finish = [&](RawRow& row) {
+    const double u = (row.time - v.begin) / h_;
+    const Basis b0 = spline_.at(u, 0), b1 = spline_.at(u, 1);
+    std::copy_n(b0.data(), kLocal, row.basis.begin());
+    std::copy_n(b1.data(), kLocal, row.basis.begin() + kLocal);
+    row.masked = false;
+    row.weight = 1.0;
+    row.channels = 0;
+    for (int c = 0; c < n_; ++c) {
+      row.channels += row.has(c) ? 1 : 0;
+      if (!row.has(c)) row.value[static_cast<std::size_t>(c)] = 0.0;
+    }
+  };
+  if (to - from <= kMostRows) {
+    for (long k = from; k < to; ++k) {
+      RawRow& row = v.row[static_cast<std::size_t>(v.rows++)];
+      const RawSample& s = samples[k];
+      row.time = s.time;
+      row.size = 1.0;
+      row.temperature = s.temperature;
+      row.R = s.R;
+      row.value = s.value;
+      row.cells = cells(s);
+      finish(row);
+    }
+    return;
+  }
+  int count = 0;
+  for (long k = from; k < to && count < nodes_.capacity(); ++k)
+    if (cells(samples[k]) == whole) picked_[static_cast<std::size_t>(count++)] = k;
+  if (count < kMostRows) return;
+  const auto sample = [&](int k) -> const RawSample& {
+    return samples[picked_[static_cast<std::size_t>(k)]];
+  };
+  std::array<std::array<double, kNodes>, kMostChannels> value{};
+  for (int round = 0; round <= kMostRows; ++round) {
+    nodes_.sample(count, [&](int k) { return sample(k).time - v.begin; });
+    double expected = 0.0;
+    for (std::size_t c = 0; c < n; ++c) {
+      v.remainder[c] = nodes_.project(count, [&](int k) { return sample(k).value[c]; }, value[c]);
+      expected += v.remainder[c] / (noise(static_cast<int>(c)) * noise(static_cast<int>(c)));
+    }
+    // spikes: what their own interval's polynomial does not take (METHOD 10.3)
+    if (round == kMostRows || count <= kMostRows + 1 || expected < 2.0 * n_ * (count - kNodes)) break;
+    for (int k = 0; k < count; ++k) {
+      double sum = 0.0;
+      for (std::size_t c = 0; c < n; ++c) {
+        const double z = (sample(k).value[c] - nodes_.back(k, value[c])) / noise(static_cast<int>(c));
+        sum += z * z;
+      }
+      spikes_[static_cast<std::size_t>(k)] = sorted_[static_cast<std::size_t>(k)] = sum;
+    }
+    std::nth_element(sorted_.begin(), sorted_.begin() + count / 2, sorted_.begin() + count);
+    const double scale = std::max(
+        1.0, sorted_[static_cast<std::size_t>(count / 2)] / n_);  // the noise may be more than stated
+    const auto worst =
+        static_cast<int>(std::max_element(spikes_.begin(), spikes_.begin() + count) - spikes_.begin());
+    if (spikes_[static_cast<std::size_t>(worst)] / scale <
+        (constants::freedom + n_) / constants::mask_weight - constants::freedom)
+      break;
+    masked(sample(worst).time, sample(worst).time);
+    std::copy(picked_.begin() + worst + 1, picked_.begin() + count, picked_.begin() + worst);
+    --count;
+  }
+  v.rows = kNodes;
+  v.spared = count - kNodes;
+  int k = 0;
+  for (std::size_t m = 0; m < kNodes; ++m) {
+    RawRow& row = v.row[m];
+    row.time = v.begin + nodes_.time[m];
+    row.size = nodes_.weight[m];
+    while (k + 2 < count && sample(k + 1).time < row.time) ++k;
+    const RawSample &before = sample(k), &after = sample(k + 1);
+    const double share = std::clamp((row.time - before.time) / (after.time - before.time), 0.0, 1.0);
+    for (int x = 0; x < 9; ++x)
+      row.R.data()[x] = (1.0 - share) * before.R.data()[x] + share * after.R.data()[x];
+    row.temperature = before.temperature;
+    row.cells = whole;
+    for (std::size_t c = 0; c < n; ++c) row.value[c] = value[c][m];
+    finish(row);
+  }
+}
+
+inline void Lag::take(std::size_t stream, const Ring<MotionSample>& samples, long from, long to) {
+  Ring<MotionRow>& out = motion_[stream];
+  int count = 0;
+  const auto whole = [](const MotionSample& s) {
+    for (const double x : s.value)
+      if (!std::isfinite(x)) return false;
+    return true;
+  };
+  if (to - from > kMostRows)
+    for (long k = from; k < to && count < nodes_.capacity(); ++k)
+      if (whole(samples[k])) picked_[static_cast<std::size_t>(count++)] = k;
+  if (to - from <= kMostRows || count <= kMostRows) {
+    for (long k = from; k < std::min(to, from + kMostRows) && !out.full(); ++k) {
+      MotionRow& row = out.push();
+      row = MotionRow();
+      row.time = samples[k].time;
+      for (std::size_t j = 0; j < 6; ++j) {
+        row.have[j] = std::isfinite(samples[k].value[j]) ? 1.0 : 0.0;
+        row.value[j] = row.have[j] > 0.0 ? samples[k].value[j] : 0.0;
+      }
+    }
+    return;
+  }
+  const double begin = samples[from].time;
+  const auto sample = [&](int k) -> const MotionSample& {
+    return samples[picked_[static_cast<std::size_t>(k)]];
+  };
+  nodes_.sample(count, [&](int k) { return sample(k).time - begin; });
+  std::array<std::array<double, kNodes>, 6> value{};
+  std::array<double, 6> remainder{};
+  for (std::size_t j = 0; j < 6; ++j)
+    remainder[j] = nodes_.project(count, [&](int k) { return sample(k).value[j]; }, value[j]);
+  for (std::size_t m = 0; m < kNodes && !out.full(); ++m) {
+    MotionRow& row = out.push();
+    row = MotionRow();
+    row.time = begin + nodes_.time[m];
+    row.size = nodes_.weight[m];
+    row.have.fill(1.0);
+    for (std::size_t j = 0; j < 6; ++j) row.value[j] = value[j][m];
+    if (m > 0) continue;
+    row.remainder = remainder;
+    row.spared = count - kNodes;
+  }
+}
+
+}  // namespace truewrench
