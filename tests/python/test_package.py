@@ -22,7 +22,7 @@ FLOORS = [
     {"arm", "attitude", "calibration", "motion_noise", "payload", "temperature"},
     {"compensation", "estimation", "exports", "inertial", "io"},
     {"apply", "inspection", "judging"},
-    {"assembly", "evidence", "simulation", "validation"},
+    {"assembly", "evidence", "simulation", "tool", "validation"},
     {"known_wrench", "planning", "summary"},
     {"pipeline", "report"},
     {"campaign", "stream"},

@@ -1,0 +1,386 @@
+"""What is known of a tool and of the sensor that carries it, with their joint uncertainty (tool.yaml)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.errors import InputError
+from truewrench.files import read_yaml, write_yaml
+from truewrench.rig import Rig
+from truewrench.rig.fields import Fields
+from truewrench.rig.tool_rig import tool_rig
+from truewrench.tool.parameters import (
+    ELEMENTS,
+    Layout,
+    channel_turn,
+    second_moments,
+    tilted,
+)
+from truewrench.tool.parts import Body, HeldOut, ToolVerdict, Unknown
+
+__all__ = ["FORMAT", "Body", "HeldOut", "Tool", "ToolVerdict", "Unknown", "read_tool"]
+
+FORMAT = "truewrench-tool/1"
+"""What the first line of a tool's file says."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tool:
+    """A tool on a sensor, raw = gain R(mounting) w(body, motion, gravity) + offset, and how well it is known.
+
+    Attributes:
+        mass: [kg].
+        mass_std: 1 sigma [kg].
+        center_of_mass: (3,) seen from the sensor's origin, sensor axes as the logged motion has them [m].
+        center_of_mass_std: (3,) 1 sigma [m].
+        inertia: (6,) elements about the centre of mass, in the order of `ELEMENTS` [kg m^2].
+        inertia_std: (6,) 1 sigma.
+        determined: `mass`, `center_of_mass` (3), `inertia` (6): posterior sigma below half the prior's.
+        offset: (n,) of the last log at `offset_time_ns` [raw units].
+        offset_std: (n,) 1 sigma.
+        offset_time_ns: stamp of the end of the last log.
+        offset_walk: (n,) [raw units per sqrt(s)].
+        pose_repeatability: (n,) 1 sigma of what a pose adds that no other pose shares [raw units].
+        mounting: (3,) roll, pitch, yaw of the channels' axes in the sensor frame [rad].
+        mounting_std: (3,) 1 sigma.
+        tilt: (2,) of gravity against the rig's [rad].
+        tilt_std: (2,) 1 sigma.
+        gain: (n, 6) posterior, w in the rig's sign, channel axes.
+        covariance: (7n + 15, 7n + 15) of theta, in the order of `Layout`.
+        exported: the physical body that exports hold, with the sensor's housing where one was stated.
+        verdict: whether and why (not) to use it.
+        rig: the settings it was made with, `payloads` and `required` passed over.
+        held_out: beside the usual recipe.
+        flange: (6,) x, y, z, roll, pitch, yaw of the sensor frame on the flange [m, rad].
+        housing: (4,) mass and centre of mass of the sensor's housing, sensor axes [kg, m]; zeros: none.
+        offset_temperature: (n,) slope of the offset per K, None where no temperature was logged.
+        time_offset: of the last log of motion [s].
+        time_offset_std: its 1 sigma [s].
+        logs: per log: path, sha256, poses, moving seconds.
+        figures: of the fit, by name.
+        version: of the package that made it.
+        created: ISO 8601 time, UTC.
+    """
+
+    mass: float
+    mass_std: float
+    center_of_mass: FloatArray
+    center_of_mass_std: FloatArray
+    inertia: FloatArray
+    inertia_std: FloatArray
+    determined: Mapping[str, Any]
+    offset: FloatArray
+    offset_std: FloatArray
+    offset_time_ns: int
+    offset_walk: FloatArray
+    pose_repeatability: FloatArray
+    mounting: FloatArray
+    mounting_std: FloatArray
+    tilt: FloatArray
+    tilt_std: FloatArray
+    gain: FloatArray
+    covariance: FloatArray
+    exported: Body
+    verdict: ToolVerdict
+    rig: Rig
+    held_out: HeldOut = field(default_factory=HeldOut)
+    flange: FloatArray = field(default_factory=lambda: np.zeros(6))
+    housing: FloatArray = field(default_factory=lambda: np.zeros(4))
+    offset_temperature: FloatArray | None = None
+    time_offset: float = 0.0
+    time_offset_std: float = 0.0
+    logs: tuple[Mapping[str, Any], ...] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    version: str = ""
+    created: str = ""
+
+    @property
+    def n(self) -> int:
+        """Number of raw channels."""
+        return int(self.gain.shape[0])
+
+    @property
+    def layout(self) -> Layout:
+        """Where the parameters stand in `theta` and `covariance`."""
+        return Layout(self.n)
+
+    @property
+    def S(self) -> FloatArray:
+        """(6,) second moments per mass about the centre of mass [m^2]."""
+        return second_moments(self.mass, self.inertia)
+
+    @property
+    def theta(self) -> FloatArray:
+        """(7n + 15,) the estimate in the order of `covariance`."""
+        body = np.concatenate([[np.log(self.mass)], self.center_of_mass, self.S])
+        return np.concatenate([self.gain.ravel(), body, self.offset, self.mounting, self.tilt])
+
+    @property
+    def gain_std(self) -> FloatArray:
+        """(n, 6) 1 sigma of the gains."""
+        return np.sqrt(np.diag(self.covariance)[self.layout.gain]).reshape(self.n, 6)
+
+    @property
+    def channel_turn(self) -> FloatArray:
+        """R (3, 3): from sensor axes to those of the channels."""
+        return channel_turn(self.mounting)[0]
+
+    @property
+    def gravity(self) -> FloatArray:
+        """(3,) free fall in the root frame as it was found [m/s^2]."""
+        return tilted(self.rig.gravity_array, self.tilt)[0]
+
+    @property
+    def gravity_direction(self) -> FloatArray:
+        """(3,) its unit vector; zeros on orbit."""
+        size = np.linalg.norm(self.gravity)
+        return self.gravity / size if size > 0.0 else self.gravity
+
+    @property
+    def gravity_direction_std(self) -> FloatArray:
+        """(3,) 1 sigma of the unit vector's elements."""
+        size = float(np.linalg.norm(self.rig.gravity_array)) or 1.0
+        by_tilt = tilted(self.rig.gravity_array, self.tilt)[1] / size
+        place = self.layout.tilt
+        variance: FloatArray = np.einsum("ij,jk,ik->i", by_tilt, self.covariance[place, place], by_tilt)
+        return np.sqrt(np.maximum(variance, 0.0))
+
+    def write_yaml(self, path: str | Path) -> None:
+        """Write `tool.yaml`, every number to its last bit; the file appears whole or not at all."""
+        write_yaml(path, self.to_mapping())
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Numbers, arrays and texts by the keys of `tool.yaml`."""
+        return {
+            "format": FORMAT,
+            "verdict": {
+                "usable": self.verdict.usable,
+                "reasons": list(self.verdict.reasons),
+                "undetermined": [
+                    {"direction": one.direction, "words": one.words} for one in self.verdict.undetermined
+                ],
+                "needed": list(self.verdict.needed),
+            },
+            "mass": self.mass,
+            "mass_std": self.mass_std,
+            "center_of_mass": self.center_of_mass,
+            "center_of_mass_std": self.center_of_mass_std,
+            "inertia": _by_element(self.inertia),
+            "inertia_std": _by_element(self.inertia_std),
+            "determined": {
+                "mass": bool(self.determined["mass"]),
+                "center_of_mass": [bool(one) for one in self.determined["center_of_mass"]],
+                "inertia": {
+                    name: bool(one) for name, one in zip(ELEMENTS, self.determined["inertia"], strict=True)
+                },
+            },
+            "offset": self.offset,
+            "offset_std": self.offset_std,
+            "offset_time_ns": self.offset_time_ns,
+            "offset_walk": self.offset_walk,
+            "offset_temperature": self.offset_temperature,
+            "pose_repeatability": self.pose_repeatability,
+            "mounting": self.mounting,
+            "mounting_std": self.mounting_std,
+            "gravity_direction": self.gravity_direction,
+            "gravity_direction_std": self.gravity_direction_std,
+            "tilt": self.tilt,
+            "tilt_std": self.tilt_std,
+            "time_offset": self.time_offset,
+            "time_offset_std": self.time_offset_std,
+            "exported": {
+                "mass": self.exported.mass,
+                "center_of_mass": self.exported.center_of_mass,
+                "inertia": _by_element(self.exported.inertia),
+                "inertia_assumed": self.exported.inertia_assumed,
+            },
+            "flange": self.flange,
+            "housing": self.housing,
+            "held_out": {name: getattr(self.held_out, name) for name in _HELD_OUT},
+            "logs": [dict(log) for log in self.logs],
+            "figures": dict(self.figures),
+            "version": self.version,
+            "created": self.created,
+            "gain": self.gain,
+            "gain_std": self.gain_std,
+            "rig": {key: value for key, value in self.rig.to_mapping().items() if key != "payloads"},
+            "covariance": {"names": list(self.layout.names), "matrix": self.covariance},
+        }
+
+
+_HELD_OUT = ("force", "moment", "recipe_force", "recipe_moment")
+
+
+def _by_element(values: FloatArray) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(ELEMENTS, values, strict=True)}
+
+
+def read_tool(path: str | Path) -> Tool:
+    """Read and validate a `tool.yaml`.
+
+    Raises:
+        InputError: naming file, line, key, what was found and what was expected.
+    """
+    data, locate = read_yaml(path)
+    return _from_fields(Fields(data, path, locate))
+
+
+def _from_fields(top: Fields) -> Tool:
+    if top.data.get("format") != FORMAT:
+        raise top.error("format", f"`{FORMAT}`")
+    try:
+        rig = tool_rig(top.section("rig").data, f"{top.path}: rig")
+    except InputError as error:
+        raise InputError(f"{error}\n(the `rig` of a tool must be a valid rig)") from error
+    n = rig.sensor.n
+    exported, held, determined = top.section("exported"), top.section("held_out"), top.section("determined")
+    tool = Tool(
+        mass=_positive(top, "mass"),
+        mass_std=_size(top, "mass_std"),
+        center_of_mass=top.array("center_of_mass", (3,)),
+        center_of_mass_std=_sizes(top, "center_of_mass_std", 3),
+        inertia=_elements(top, "inertia"),
+        inertia_std=_elements(top, "inertia_std", least=0.0),
+        determined={
+            "mass": determined.flag("mass"),
+            "center_of_mass": _flags(determined, "center_of_mass", 3),
+            "inertia": tuple(determined.section("inertia").flag(name) for name in ELEMENTS),
+        },
+        offset=top.array("offset", (n,)),
+        offset_std=_sizes(top, "offset_std", n),
+        offset_time_ns=_whole(top, "offset_time_ns"),
+        offset_walk=_sizes(top, "offset_walk", n),
+        pose_repeatability=_sizes(top, "pose_repeatability", n),
+        mounting=top.array("mounting", (3,)),
+        mounting_std=_sizes(top, "mounting_std", 3),
+        tilt=top.array("tilt", (2,)),
+        tilt_std=_sizes(top, "tilt_std", 2),
+        gain=top.array("gain", (n, 6)),
+        covariance=_covariance(top, Layout(n)),
+        exported=Body(
+            mass=_positive(exported, "mass"),
+            center_of_mass=exported.array("center_of_mass", (3,)),
+            inertia=_elements(exported, "inertia"),
+            inertia_assumed=exported.flag("inertia_assumed"),
+        ),
+        verdict=_verdict(top.section("verdict")),
+        rig=rig,
+        held_out=HeldOut(
+            **{name: None if held.get(name) is None else _size(held, name) for name in _HELD_OUT}
+        ),
+        flange=top.array("flange", (6,)),
+        housing=top.array("housing", (4,)),
+        offset_temperature=None
+        if top.get("offset_temperature") is None
+        else top.array("offset_temperature", (n,)),
+        time_offset=top.number("time_offset"),
+        time_offset_std=_size(top, "time_offset_std"),
+        logs=tuple(log.data for log in top.sections("logs")),
+        figures=top.section("figures").data,
+        version=top.text("version"),
+        created=top.text("created"),
+    )
+    _check_consistent(top, tool)
+    return tool
+
+
+def _check_consistent(top: Fields, tool: Tool) -> None:
+    """Numbers that stand twice say the same: an edited mean beside an old covariance would mislead."""
+    mass_std = tool.mass * np.sqrt(tool.covariance[6 * tool.n, 6 * tool.n])
+    stated: dict[str, tuple[Any, Any]] = {
+        "mass_std": (tool.mass_std, mass_std),
+        "center_of_mass_std": (tool.center_of_mass_std, _std(tool, tool.layout.center_of_mass)),
+        "offset_std": (tool.offset_std, _std(tool, tool.layout.offset)),
+        "mounting_std": (tool.mounting_std, _std(tool, tool.layout.mounting)),
+    }
+    for key, (found, expected) in stated.items():
+        if not np.allclose(found, expected, rtol=1e-6, atol=1e-15):
+            raise top.error(key, "what `covariance` says")
+
+
+def _std(tool: Tool, place: slice) -> FloatArray:
+    std: FloatArray = np.sqrt(np.diag(tool.covariance)[place])
+    return std
+
+
+def _verdict(verdict: Fields) -> ToolVerdict:
+    return ToolVerdict(
+        usable=verdict.flag("usable"),
+        reasons=tuple(verdict.texts("reasons")),
+        undetermined=tuple(
+            Unknown(one.text("direction"), one.text("words")) for one in verdict.sections("undetermined")
+        ),
+        needed=tuple(verdict.texts("needed")),
+    )
+
+
+def _covariance(top: Fields, layout: Layout) -> FloatArray:
+    section = top.section("covariance")
+    if tuple(section.texts("names")) != layout.names:
+        found = f"{len(section.data['names'])} names, or another order"
+        expected = f"the {layout.size} names of gain, log_mass, center_of_mass, S, offset, mounting, tilt"
+        raise section.error("names", expected, found)
+    covariance = section.array("matrix", (layout.size, layout.size))
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    correlation = covariance / np.outer(scale, scale).clip(min=np.finfo(np.float64).tiny)
+    if np.abs(correlation - correlation.T).max() > 1e-9:
+        raise section.error("matrix", "a symmetric matrix", "a matrix that is not symmetric")
+    smallest = float(np.linalg.eigvalsh(correlation).min())
+    if smallest < -1e-9:
+        found = f"a correlation of eigenvalue {smallest:.3g}"
+        raise section.error("matrix", "a positive semidefinite matrix", found)
+    return covariance
+
+
+def _elements(top: Fields, key: str, least: float | None = None) -> FloatArray:
+    section = top.section(key)
+    for name in section.data:
+        if name not in ELEMENTS:
+            raise section.error(str(name), f"only {', '.join(ELEMENTS)}", "another element")
+    values = np.array([section.number(name) for name in ELEMENTS])
+    if least is not None and (values < least).any():
+        raise top.error(key, f"numbers of at least {least:g}", f"{values.min():g}")
+    return values
+
+
+def _flags(top: Fields, key: str, count: int) -> tuple[bool, ...]:
+    values = top.get(key)
+    if not isinstance(values, list) or len(values) != count or not all(isinstance(v, bool) for v in values):
+        raise top.error(key, f"a list of {count}: true or false")
+    return tuple(values)
+
+
+def _positive(top: Fields, key: str) -> float:
+    value = top.number(key)
+    if value <= 0.0:
+        raise top.error(key, "a number greater than 0")
+    return value
+
+
+def _size(top: Fields, key: str) -> float:
+    value = top.number(key)
+    if value < 0.0:
+        raise top.error(key, "a number of at least 0")
+    return value
+
+
+def _sizes(top: Fields, key: str, count: int) -> FloatArray:
+    values = top.array(key, (count,))
+    if (values < 0.0).any():
+        raise top.error(key, "numbers of at least 0", f"{values.min():g}")
+    return values
+
+
+def _whole(top: Fields, key: str) -> int:
+    value = top.get(key)
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise top.error(key, "a whole number")
+    return value

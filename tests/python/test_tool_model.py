@@ -1,0 +1,135 @@
+"""A tool's file gives back what was written, to the last bit, and nothing that cannot be right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+from tool_cases import a_rig, a_tool
+
+from truewrench.errors import InputError
+from truewrench.files import read_yaml, write_yaml
+from truewrench.rig import Rig
+from truewrench.rig.tool_rig import GAIN_PRIOR, TILT_PRIOR, load_tool_rig, tool_rig
+from truewrench.tool.model import read_tool
+from truewrench.tool.parameters import (
+    channel_turn,
+    inertia_of,
+    roll_pitch_yaw,
+    second_moments,
+    symmetric,
+    tilted,
+)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equality to the last bit, through dataclasses, arrays and mappings."""
+    if isinstance(a, Rig):
+        return a.to_mapping() == b.to_mapping()
+    if hasattr(a, "__dataclass_fields__"):
+        return all(same(getattr(a, name), getattr(b, name)) for name in a.__dataclass_fields__)
+    if isinstance(a, np.ndarray):
+        return a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, (tuple, list)):
+        return len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    return bool(a == b)
+
+
+def test_file_gives_back_every_field(tmp_path: Path) -> None:
+    tool, path = a_tool(), tmp_path / "new" / "tool.yaml"
+    tool.write_yaml(path)
+    assert same(read_tool(path), tool)
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    data, _ = read_yaml(path)
+    change(data)
+    write_yaml(path, data)
+    return path
+
+
+def _set(*keys: Any, value: Any) -> Callable[[dict[str, Any]], None]:
+    def change(data: Any) -> None:
+        for key in keys[:-1]:
+            data = data[key]
+        data[keys[-1]] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_set("format", value="truewrench/1"), "format: found the text 'truewrench/1', expected"),
+        (_set("mass", value=-1.0), "mass: found -1.0, expected a number greater than 0"),
+        (_set("mass_std", value=0.5), "mass_std: found 0.5, expected what `covariance` says"),
+        (
+            _set("inertia", "xx", value="heavy"),
+            "inertia.xx: found the text 'heavy', expected a finite number",
+        ),
+        (_set("inertia", "zx", value=0.0), "inertia.zx: found another element, expected only xx"),
+        (_set("center_of_mass", 1, value=None), "center_of_mass[1]: found nothing, expected a finite number"),
+        (_set("offset_walk", 2, value=-1e-3), "offset_walk: found -0.001, expected numbers of at least 0"),
+        (_set("offset_time_ns", value=1.5), "offset_time_ns: found 1.5, expected a whole number"),
+        (_set("covariance", "names", 0, value="gain"), "covariance.names: found 57 names, or another order"),
+        (_set("covariance", "matrix", 0, 1, value=1.0), "covariance.matrix: found a matrix that is not symm"),
+        (_set("determined", "center_of_mass", value=[True]), "expected a list of 3: true or false"),
+        (_set("rig", "sensor", "feels", value="both"), "rig: sensor.feels: found the text 'both'"),
+    ],
+)
+def test_what_cannot_be_right_is_refused_with_its_place(
+    change: Callable[[dict[str, Any]], None], words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "tool.yaml"
+    a_tool().write_yaml(path)
+    with pytest.raises(InputError) as error:
+        read_tool(changed(path, change))
+    assert words in str(error.value)
+    assert str(path) in str(error.value)
+
+
+def test_mounting_is_the_attitude_of_the_channels_axes_about_fixed_axes() -> None:
+    mounting = np.array([0.3, -0.4, 0.5])
+    R, derivative = channel_turn(mounting)
+    np.testing.assert_allclose(R.T, Rotation.from_euler("xyz", mounting).as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(roll_pitch_yaw(R), mounting, atol=1e-15)
+    for i, step in enumerate(1e-6 * np.eye(3)):
+        numeric = (channel_turn(mounting + step)[0] - channel_turn(mounting - step)[0]) / 2e-6
+        np.testing.assert_allclose(derivative[i], numeric, atol=1e-9)
+
+
+def test_second_moments_of_a_rod_lie_along_it() -> None:
+    rod = np.array([1 / 12, 1 / 12, 0.0, 0.0, 0.0, 0.0])  # 1 kg, 1 m, along z
+    S = second_moments(1.0, rod)
+    np.testing.assert_allclose(symmetric(S), np.diag([0.0, 0.0, 1 / 12]), atol=1e-15)
+    np.testing.assert_allclose(inertia_of(1.0, S), rod, atol=1e-15)
+
+
+def test_tilt_turns_gravity_by_its_angle() -> None:
+    gravity = np.array([0.3, -1.0, -9.7])
+    turned, by_tilt = tilted(gravity, np.array([1e-4, 0.0]))
+    angle = np.arccos(turned @ gravity / np.linalg.norm(turned) / np.linalg.norm(gravity))
+    assert angle == pytest.approx(1e-4, rel=1e-3)
+    assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(gravity), rel=1e-12)
+    there, back = tilted(gravity, np.array([2e-4, 0.0]))[0], tilted(gravity, np.zeros(2))[0]
+    np.testing.assert_allclose(by_tilt[:, 0], (there - back) / 2e-4, rtol=1e-5, atol=1e-9)
+
+
+def test_a_rig_for_an_unknown_tool_needs_neither_payloads_nor_a_motion(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(a_rig()))
+    rig = load_tool_rig(path)
+    assert (rig.sensor.gain_prior, rig.gravity_tilt_prior, rig.motion.of) == (
+        GAIN_PRIOR,
+        TILT_PRIOR,
+        "sensor",
+    )
+    stated = tool_rig(a_rig(gravity_tilt_prior=0.01, required="whatever", sensor={"gain_prior": 0.05}))
+    assert (stated.sensor.gain_prior, stated.gravity_tilt_prior) == (0.05, 0.01)
