@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from truewrench.simulation.arm import simulate_arm
     from truewrench.simulation.free_body import simulate
     from truewrench.simulation.truth import read_truth
+    from truewrench.tool.identify import identify_tool
+    from truewrench.tool.model import Tool, read_tool
     from truewrench.validation import Validation, validate
 
 __version__ = version("truewrench")
@@ -44,16 +46,19 @@ _HOMES = {
     "Log": "log",
     "Plan": "planning.result",
     "Rig": "rig",
+    "Tool": "tool.model",
     "TruewrenchError": "errors",
     "UnsupportedError": "errors",
     "Validation": "validation",
     "Verdict": "calibration",
     "calibrate": "pipeline",
+    "identify_tool": "tool.identify",
     "load_calibration": "calibration",
     "load_rig": "rig",
     "plan": "planning.planner",
     "read_ati_cal": "rig.ati_cal",
     "read_log": "io.tables",
+    "read_tool": "tool.model",
     "read_truth": "simulation.truth",
     "simulate": "simulation.free_body",
     "simulate_arm": "simulation.arm",
@@ -70,17 +75,20 @@ __all__ = [
     "Log",
     "Plan",
     "Rig",
+    "Tool",
     "TruewrenchError",
     "UnsupportedError",
     "Validation",
     "Verdict",
     "__version__",
     "calibrate",
+    "identify_tool",
     "load_calibration",
     "load_rig",
     "plan",
     "read_ati_cal",
     "read_log",
+    "read_tool",
     "read_truth",
     "robots",
     "simulate",

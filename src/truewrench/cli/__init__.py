@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from truewrench.cli import calibrations, live, logs, motions, trials
+from truewrench.cli import calibrations, live, logs, motions, tools, trials
 from truewrench.cli.common import Outcome
 from truewrench.cli.terminal import fail, show_outcome
 from truewrench.errors import InputError
@@ -36,6 +36,7 @@ for _command in (
     calibrations.calibrate,
     calibrations.validate,
     calibrations.apply,
+    tools.tool,
     live.stream,
     logs.inspect,
     trials.campaign,
@@ -67,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         outcome = typer.main.get_command(app).main(words, prog_name="truewrench", standalone_mode=False)
         if outcome == _INTERRUPTED:
-            one_file = words[0] in ("calibrate", "validate", "apply")
+            one_file = words[0] in ("calibrate", "validate", "apply", "tool")
             sys.exit(fail([f"interrupted{': nothing was written' * one_file}"], _INTERRUPTED, as_json, None))
         if not isinstance(outcome, Outcome):  # --help, --version
             sys.exit(outcome)

@@ -1,0 +1,152 @@
+"""The command about a tool: identify one."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from truewrench.cli.common import (
+    DebugOption,
+    JsonOption,
+    Outcome,
+    OutputFolderOption,
+    check_folder,
+    progress_bar,
+    report_left_out,
+)
+from truewrench.errors import InputError
+
+if TYPE_CHECKING:
+    from truewrench.calibration import Calibration
+    from truewrench.rig import Rig
+    from truewrench.tool.identify import Evidence
+
+__all__ = ["tool"]
+
+
+def tool(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="(CALIBRATION|RIG)", help="A calibration.yaml, or a rig without payloads."),
+    ],
+    logs: Annotated[list[str], typer.Argument(metavar="LOG...", help="Poses, motion or both.")],
+    output: OutputFolderOption,
+    known: Annotated[
+        list[str] | None, typer.Option(help="NAME=VALUE:SIGMA of mass, center_of_mass.x, inertia.xx ...")
+    ] = None,
+    mounting_sigma: Annotated[
+        float | None, typer.Option(min=0.0, help="[rad] of the channels' axes in the sensor frame.")
+    ] = None,
+    tilt_sigma: Annotated[float | None, typer.Option(min=0.0, help="[rad] of gravity's direction.")] = None,
+    flange: Annotated[
+        str | None, typer.Option(help="x,y,z,roll,pitch,yaw of the sensor frame on the flange [m, rad].")
+    ] = None,
+    housing: Annotated[
+        str | None, typer.Option(help="mass,x,y,z of the sensor's housing, sensor frame [kg, m].")
+    ] = None,
+    on: Annotated[
+        Path | None, typer.Option(metavar="TOOL", help="A tool.yaml that this one sits on.")
+    ] = None,
+    export: Annotated[str | None, typer.Option(metavar="LIST", help="ur,franka,urdf,abb,kuka,ros.")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
+    as_json: JsonOption = False,
+    debug: DebugOption = False,
+) -> Outcome:
+    """Identify an unknown tool from static poses or motion."""
+    from truewrench.io.tables import read_log
+    from truewrench.tool.checks import check_known
+    from truewrench.tool.exports import TARGETS, write_tool_exports
+    from truewrench.tool.identify import identify_tool
+    from truewrench.tool.model import read_tool
+    from truewrench.tool.page import write_page
+    from truewrench.tool.prior import settings_of
+    from truewrench.tool.words import tool_summary
+
+    check_folder(output)
+    stated = dict(_known(text) for text in known or [])
+    check_known(stated)
+    place, shell = _list("--flange", flange, 6), _list("--housing", housing, 4)
+    if shell is not None and shell[0] < 0.0:
+        raise InputError.at(None, "--housing", f"a mass of {shell[0]:g}", "a number of at least 0")
+    targets = [part.strip() for part in (export or "").split(",") if part.strip()]
+    for target in targets:
+        if target not in TARGETS:
+            raise InputError.at(None, "--export", f"`{target}`", f"a list of {', '.join(TARGETS)}")
+    before = None if on is None else read_tool(on)
+    sensor = _read(source)
+    settings = settings_of(sensor)
+    if before is not None and before.n != settings.sensor.n:
+        found, expected = f"a tool on {before.n} channels", f"{settings.sensor.n} channels, as in {source}"
+        raise InputError.at(on, "gain", found, expected)
+    evidence: list[Evidence] = []
+    with progress_bar() as update:
+        records = [read_log(log, settings) for log in logs]
+        found_tool = identify_tool(
+            sensor,
+            records,
+            known=stated,
+            mounting_sigma=mounting_sigma,
+            tilt_sigma=tilt_sigma,
+            flange=place,
+            housing=shell,
+            on=before,
+            threads=threads,
+            progress=update,
+            evidence=evidence.append,
+        )
+    target_file = output / "tool.yaml"
+    found_tool.write_yaml(target_file)
+    outputs = [target_file]
+    try:
+        write_page(output / "tool.html", found_tool, evidence[0])
+        outputs.append(output / "tool.html")
+    except Exception as error:  # the result stands without its page
+        print(f"{output / 'tool.html'}: not written: {type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
+    outputs += write_tool_exports(found_tool, targets, output)
+    for record in records:
+        report_left_out(record)
+    figures = found_tool.to_mapping()
+    verdict = figures.pop("verdict")
+    for key in ("covariance", "rig"):
+        figures.pop(key)
+    return Outcome(
+        outputs=outputs, verdict=verdict, figures=figures, words=lambda: iter(tool_summary(found_tool))
+    )
+
+
+def _read(source: Path) -> Calibration | Rig:
+    """A calibration or a rig, told apart by its `format`."""
+    from truewrench.calibration import load_calibration
+    from truewrench.files import read_yaml
+    from truewrench.rig.tool_rig import tool_rig
+
+    data, _ = read_yaml(source)
+    if isinstance(data, dict) and "format" in data:
+        return load_calibration(source)
+    return tool_rig(data, source)
+
+
+def _known(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, rest = text.partition("=")
+    value, _, sigma = rest.partition(":")
+    try:
+        return name.strip(), (float(value), float(sigma))
+    except ValueError:
+        expected = "NAME=VALUE:SIGMA such as mass=1.234:0.002"
+        raise InputError.at(None, "--known", f"`{text}`", expected) from None
+
+
+def _list(option: str, text: str | None, count: int) -> np.ndarray | None:
+    if text is None:
+        return None
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        values = np.empty(0)
+    if values.size != count or not np.isfinite(values).all():
+        raise InputError.at(None, option, f"`{text}`", f"{count} numbers with commas between them")
+    return values

@@ -1,0 +1,124 @@
+"""Bodies as ten numbers: one made of several, what it weighs, and its nearest physical one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from truewrench.motion.spatial import cross_matrix
+from truewrench.tool.parameters import symmetric
+
+__all__ = ["flange_body", "joined", "nearest_physical", "total_body", "weight"]
+
+Array = NDArray[np.float64]
+
+_THINNEST = 1e-8  # [m^2] of second moments: simulators refuse a body without any
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_STEP = 1e-30  # of the complex step
+
+
+def _moments(values: Any) -> Any:
+    out = np.empty((3, 3), dtype=values.dtype)
+    for value, (i, j) in zip(values, _PAIRS, strict=True):
+        out[i, j] = out[j, i] = value
+    return out
+
+
+def _total(bodies: Any) -> Any:
+    """(log m, c, inertia) of bodies (B, 10) of (log m, c, S); any number type."""
+    masses = np.exp(bodies[:, 0])
+    mass = masses.sum()
+    center = (masses[:, None] * bodies[:, 1:4]).sum(axis=0) / mass
+    moments = np.zeros((3, 3), dtype=bodies.dtype)
+    for m, body in zip(masses, bodies, strict=True):
+        away = body[1:4] - center
+        moments = moments + m * (_moments(body[4:]) + np.outer(away, away))
+    inertia = np.trace(moments) * np.eye(3) - moments
+    return np.concatenate([[np.log(mass)], center, [inertia[i, j] for i, j in _PAIRS]])
+
+
+def total_body(bodies: Array) -> tuple[Array, Array]:
+    """One rigid body made of B, as (log m, c, inertia about c) (10,), and its derivative (10, 10 B).
+
+    Args:
+        bodies: (B, 10) log mass, centre of mass, S about it, in the order of `ELEMENTS`.
+    """
+    jacobian = np.empty((10, bodies.size))
+    for k in range(bodies.size):  # complex steps: exact to rounding
+        step = np.zeros(bodies.size, dtype=np.complex128)
+        step[k] = 1j * _STEP
+        jacobian[:, k] = _total(bodies + step.reshape(bodies.shape)).imag / _STEP
+    return np.asarray(_total(bodies), dtype=np.float64), jacobian
+
+
+def weight(mass: float, center: Array, fall: Array) -> Array:
+    """Wrench (T, 6) = m [g; c x g] at rest of free fall (T, 3) in sensor axes, `payload_on_sensor`."""
+    out: Array = mass * np.column_stack([fall, np.cross(center, fall)])
+    return out
+
+
+def nearest_physical(body: Array, covariance: Array) -> tuple[Array, float]:
+    """The body with positive second moments nearest to (10,) (log m, c, S), and its squared distance.
+
+    Nearest in the metric of the covariance (10, 10): where S has to give way, mass and centre of mass follow
+    as far as they are correlated with it. A body is physical if and only if its pseudo-inertia is positive
+    semidefinite, which for m > 0 is S >= 0.
+    """
+    S, P = body[4:], covariance[4:, 4:]
+    values, vectors = np.linalg.eigh(symmetric(S))
+    if values[0] >= _THINNEST:
+        return body.copy(), 0.0
+    scale = np.sqrt(np.diag(P))
+    eigen, basis = np.linalg.eigh(P / np.outer(scale, scale))
+    white = (basis / np.sqrt(np.maximum(eigen, 1e-9))).T / scale
+
+    def physical(x: Array) -> Array:
+        L = np.array([[x[0], 0.0, 0.0], [x[3], x[1], 0.0], [x[4], x[5], x[2]]])
+        moments = L @ L.T + _THINNEST * np.eye(3)
+        return np.array([moments[i, j] for i, j in _PAIRS])
+
+    clipped = (vectors * np.maximum(values, 1e-6)) @ vectors.T
+    L = np.linalg.cholesky(clipped)
+    start = np.array([L[0, 0], L[1, 1], L[2, 2], L[1, 0], L[2, 0], L[2, 1]])
+
+    def away(x: Array) -> Array:
+        out: Array = white @ (physical(x) - S)
+        return out
+
+    found = least_squares(away, start, method="lm", max_nfev=4000)
+    step = physical(found.x) - S
+    out = body.copy()
+    out[:4] += covariance[:4, 4:] @ (white.T @ (white @ step))
+    out[4:] += step
+    return out, float(2.0 * found.cost)
+
+
+def joined(
+    mass: float, center: Array, inertia: Array, other_mass: float, other_center: Array
+) -> tuple[float, Array, Array]:
+    """A body (mass, c, inertia (3, 3) about c) with a point mass added."""
+    if other_mass == 0.0:
+        return mass, center, inertia
+    whole = mass + other_mass
+    middle: Array = (mass * center + other_mass * other_center) / whole
+    out = inertia.copy()
+    for m, at in ((mass, center - middle), (other_mass, other_center - middle)):
+        out -= m * cross_matrix(at[None])[0] @ cross_matrix(at[None])[0]
+    return whole, middle, out
+
+
+def flange_body(center: Array, inertia: Array, flange: Array) -> tuple[Array, Array]:
+    """Centre of mass (3,) and inertia (3, 3) in flange axes of those in sensor axes.
+
+    Args:
+        center: (3,) from the sensor's origin, sensor axes [m].
+        inertia: (3, 3) about it [kg m^2].
+        flange: (6,) x, y, z, roll, pitch, yaw of the sensor frame on the flange [m, rad]; fixed axes.
+    """
+    from truewrench.tool.parameters import channel_turn
+
+    R = channel_turn(flange[3:])[0].T
+    return flange[:3] + R @ center, R @ inertia @ R.T

@@ -1,0 +1,274 @@
+"""A tool in the forms that controllers take: the physical body of `Tool.exported`, in flange axes.
+
+Inertia that was not determined is never handed on in silence: zeros where a target takes a point mass (UR,
+ABB, KUKA), else that of the sphere which `exported` holds, each with a comment in the file.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from scipy.spatial.transform import Rotation
+
+from truewrench.errors import InputError
+from truewrench.files import atomic_output
+from truewrench.tool.bodies import flange_body
+from truewrench.tool.model import Tool
+from truewrench.tool.parameters import roll_pitch_yaw
+
+__all__ = ["TARGETS", "write_tool_exports"]
+
+FloatArray = npt.NDArray[np.float64]
+
+_ASSUMED = "inertia: not determined"
+_UR_LARGEST = 133.0  # kg m^2: what the controller takes of any element
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """What an export holds, in flange axes."""
+
+    mass: float
+    center: FloatArray
+    inertia: FloatArray
+    assumed: bool
+    words: tuple[str, ...]
+
+
+def write_tool_exports(tool: Tool, targets: Sequence[str], folder: str | Path) -> list[Path]:
+    """Write a tool for some targets.
+
+    Args:
+        tool: with flange and housing.
+        targets: of `TARGETS`.
+        folder: that of tool.yaml.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: for a target that is not known, or a body that one cannot take.
+    """
+    for target in targets:
+        if target not in TARGETS:
+            raise InputError.at(None, "export", f"`{target}`", f"one of {', '.join(TARGETS)}")
+    held, written = _held(tool), []
+    for target in targets:
+        for name, text in TARGETS[target](tool, held):
+            path = Path(folder) / name
+            with atomic_output(path) as temporary:
+                temporary.write_text(text, encoding="utf-8", newline="\n")
+            written.append(path)
+    return written
+
+
+def _held(tool: Tool) -> _Held:
+    body = tool.exported
+    center, inertia = flange_body(body.center_of_mass, body.inertia_matrix, tool.flange)
+    words = [
+        f"truewrench {tool.version}, {tool.created}: mass {tool.mass:.6g} kg, 1 sigma {tool.mass_std:.2g} kg",
+        "Flange axes; the sensor frame stands at x y z roll pitch yaw = "
+        + " ".join(f"{value:.6g}" for value in tool.flange),
+    ]
+    if tool.housing[0] > 0.0:
+        words.append(f"With the sensor's housing of {tool.housing[0]:.6g} kg.")
+    if not tool.verdict.usable:
+        words.append("NOT to be used as it stands: " + " ".join(tool.verdict.reasons))
+    words = [" ".join(word.split()) for word in words]
+    return _Held(body.mass, center, inertia, body.inertia_assumed, tuple(words))
+
+
+def _elements(tensor: FloatArray) -> list[float]:
+    """Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
+    return [float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+
+
+def _numbers(values: Sequence[float] | FloatArray) -> str:
+    return ", ".join(f"{float(value):.9g}" for value in values)
+
+
+def _principal(tensor: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Principal moments (3,) and right-handed axes, columns (3, 3)."""
+    values, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 2] *= -1.0
+    return np.maximum(values, 0.0), axes
+
+
+def _ur(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+    inertia = [0.0] * 6 if held.assumed else _elements(held.inertia)
+    if max(map(abs, inertia)) > _UR_LARGEST:
+        raise InputError.at(
+            None, "export ur", f"an inertia of {max(map(abs, inertia)):.4g} kg m^2", "133 at most"
+        )
+    note = f"# {_ASSUMED}: zeros, a point mass\n" if held.assumed else ""
+    text = (
+        "".join(f"# {word}\n" for word in held.words)
+        + note
+        + "# [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity. Calling this zeroes the sensor.\n"
+        + f"set_target_payload({held.mass:.9g}, [{_numbers(held.center)}], [{_numbers(inertia)}])\n"
+    )
+    return [("tool_ur.script", text)]
+
+
+def _franka(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+    comment = " ".join(held.words)
+    if held.assumed:
+        comment += f" {_ASSUMED}: assumed, a solid sphere."
+    document = {
+        "mass": held.mass,
+        "F_x_Cload": held.center.tolist(),
+        "load_inertia": held.inertia.ravel(order="F").tolist(),  # column-major
+        "comment": comment + " For setLoad, on top of the end effector; not while moving.",
+    }
+    return [("tool_franka.json", json.dumps(document, indent=2) + "\n")]
+
+
+def _urdf(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+    ixx, iyy, izz, ixy, ixz, iyz = _elements(held.inertia)
+    words = [*held.words, *([f"{_ASSUMED}: assumed, a solid sphere."] if held.assumed else [])]
+    comment = "\n".join(f"  <!-- {word.replace('--', '- -')} -->" for word in words)
+    text = f"""<?xml version="1.0"?>
+<robot name="tool">
+{comment}
+  <link name="tool">
+    <inertial>
+      <origin xyz="{" ".join(f"{v:.12g}" for v in held.center)}" rpy="0 0 0"/>
+      <mass value="{held.mass:.12g}"/>
+      <inertia ixx="{ixx:.12g}" ixy="{ixy:.12g}" ixz="{ixz:.12g}" iyy="{iyy:.12g}" iyz="{iyz:.12g}" \
+izz="{izz:.12g}"/>
+    </inertial>
+  </link>
+</robot>
+"""
+    return [("tool.urdf", text)]
+
+
+def _abb(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+    moments, axes = (np.zeros(3), np.eye(3)) if held.assumed else _principal(held.inertia)
+    x, y, z, w = Rotation.from_matrix(axes).as_quat()
+    note = f"  ! {_ASSUMED}: zeros, a point mass\n" if held.assumed else ""
+    text = (
+        "MODULE tool_load\n"
+        + "".join(f"  ! {word}\n" for word in held.words)
+        + note
+        + "  ! mass [kg], centre of gravity [mm], axes of moment, principal moments [kg m^2]\n"
+        + f"  PERS loaddata tool_load := [{held.mass:.9g}, [{_numbers(1e3 * held.center)}], "
+        + f"[{_numbers([w, x, y, z])}], {_numbers(moments)}];\n"
+        + "ENDMODULE\n"
+    )
+    return [("tool_abb.mod", text)]
+
+
+def _kuka(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+    moments, axes = (np.zeros(3), np.eye(3)) if held.assumed else _principal(held.inertia)
+    roll, pitch, yaw = np.degrees(roll_pitch_yaw(axes.T))  # A about z, B about y', C about x''
+    x, y, z = 1e3 * held.center
+    note = f"; {_ASSUMED}: zeros, a point mass\n" if held.assumed else ""
+    text = (
+        "DEFDAT tool_load\n"
+        + "".join(f"; {word}\n" for word in held.words)
+        + note
+        + "; kg; mm; degrees; principal moments about the centre of mass [kg m^2]\n"
+        + f"DECL LOAD TOOL_LOAD={{M {held.mass:.9g},CM {{X {x:.9g},Y {y:.9g},Z {z:.9g},"
+        + f"A {yaw:.9g},B {pitch:.9g},C {roll:.9g}}},J {{X {moments[0]:.9g},Y {moments[1]:.9g},"
+        + f"Z {moments[2]:.9g}}}}}\n"
+        + "ENDDAT\n"
+    )
+    return [("tool_kuka.dat", text)]
+
+
+def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+    """What compensates gravity on the wrench: the body that the sensor feels, sensor axes, no housing."""
+    robot = tool.rig.motion.robot
+    frame = robot.sensor_frame if robot else "ft_sensor"
+    mass, center, size = tool.mass, tool.center_of_mass.tolist(), float(np.linalg.norm(tool.gravity))
+    feels = tool.rig.sensor.feels
+    head = [
+        *(word for word in held.words if not word.startswith(("Flange", "With"))),
+        "Sensor axes, without the sensor's housing: what the sensor feels.",
+    ]
+
+    def document(content: object, *more: str) -> str:
+        comment = "".join(f"# {line}\n" for line in (*head, *more))
+        return comment + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+
+    admittance = {
+        "admittance_controller": {
+            "ros__parameters": {
+                "ft_sensor": {"frame": {"id": frame}},
+                "fixed_world_frame": {"frame": {"id": "world"}},
+                "gravity_compensation": {
+                    "frame": {"id": frame},
+                    "CoG": {"pos": center, "force": mass * size},
+                },
+            }
+        }
+    }
+    toolbox = {
+        "filter": {
+            "type": "control_filters/GravityCompensationWrench",
+            "params": {
+                "world_frame": "world",
+                "sensor_frame": frame,
+                "tool": {
+                    "CoG": dict(zip("xyz", center, strict=True)),
+                    "gravity_field": dict(zip("xyz", tool.gravity.tolist(), strict=True)),
+                    "mass": mass,
+                },
+            },
+        }
+    }
+    offset = [float(value) for value in tool.offset]
+    ft_tools = {
+        "mass": mass,
+        "sensor_frame_to_com": center,
+        "force_offset": offset[:3],
+        "torque_offset": offset[3:6],
+    }
+    ft_calib = {
+        "bias": offset[:6],
+        "gripper_com_child_frame_id": "gripper_com",
+        "gripper_com_frame_id": frame,
+        "gripper_com_pose": [*center, 0.0, 0.0, 0.0],
+        "gripper_mass": mass,
+    }
+    release = {
+        "payload_on_sensor": "the sources of May 2021 and later, not releases up to 1.2.0",
+        "sensor_on_payload": "releases up to 1.2.0, not the sources of May 2021 and later",
+    }[feels]
+    files = [
+        (
+            "admittance_controller.yaml",
+            document(
+                admittance,
+                "Expects a tared wrench with the sign payload_on_sensor.",
+                f"This sensor: {feels}.",
+            ),
+        ),
+        ("gravity_compensation_filter.yaml", document(toolbox, "Knows neither offset nor inertia.")),
+    ]
+    if tool.n == 6:  # an offset in units of the wrench is all that these know
+        weight = "Subtracts offset and [m g; c x m g]: for payload_on_sensor."
+        files += [
+            ("ft_tools.yaml", document(ft_tools, weight, f"This sensor: {feels}.")),
+            ("force_torque_tools.yaml", document(ft_calib, f"gravity_compensation of {release}.")),
+        ]
+    return [(f"tool_ros/{name}", text) for name, text in files]
+
+
+TARGETS: dict[str, Callable[[Tool, _Held], list[tuple[str, str]]]] = {
+    "ur": _ur,
+    "franka": _franka,
+    "urdf": _urdf,
+    "abb": _abb,
+    "kuka": _kuka,
+    "ros": _ros,
+}
+"""What `--export` takes, and how it is written."""

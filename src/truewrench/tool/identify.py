@@ -1,0 +1,296 @@
+"""From a calibration or a rig, and logs, to a tool."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.arm.track import tracked
+from truewrench.calibration import Calibration
+from truewrench.compensation import uncompensated
+from truewrench.errors import InputError
+from truewrench.log import Log
+from truewrench.rig import Rig
+from truewrench.tool.bodies import joined, nearest_physical, total_body
+from truewrench.tool.checks import check_known, check_logs
+from truewrench.tool.held_out import held_out
+from truewrench.tool.judge import Judged, judge
+from truewrench.tool.model import Body, Tool
+from truewrench.tool.model_rows import Problem
+from truewrench.tool.motion import MotionFit, body_start, motion_information
+from truewrench.tool.parameters import ELEMENTS, channel_turn, inertia_of
+from truewrench.tool.poses import split_poses
+from truewrench.tool.prior import make_prior, settings_of, widening, with_known_wrenches
+from truewrench.tool.solve import Solution, solve
+
+__all__ = ["Evidence", "identify_tool"]
+
+FloatArray = npt.NDArray[np.float64]
+Progress = Callable[[str, float | None], None]
+
+DETERMINED = 0.5
+"""Of the prior's sigma: what is less certain than that the data did not tell."""
+
+_ROUNDS = 2  # of the estimator of motion: about a linear start, and about what it found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a tool rests on, for a page.
+
+    Attributes:
+        solution: estimate and residuals of the poses.
+        motion: what the estimator of motion found, None without motion.
+        held_out: residuals in poses that were not fitted, by kind.
+    """
+
+    solution: Solution
+    motion: MotionFit | None
+    held_out: Mapping[str, Any]
+
+
+def identify_tool(
+    rig_or_calibration: Rig | Calibration,
+    logs: Log | Sequence[Log],
+    *,
+    known: Mapping[str, tuple[float, float]] | None = None,
+    mounting_sigma: float | None = None,
+    tilt_sigma: float | None = None,
+    flange: npt.ArrayLike | None = None,
+    housing: npt.ArrayLike | None = None,
+    on: Tool | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    evidence: Callable[[Evidence], None] | None = None,
+) -> Tool:
+    """Identify an unknown tool: body, offset, mounting and gain of the sensor, with their joint uncertainty.
+
+    Args:
+        rig_or_calibration: of the sensor; a calibration's covariance of the gain is the prior, a rig's
+            `gain_prior`, 2% where it states none.
+        logs: static poses, motion, or both; logs with `ref_*` tell the gain.
+        known: what is known of the tool, value and 1 sigma by name: `mass`, `center_of_mass.x`, `inertia.xx`.
+        mounting_sigma: [rad] 1 sigma of each angle between the channels' axes and the sensor frame; 3 deg by
+            default, 0 with a calibration, whose gain contains it.
+        tilt_sigma: [rad] 1 sigma of gravity's direction; 0.5 deg unless the rig states one.
+        flange: x, y, z, roll, pitch, yaw of the sensor frame on the flange [m, rad], for exports.
+        housing: mass and centre of mass of the sensor's housing, sensor axes [kg, m], for exports.
+        on: a tool identified before, on which the unknown body (a workpiece) sits.
+        threads: of the estimator of motion.
+        progress: called with a phase and the share of it that is done, if known.
+        evidence: called once with what the result rests on.
+
+    Raises:
+        InputError: for logs that tell nothing of a tool, or do not fit the rig.
+    """
+    records = [logs] if isinstance(logs, Log) else list(logs)
+    if not records:
+        raise InputError.at(None, "", "no log", "at least one")
+    report = progress or (lambda phase, share: None)
+    rig = settings_of(rig_or_calibration)
+    records = [replace(log, payload=next(iter(rig.payloads))) for log in records]
+    check_known(known or {})
+    check_logs(rig, records)
+    if rig.sensor.subtracted is not None:
+        records = uncompensated(rig, tracked(rig, records))
+    weighed = [log for log in records if log.reference is not None]
+    records = [log for log in records if log.reference is None]
+    if not records:
+        raise InputError.at(weighed[0].path, "ref_*", "known wrenches alone", "a log that carries the tool")
+    prior = make_prior(
+        rig_or_calibration, rig, mounting_sigma=mounting_sigma, tilt_sigma=tilt_sigma, on=on, known=known
+    )
+    prior = with_known_wrenches(rig, prior, weighed)
+    split = split_poses(rig, records)
+    moving = [k for k, log in enumerate(split.moving) if log is not None]
+    if not len(split.poses) and not moving:
+        expected = "rows of zero twist seconds apart, dwells of 1.5 s, or two seconds of motion"
+        raise InputError.at(records[0].path, "", "neither poses nor motion", expected)
+    problem = Problem(rig, prior, split.poses, split.end_ns)
+    report("estimating", None)
+    problem, solution, motion = _solved(
+        problem, [log for log in split.moving if log is not None], moving, threads
+    )
+    solution = replace(solution, covariance=solution.covariance * widening(prior.gain_std))
+    report("holding poses out", None)
+    left = held_out(problem, solution)
+    judged = judge(rig, solution, motion, left, moving=bool(moving), determined=_determined(solution))
+    if evidence is not None:
+        evidence(Evidence(solution, motion, left.details))
+    return _tool(rig, solution, motion, judged, left.figures, flange, housing, records, split.end_ns)
+
+
+def _solved(
+    problem: Problem, logs: Sequence[Log], places: Sequence[int], threads: int | None
+) -> tuple[Problem, Solution, MotionFit | None]:
+    if not logs:
+        return problem, solve(problem), None
+    rig, layout = problem.rig, problem.vector.layout
+    still = solve(problem) if len(problem.poses) else None
+    gain = problem.prior.mean[layout.gain].reshape(-1, 6)
+    gain_std = np.sqrt(np.diag(problem.prior.covariance)[layout.gain]).reshape(-1, 6)
+    turn = np.sqrt(np.diag(problem.prior.covariance)[layout.mounting])
+    span = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
+    gain_std = np.hypot(gain_std, turn.max() / span)  # the estimator's gain holds the mounting
+    tilt_std = float(np.sqrt(np.diag(problem.prior.covariance)[layout.tilt]).max())
+    body, x = body_start(rig, logs, gain), None if still is None else still.x
+    motion = None
+    solution = still
+    for _ in range(_ROUNDS):
+        found = motion_information(rig, logs, places, gain, gain_std, body, tilt_std, threads=threads or 0)
+        if found is None:
+            break
+        motion = found
+        problem = replace(problem, motion=found.information)
+        if x is None:
+            x = _start_from(problem, found.body)
+        solution = solve(problem, x)
+        x = solution.x
+        body = problem.total(x)[0]
+        R = np.kron(np.eye(2), channel_turn(x[layout.mounting])[0])
+        gain = x[layout.gain].reshape(-1, 6) @ R
+    if solution is None:
+        raise InputError.at(
+            logs[0].path, "", "a motion that could not be fitted", "a longer, livelier record"
+        )
+    return problem, solution, motion
+
+
+def _start_from(problem: Problem, body: FloatArray) -> FloatArray:
+    """The prior's mean, but for the body that the motion found."""
+    from truewrench.tool.parameters import second_moments
+
+    x, v = problem.prior_of_all()[0], problem.vector
+    mass = float(np.exp(body[0]))
+    if not v.on:
+        x[v.layout.body] = np.concatenate([body[:4], second_moments(mass, body[4:])])
+        return x
+    first = float(np.exp(x[v.before.start]))
+    rest = max(mass - first, 0.05)
+    center = (mass * body[1:4] - first * x[v.before.start + 1 : v.before.start + 4]) / rest
+    x[v.layout.log_mass], x[v.layout.center_of_mass] = np.log(rest), np.clip(center, -1.0, 1.0)
+    return x
+
+
+def _inertia_std(x: FloatArray, P: FloatArray) -> FloatArray:
+    """1 sigma (6,) of the inertia's elements about the centre of mass."""
+    _, J = total_body(x.reshape(1, 10))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J[4:], P, J[4:]), 0.0)))
+
+
+def _determined(solution: Solution) -> dict[str, Any]:
+    v = solution.problem.vector
+    place, x = v.layout.body, solution.x
+    P, P0 = solution.covariance[place, place], solution.prior_covariance[place, place]
+    sigma, before = np.sqrt(np.diag(P)), np.sqrt(np.diag(P0))
+    mass = float(np.exp(x[place.start]))
+    # of the prior the spread of the second moments alone, at the mass that was found
+    prior_std = mass * np.sqrt(_S_PRIOR_TO_INERTIA @ before[4:] ** 2)
+    inertia = _inertia_std(x[place], P) < DETERMINED * prior_std
+    return {
+        "mass": bool(sigma[0] < DETERMINED * before[0]),
+        "center_of_mass": tuple(bool(one) for one in sigma[1:4] < DETERMINED * before[1:4]),
+        "inertia": tuple(bool(one) for one in inertia),
+    }
+
+
+_S_PRIOR_TO_INERTIA = np.block(
+    [[1.0 - np.eye(3), np.zeros((3, 3))], [np.zeros((3, 3)), np.eye(3)]]
+)  # I_xx = m (S_yy + S_zz), I_xy = -m S_xy
+
+
+def _tool(
+    rig: Rig,
+    solution: Solution,
+    motion: MotionFit | None,
+    judged: Judged,
+    left: Any,
+    flange: npt.ArrayLike | None,
+    housing: npt.ArrayLike | None,
+    logs: Sequence[Log],
+    end_ns: Sequence[int],
+) -> Tool:
+    v = solution.problem.vector
+    layout, n = v.layout, v.n
+    x, P = solution.x[: layout.size], solution.covariance[: layout.size, : layout.size]
+    P = 0.5 * (P + P.T)
+    std = np.sqrt(np.diag(P))
+    mass, body = float(np.exp(x[layout.log_mass])), x[layout.body]
+    place = np.zeros(6) if flange is None else np.asarray(flange, dtype=np.float64)
+    shell = np.zeros(4) if housing is None else np.asarray(housing, dtype=np.float64)
+    scale = rig.sensor.channel_scale
+    determined = _determined(solution)
+    return Tool(
+        mass=mass,
+        mass_std=mass * float(std[layout.log_mass]),
+        center_of_mass=x[layout.center_of_mass].copy(),
+        center_of_mass_std=std[layout.center_of_mass],
+        inertia=inertia_of(mass, x[layout.S]),
+        inertia_std=_inertia_std(body, P[layout.body, layout.body]),
+        determined=determined,
+        offset=x[layout.offset].copy(),
+        offset_std=std[layout.offset],
+        offset_time_ns=int(end_ns[-1]),
+        offset_walk=solution.rate * scale,
+        pose_repeatability=solution.repeatability * scale,
+        mounting=x[layout.mounting].copy(),
+        mounting_std=std[layout.mounting],
+        tilt=x[layout.tilt].copy(),
+        tilt_std=std[layout.tilt],
+        gain=x[layout.gain].reshape(n, 6).copy(),
+        covariance=P,
+        exported=exported_body(body, P[layout.body, layout.body], all(determined["inertia"]), shell),
+        verdict=judged.verdict,
+        rig=rig,
+        held_out=left,
+        flange=place,
+        housing=shell,
+        offset_temperature=_slope(solution),
+        time_offset=0.0 if motion is None else motion.time_offset[0],
+        time_offset_std=rig.sensor.time_offset_prior if motion is None else motion.time_offset[1],
+        logs=tuple(
+            {
+                "path": None if log.path is None else str(log.path),
+                "sha256": log.sha256,
+                "poses": int(np.count_nonzero(solution.problem.poses.log == k)),
+                "moving": bool(solution.problem.motion is not None and k in solution.problem.motion.logs),
+            }
+            for k, log in enumerate(logs)
+        ),
+        figures=judged.figures,
+        version=version("truewrench"),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+def _slope(solution: Solution) -> FloatArray | None:
+    """Slope of the offset per K (n,), None where it was not asked for."""
+    v = solution.problem.vector
+    return solution.x[v.slope].copy() if v.warm else None
+
+
+def exported_body(body: FloatArray, P: FloatArray, inertia: bool, housing: FloatArray) -> Body:
+    """The physical body that controllers are told, with the sensor's housing, sensor axes.
+
+    Args:
+        body: (10,) log m, c, S.
+        P: its covariance.
+        inertia: whether it was determined; else it is that of a sphere of 2/5 m r^2, r = max(0.05 m, |c|).
+        housing: (4,) mass, centre of mass.
+    """
+    near = nearest_physical(body, P)[0] if inertia else body
+    mass, center = float(np.exp(near[0])), near[1:4]
+    if inertia:
+        tensor = Body(mass, center, inertia_of(mass, near[4:])).inertia_matrix
+    else:
+        tensor = 0.4 * mass * max(0.05, float(np.linalg.norm(center))) ** 2 * np.eye(3)
+    mass, center, tensor = joined(mass, center, tensor, float(housing[0]), housing[1:])
+    pairs = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+    elements = np.array([tensor[pairs[name]] for name in ELEMENTS])
+    return Body(mass, center.copy(), elements, inertia_assumed=not inertia)

@@ -1,0 +1,290 @@
+"""Whether a tool may be used, what the data did not tell, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from truewrench.rig import Rig
+from truewrench.tool.bodies import nearest_physical
+from truewrench.tool.held_out import Left
+from truewrench.tool.motion import MotionFit
+from truewrench.tool.parameters import inertia_of, symmetric
+from truewrench.tool.parts import ToolVerdict, Unknown
+from truewrench.tool.solve import REPEATABILITY, WALK, Solution
+
+__all__ = ["Judged", "judge"]
+
+Array = NDArray[np.float64]
+
+CHANCE = 1e-6  # of a test of the set-up
+WORST_WALK = 50.0  # times its start
+FAR = 25.0  # squared distance to a physical body, 4.4 where all is well
+APART = np.radians(10.0)  # of two directions of gravity
+NARROW = np.radians(30.0)
+LIGHT = 0.3  # 1 sigma of the mass, relative: beyond, no weight is felt
+MASKED = 0.2
+OWN = 0.5  # of a variance: what the gain explains of it
+HELD_OUT = 3.0  # squared errors over what was predicted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """The verdict, and figures of the fit for people and programs."""
+
+    verdict: ToolVerdict
+    figures: Mapping[str, Any]
+
+
+def judge(
+    rig: Rig,
+    solution: Solution,
+    motion: MotionFit | None,
+    left: Left,
+    *,
+    moving: bool,
+    determined: Mapping[str, Any],
+) -> Judged:
+    """Set-up tests, words and needs of one identification."""
+    figures = _figures(solution, motion, left)
+    reasons, needed = _reasons(rig, solution, motion, left, figures, determined)
+    unknown, more = _undetermined(rig, solution, motion, moving, determined, figures)
+    verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(dict.fromkeys([*needed, *more])))
+    return Judged(verdict, figures)
+
+
+def _figures(solution: Solution, motion: MotionFit | None, left: Left) -> dict[str, Any]:
+    v = solution.problem.vector
+    place = v.layout.gain
+    scale = np.sqrt(np.diag(solution.prior_covariance)[place])
+    z = (solution.x - solution.prior_mean)[place] / scale
+    P0 = solution.prior_covariance[place, place] / np.outer(scale, scale)
+    gain = float(z @ np.linalg.solve(P0 + 1e-9 * np.eye(len(z)), z))
+    body = v.layout.body
+    distance = nearest_physical(solution.x[body], solution.covariance[body, body])[1]
+    directions, cone, _ = _directions(solution)
+    return {
+        "poses": len(solution.problem.poses),
+        "directions": directions,
+        "cone_deg": float(np.degrees(cone)),
+        "chi_square": solution.chi_square,
+        "freedom": solution.freedom,
+        "gain_departure": gain / len(z),
+        "gain_worst": float(np.abs(z).max()),
+        "physical_distance": distance,
+        "offset_walk_over_start": solution.rate / WALK,
+        "repeatability_over_start": solution.repeatability / REPEATABILITY,
+        "steps": solution.steps,
+        "masked": 0.0 if motion is None else motion.masked,
+        "noise_found": [] if motion is None else list(motion.factors),
+        "held_out": {kind: asdict(one) for kind, one in left.by_kind.items()},
+        "held_out_ratio": dict(left.ratio),
+    }
+
+
+def _directions(solution: Solution) -> tuple[int, float, Array]:
+    """How many directions of gravity poses show, half the angle of the cone that holds them, and its axis."""
+    poses = solution.problem.poses
+    if not len(poses) or not solution.problem.rig.in_gravity:
+        return 0, 0.0, np.zeros(3)
+    fall = poses.R_sensor_root @ solution.problem.rig.gravity_array
+    fall /= np.linalg.norm(fall, axis=1, keepdims=True)
+    apart: list[Array] = []
+    for one in fall:
+        if all(np.arccos(np.clip(one @ other, -1.0, 1.0)) > APART for other in apart):
+            apart.append(one)
+    middle = fall.mean(axis=0)
+    size = float(np.linalg.norm(middle))
+    axis = middle / size if size > 1e-9 else fall[0]
+    return len(apart), float(np.arccos(np.clip(fall @ axis, -1.0, 1.0)).max()), axis
+
+
+def _reasons(
+    rig: Rig,
+    solution: Solution,
+    motion: MotionFit | None,
+    left: Left,
+    figures: Mapping[str, Any],
+    determined: Mapping[str, Any],
+) -> tuple[list[str], list[str]]:
+    reasons, needed = [], []
+    v, poses = solution.problem.vector, solution.problem.poses
+    body = v.layout.log_mass
+    relative = float(np.sqrt(solution.covariance[body, body]))
+    light = not determined["mass"] or relative > LIGHT
+    if light:
+        reasons.append(
+            f"No weight is felt beyond what is uncertain ({np.exp(solution.x[body]):.3g} kg, 1 sigma "
+            f"{100.0 * relative:.0f}%): a weight already subtracted, or a tool lighter than the noise."
+        )
+        needed.append("Log the raw output, or state what the driver subtracts (`sensor.compensated`).")
+    elif not all(determined["center_of_mass"]):
+        lacking = ", ".join(a for a, k in zip("xyz", determined["center_of_mass"], strict=True) if not k)
+        reasons.append(f"The centre of mass along {lacking} is not determined.")
+        needed.append("Turn the tool so that gravity points along other axes of the sensor.")
+    if motion is None and figures["directions"] < 3:
+        reasons.append(
+            f"{len(poses)} poses in {figures['directions']} directions of gravity: three directions at least "
+            "separate the weight from the offset."
+        )
+        needed.append(
+            "At least 4 poses, better 12, in directions of gravity far apart, opposite ones in turn."
+        )
+    count = v.n * 6
+    if chi2.sf(figures["gain_departure"] * count, count) < CHANCE:
+        reasons.append(
+            f"The gains would have to be {figures['gain_worst']:.0f} of their stated sigma away: sign, "
+            "axes or units of the log are not as stated."
+        )
+    reasons += _of_poses(solution, figures)
+    if all(determined["inertia"]) and figures["physical_distance"] > FAR:
+        reasons.append(
+            f"No physical body is near what was found (squared distance {figures['physical_distance']:.0f}): "
+            "sign, axes, units or the tool's rigidity are not as stated."
+        )
+    if figures["offset_walk_over_start"] > WORST_WALK:
+        reasons.append(
+            f"The offset wanders {figures['offset_walk_over_start']:.0f} times as fast as sensors do: drift, "
+            "a cable that pulls, or a contact."
+        )
+        needed.append("Let the sensor warm up, guide the cables, and take the poses in half the time.")
+    for kind, ratio in left.ratio.items():
+        if ratio > HELD_OUT:
+            reasons.append(f"Held-out poses ({kind}) depart {np.sqrt(ratio):.1f} times as far as predicted.")
+    if figures["masked"] > MASKED:
+        reasons.append(f"{100 * figures['masked']:.0f}% of the motion was left out as contact or outliers.")
+    return reasons, needed
+
+
+def _of_poses(solution: Solution, figures: Mapping[str, Any]) -> list[str]:
+    """Whether the poses fit the model: all of them, or all but one or two that something touched."""
+    poses, n = solution.problem.poses, solution.problem.vector.n
+    if not len(poses):
+        return []
+    freedom, total = figures["freedom"], figures["chi_square"] * figures["freedom"]
+    touched = np.flatnonzero(chi2.sf(solution.pose_chi_square, n) * len(poses) < CHANCE)
+    bad = chi2.sf(total, freedom) < CHANCE and figures["chi_square"] > 1.5
+    if touched.size and touched.size <= max(1, len(poses) // 6):
+        t0 = poses.time_ns[0]
+        when = ", ".join(f"{(poses.time_ns[k] - t0) * 1e-9:.4g} s" for k in touched)
+        return [f"A contact during the poses, or a pose logged wrongly: {when} after the first."]
+    if bad:
+        return [
+            f"The poses do not fit a weight (chi-square {figures['chi_square']:.3g} per reading): attitude, "
+            "sign, axes or units of the log are not as stated."
+        ]
+    return []
+
+
+def _undetermined(
+    rig: Rig,
+    solution: Solution,
+    motion: MotionFit | None,
+    moving: bool,
+    determined: Mapping[str, Any],
+    figures: Mapping[str, Any],
+) -> tuple[list[Unknown], list[str]]:
+    out, needed = [], []
+    v, P = solution.problem.vector, solution.covariance
+    layout = v.layout
+    std = np.sqrt(np.diag(P))
+    share = _by_gain(P, layout.gain)
+    if "mass" not in solution.problem.prior.known:
+        words = (
+            "Mass and the sensor's force scale cannot be told apart: the mass is as good as the scale, "
+            f"{100.0 * std[layout.log_mass]:.2g}%. Weigh the tool once, or calibrate the sensor."
+        )
+        out.append(Unknown("mass", words))
+        if share[layout.log_mass] > OWN and std[layout.log_mass] > 0.005:
+            needed.append("Weigh the tool (`--known mass=KG:SIGMA`), or calibrate the sensor.")
+    if not all(determined["inertia"]):
+        lead = (
+            "The tool was not accelerated: its" if not moving else "The tool was hardly turned: part of its"
+        )
+        out.append(Unknown("inertia", f"{lead} inertia is not known. Swing it at 1 rad/s for 5 s."))
+        needed.append("Swing the tool at 1 rad/s for 5 s about all axes.")
+    elif moving:
+        out += _thin(solution)
+    directions, cone, axis = _directions(solution)
+    if directions and cone < NARROW and motion is None:
+        along = "xyz"[int(np.argmax(np.abs(axis)))]
+        words = (
+            f"Gravity stayed within {np.degrees(cone):.0f} deg of one direction: weight and offset along "
+            f"{along} are not separated; tilt it further, opposite if possible."
+        )
+        out.append(Unknown("offset", words))
+        needed.append("Poses at 45 deg of tilt and more, opposite ones in turn.")
+    center = float(std[layout.center_of_mass].max())
+    worst = layout.center_of_mass.start + int(np.argmax(std[layout.center_of_mass]))
+    if share[worst] > OWN and all(determined["center_of_mass"]):
+        words = (
+            f"Centre of mass and the sensor's moment-from-force cross-talk look alike: {1e3 * center:.2g} mm."
+        )
+        out.append(Unknown("center_of_mass", words))
+    prior = np.sqrt(np.diag(solution.prior_covariance)[layout.mounting])
+    turn = float(std[layout.mounting].max())
+    if prior.max() > 1e-6:
+        words = (
+            f"A turn of the sensor on its flange looks like cross-talk: {np.degrees(turn):.2g} deg; measure "
+            "it or calibrate."
+        )
+        out.append(Unknown("mounting", words))
+    out += _moved(rig, solution)
+    if solution.problem.prior.gain_std > 0.0501:
+        words = (
+            f"Gains uncertain by {100 * solution.problem.prior.gain_std:.2g}%: beyond 5% gain times mass "
+            "bends, and every sigma was widened for it."
+        )
+        out.append(Unknown("gain", words))
+    if figures["poses"] and figures["poses"] < 8 and motion is None:
+        needed.append("12 poses and more let some be held out.")
+    return out, needed
+
+
+def _by_gain(P: Array, gain: slice) -> Array:
+    """Share of each parameter's variance that knowing the gain would remove."""
+    scale = np.sqrt(np.maximum(np.diag(P)[gain], 1e-300))
+    inner = P[gain, gain] / np.outer(scale, scale)
+    cross = P[:, gain] / scale
+    explained = np.einsum("pi,ip->p", cross, np.linalg.lstsq(inner, cross.T, rcond=1e-10)[0])
+    return np.asarray(explained / np.maximum(np.diag(P), 1e-300))
+
+
+def _thin(solution: Solution) -> list[Unknown]:
+    layout = solution.problem.vector.layout
+    mass = float(np.exp(solution.x[layout.log_mass]))
+    values, vectors = np.linalg.eigh(symmetric(inertia_of(mass, solution.x[layout.S])))
+    axis = vectors[:, 0]  # u^T I u = m (tr S - u^T S u)
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    by_S = mass * np.array([(i == j) - (1 if i == j else 2) * axis[i] * axis[j] for i, j in pairs])
+    sigma = float(np.sqrt(by_S @ solution.covariance[layout.S, layout.S] @ by_S))
+    if values[0] > 2.0 * sigma:
+        return []
+    most = max(values[0], 0.0) + 2.0 * sigma
+    words = f"The inertia about the long axis is too small to feel: between 0 and {most:.1g} kg m^2."
+    return [Unknown("inertia", words)]
+
+
+def _moved(rig: Rig, solution: Solution) -> list[Unknown]:
+    """How far the offset moved during the poses, where it is worth a word."""
+    if len(solution.walk) < 2:
+        return []
+    place = solution.problem.vector.layout.gain
+    back = np.linalg.pinv(solution.x[place].reshape(-1, 6))
+    moved = np.ptp(solution.walk @ back.T, axis=0)
+    worth = np.ptp(solution.walk, axis=0) / rig.sensor.channel_scale > 10.0 * REPEATABILITY
+    if not worth.any():
+        return []
+    relative = moved / rig.sensor.range_array
+    axis = int(np.argmax(relative))
+    size, unit = moved[axis], "N" if axis < 3 else "N m"
+    words = (
+        f"The offset moved by {size:.2g} {unit} during the poses; the weight was separated from it, but the "
+        "offset holds only for minutes: tare before use."
+    )
+    return [Unknown("offset", words)]

@@ -1,0 +1,237 @@
+"""What poses, motion and known figures say of theta: residuals, derivatives, and the offset's walk.
+
+The vector x is theta in the order of `Layout`, then, where there are any, the ten of a body that was there
+before, the offsets of all logs but the last, and the slope of the offset with temperature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+
+from truewrench.rig import Rig
+from truewrench.tool.bodies import total_body, weight
+from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, tilted
+from truewrench.tool.poses import Poses
+from truewrench.tool.prior import Prior
+
+__all__ = ["MotionInformation", "Problem", "Vector"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Vector:
+    """Places in x beyond those of `Layout`."""
+
+    n: int
+    logs: int
+    on: bool = False
+    warm: bool = False
+
+    @property
+    def layout(self) -> Layout:
+        """Of theta."""
+        return Layout(self.n)
+
+    @property
+    def before(self) -> slice:
+        """Ten of the body that was there before."""
+        return slice(self.layout.size, self.layout.size + 10 * self.on)
+
+    def offset(self, log: int) -> slice:
+        """Offset at the end of a log: n."""
+        if log == self.logs - 1:
+            return self.layout.offset
+        start = self.before.stop + self.n * log
+        return slice(start, start + self.n)
+
+    @property
+    def slope(self) -> slice:
+        """Of the offset, per K: n."""
+        start = self.before.stop + self.n * (self.logs - 1)
+        return slice(start, start + self.n * self.warm)
+
+    @property
+    def size(self) -> int:
+        """Of x."""
+        return int(self.slope.stop)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionInformation:
+    """What logs of motion say of y = [gain with mounting (6n), log m, c, inertia, offset of each, tilt (2)].
+
+    log p(data | y) = -(y - at)^T information (y - at) / 2 + gradient^T (y - at)
+
+    Attributes:
+        logs: which.
+        at: of the last linearisation [raw units, SI].
+        information: symmetric, positive semidefinite.
+        gradient: there.
+    """
+
+    logs: tuple[int, ...]
+    at: Array
+    information: Array
+    gradient: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Data and prior of one identification."""
+
+    rig: Rig
+    prior: Prior
+    poses: Poses
+    end_ns: Sequence[int]
+    motion: MotionInformation | None = None
+
+    @property
+    def vector(self) -> Vector:
+        """Places in x."""
+        warm = self.rig.temperature.prior > 0.0 and bool(np.isfinite(self.poses.temperature).any())
+        return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm)
+
+    def prior_of_all(self) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p) of x."""
+        v, sensor = self.vector, self.rig.sensor
+        count = len(self.prior.mean)
+        mean, P = np.zeros(v.size), np.zeros((v.size, v.size))
+        mean[:count], P[:count, :count] = self.prior.mean, self.prior.covariance
+        for log in range(v.logs - 1):
+            at = np.arange(v.offset(log).start, v.offset(log).stop)
+            P[at, at] = np.maximum(sensor.offset_prior_array, 1e-9 * sensor.channel_scale) ** 2
+        at = np.arange(v.slope.start, v.slope.stop)
+        P[at, at] = (self.rig.temperature.prior * sensor.channel_scale[: at.size]) ** 2
+        return mean, P
+
+    def total(self, x: Array) -> tuple[Array, Array]:
+        """The body that the sensor carries as (log m, c, inertia) (10,), and its derivative (10, p)."""
+        v = self.vector
+        places = [np.arange(v.layout.body.start, v.layout.body.stop)]
+        if v.on:
+            places.append(np.arange(v.before.start, v.before.stop))
+        at = np.concatenate(places)
+        body, jacobian = total_body(x[at].reshape(-1, 10))
+        out = np.zeros((10, v.size))
+        out[:, at] = jacobian
+        return body, out
+
+    def of_poses(self, x: Array) -> tuple[Array, Array]:
+        """Readings (T, n) that x predicts, without the walk, and their derivative (n, T, p)."""
+        v, poses, rig = self.vector, self.poses, self.rig
+        n, layout, T = v.n, v.layout, len(poses)
+        C, sign = x[layout.gain].reshape(n, 6), rig.sensor.sign
+        R, dR = channel_turn(x[layout.mounting])
+        fall_root, by_tilt = tilted(rig.gravity_array, x[layout.tilt])
+        fall = poses.R_sensor_root @ fall_root
+        body, by_x = self.total(x)
+        mass, c = float(np.exp(body[0])), body[1:4]
+        w = sign * weight(mass, c, fall)
+
+        def turned(R: Array, w: Array) -> Array:
+            return np.concatenate([w[..., :3] @ R.T, w[..., 3:] @ R.T], axis=-1)
+
+        felt = turned(R, w)
+        J = np.zeros((n, T, v.size))
+        for i in range(n):
+            J[i, :, 6 * i : 6 * i + 6] = felt
+            for log in range(v.logs):
+                J[i, poses.log == log, v.offset(log).start + i] = 1.0
+        body_w = np.zeros((T, 6, 4))  # by log m and c
+        body_w[:, :, 0] = w
+        for k, e in enumerate(np.eye(3)):
+            body_w[:, 3:, 1 + k] = sign * mass * np.cross(e, fall)
+        of_body = np.einsum(
+            "ij,tjk,kp->itp", C, turned(R, body_w.transpose(0, 2, 1)).transpose(0, 2, 1), by_x[:4]
+        )
+        J += of_body
+        for k in range(3):
+            J[:, :, layout.mounting.start + k] += C @ turned(dR[k], w).T
+        for k in range(2):
+            step = sign * weight(mass, c, poses.R_sensor_root @ by_tilt[:, k])
+            J[:, :, layout.tilt.start + k] += C @ turned(R, step).T
+        y = felt @ C.T
+        for log in range(v.logs):
+            y[poses.log == log] += x[v.offset(log)]
+        if v.warm:
+            above = np.nan_to_num(poses.temperature - rig.temperature.reference)
+            y = y + above[:, None] * x[v.slope]
+            for i in range(n):
+                J[i, :, v.slope.start + i] = above
+        return y, J
+
+    def of_motion(self, x: Array) -> tuple[Array, Array]:
+        """Y of `MotionInformation` that x stands for, and its derivative (y, p)."""
+        assert self.motion is not None
+        v = self.vector
+        n, layout = v.n, v.layout
+        C = x[layout.gain].reshape(n, 6)
+        R, dR = channel_turn(x[layout.mounting])
+        zero = np.zeros((3, 3))
+        R6 = np.block([[R, zero], [zero, R]])
+        gain = np.zeros((6 * n, v.size))
+        for i in range(n):
+            gain[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = R6.T
+        for k in range(3):
+            turn = np.block([[dR[k], zero], [zero, dR[k]]])
+            gain[:, layout.mounting.start + k] = (C @ turn).ravel()
+        body, by_x = self.total(x)
+        parts, jacobians = [(C @ R6).ravel(), body], [gain, by_x]
+        for place in (*(v.offset(log) for log in self.motion.logs), layout.tilt):
+            parts.append(x[place])
+            jacobians.append(np.eye(v.size)[place])
+        return np.concatenate(parts), np.vstack(jacobians)
+
+    def of_known(self, x: Array) -> tuple[Array, Array]:
+        """What is stated of the tool less what x says, over its sigma, and the derivative of x's part."""
+        v = self.vector
+        place = np.arange(v.layout.body.start, v.layout.body.stop)
+        body, jacobian = total_body(x[place].reshape(1, 10))
+        names = ("mass", *(f"center_of_mass.{a}" for a in "xyz"), *(f"inertia.{e}" for e in ELEMENTS))
+        r, J = [], []
+        for name, (value, sigma) in self.prior.known.items():
+            k = names.index(name)
+            row = np.zeros(v.size)
+            if name == "mass":
+                r.append((np.log(value) - body[0]) * value / sigma)
+                row[place] = jacobian[0] * value / sigma
+            else:
+                r.append((value - body[k]) / sigma)
+                row[place] = jacobian[k] / sigma
+            J.append(row)
+        return np.array(r), np.array(J).reshape(len(r), v.size)
+
+    def walked(self) -> Array:
+        """(T, T) covariance of a walk of 1 per sqrt(s) that is zero at the end of each log."""
+        poses = self.poses
+        end = np.array([self.end_ns[log] for log in poses.log], dtype=np.int64)
+        away = np.abs(end - poses.time_ns) * 1e-9
+        K: Array = np.minimum(away[:, None], away) * (poses.log[:, None] == poses.log)
+        return K
+
+    def roots(self, rate: float, repeatability: float, K: Array) -> list[Array]:
+        """Cholesky factors (T, T) of every channel's covariance of the readings.
+
+        Args:
+            rate: of the walk, fraction of range per sqrt(s).
+            repeatability: 1 sigma of a pose, fraction of range.
+            K: of `walked`.
+        """
+        scale = self.rig.sensor.channel_scale
+        out = []
+        for i in range(len(scale)):
+            V = (rate * scale[i]) ** 2 * K
+            V[np.diag_indices_from(V)] += self.poses.variance[:, i] + (repeatability * scale[i]) ** 2
+            out.append(cholesky(V, lower=True))
+        return out
+
+
+def whitened(root: Array, values: Array) -> Array:
+    """L^-1 values."""
+    return np.asarray(solve_triangular(root, values, lower=True))

@@ -1,0 +1,277 @@
+"""What logs of motion say of a tool, by the estimator of calibrations about a broad body.
+
+The estimator's posterior, less the priors that it was given, is what the logs alone say of gain, body,
+offsets and gravity (clock, filters, quadratic terms and slow errors integrated out with their own priors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from truewrench import _core
+from truewrench.errors import InputError
+from truewrench.estimation.assumptions import Assumptions, statement
+from truewrench.estimation.record import recorded
+from truewrench.log import Log
+from truewrench.motion.smooth import segments
+from truewrench.rig import Rig
+from truewrench.tool.bodies import nearest_physical
+from truewrench.tool.model_rows import MotionInformation
+from truewrench.tool.parameters import inertia_of, second_moments, symmetric
+
+__all__ = ["MotionFit", "body_start", "motion_information"]
+
+Array = NDArray[np.float64]
+
+_LOG_MASS, _CENTER, _GYRATION = 1.0, 0.1, 0.01  # 1 sigma of the broad body: 1, [m], [m^2] times the mass
+_LEAST_GAIN = 1e-4  # 1 sigma of the gains that the estimator is given at least, normalised
+_WINDOW = 0.15  # [s] of the derivative for the start
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionFit:
+    """What the estimator found in the logs of motion.
+
+    Attributes:
+        information: on gain, body, offsets and tilt.
+        body: (10,) log m, c, inertia at its estimate.
+        time_offset: of the last of these logs, and its 1 sigma [s].
+        masked: share of the samples that were left out as contacts and outliers.
+        factors: of the noise of the channels that was found, over the stated.
+        found: the estimator's own answer.
+    """
+
+    information: MotionInformation
+    body: Array
+    time_offset: tuple[float, float]
+    masked: float
+    factors: tuple[float, ...]
+    found: object
+
+
+def motion_information(
+    rig: Rig,
+    logs: Sequence[Log],
+    places: Sequence[int],
+    gain: Array,
+    gain_std: Array,
+    body: Array,
+    tilt_std: float,
+    *,
+    threads: int = 0,
+) -> MotionFit | None:
+    """Run the estimator about a gain and a body; None where it finds nothing that could be solved.
+
+    Args:
+        rig: of `settings_of`.
+        logs: of motion.
+        places: which of all logs they are.
+        gain: (n, 6) about which to work [raw units], mounting within.
+        gain_std: (n, 6) 1 sigma of it.
+        body: (10,) log m, c, inertia about which to work.
+        tilt_std: [rad] of gravity.
+        threads: of the core.
+    """
+    scale, span = rig.sensor.channel_scale, rig.sensor.range_array
+    units = (scale[:, None] / span).ravel()
+    assumed = Assumptions.of(rig, logs)
+    mass = float(np.exp(body[0]))
+    sigma = float(np.sqrt(np.mean((gain_std.ravel() / units) ** 2)))
+    assumed = replace(
+        assumed,
+        nominal=gain * span / scale[:, None],
+        pool_offsets=False,  # one of each log, whose own information is taken
+        gain_prior=max(sigma, _LEAST_GAIN),
+        body_prior=(np.array([_LOG_MASS, *[_CENTER] * 3, *[_GYRATION * mass] * 6]),),
+        tilt_prior=tilt_std if rig.in_gravity and rig.motion.source != "imu" else 0.0,
+    )
+    shared = statement(assumed)
+    streams = []
+    for log in logs:
+        record = recorded(rig, assumed, log).streams
+        record.payload = _physical(body)
+        streams.append(record)
+    settings = _core.Settings()
+    settings.threads, settings.discrepancy = threads, assumed.discrepancy
+    found = _core.estimate(shared, streams, settings)
+    if found.status != _core.Status.ok:
+        return None
+    stated = streams[0].payload
+    return _taken(rig, places, found, stated, units, assumed.tilt_prior > 0.0)
+
+
+def _taken(
+    rig: Rig, places: Sequence[int], found: _core.Estimate, stated: _core.Payload, units: Array, tilts: bool
+) -> MotionFit:
+    fit, n, scale = found.fit, rig.sensor.n, rig.sensor.channel_scale
+    theta, P = np.asarray(fit.theta), np.asarray(found.covariance)
+    prior, mean = np.asarray(fit.prior), np.asarray(fit.mean)
+    columns = [fit.columns(k) for k in range(len(places))]
+    rows = [np.eye(theta.size)[: 6 * n] * units[:, None]]
+    at = np.array(columns[0].at)
+    body = at[columns[0].body : columns[0].body + 10]
+    rows.append(np.eye(theta.size)[body])
+    for c in columns:
+        pick = np.zeros((n, theta.size))
+        for b in (c.b, *c.steps):
+            pick[np.arange(n), np.array(c.at)[b : b + n]] += 1.0
+        rows.append(pick * scale[:, None])
+    tilt = columns[0].tilt if tilts else -1
+    if tilt >= 0:
+        rows.append(np.eye(theta.size)[at[tilt : tilt + 2]])
+    pick = np.vstack(rows)
+    Pi = (pick * prior) @ pick.T
+    own = pick @ P @ pick.T
+    size = len(pick) + (0 if tilt >= 0 else 2)
+    information, gradient = np.zeros((size, size)), np.zeros(size)
+    # in units of the prior, where directions that nothing was learnt of are told from rounding
+    root = np.sqrt(np.diag(Pi))
+    data = np.linalg.inv(own / np.outer(root, root)) - np.linalg.inv(Pi / np.outer(root, root))
+    values, vectors = np.linalg.eigh(0.5 * (data + data.T))
+    data = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    data = _widened(data, np.asarray(found.gain_covariance) - P[: 6 * n, : 6 * n], root, units, n)
+    count = len(pick)
+    information[:count, :count] = data / np.outer(root, root)
+    gradient[:count] = np.linalg.solve(Pi, pick @ (theta - mean))
+    y = np.append(pick @ theta, np.zeros(size - count))
+    y[6 * n : 6 * n + 10] += _of_payload(stated)
+    # offsets of steps are sums of priors of mean zero: the gradient above holds for them, too
+    clock = columns[-1].clock[0]
+    s = np.array(columns[-1].at)[clock]
+    masked = [np.asarray(fit.rows(k)["masked"]).ravel() > 0.0 for k in range(len(places))]
+    return MotionFit(
+        MotionInformation(tuple(places), y, information, gradient),
+        y[6 * n : 6 * n + 10],
+        (-float(theta[s]), float(np.sqrt(P[s, s]))),
+        float(np.mean(np.concatenate(masked))) if masked else 0.0,
+        tuple(float(f) for k in range(len(places)) for f in fit.sizes(k).raw_factor),
+        found,
+    )
+
+
+def _widened(data: Array, added: Array, root: Array, units: Array, n: int) -> Array:
+    """Information where the gain that the logs show departs from the sensor's by slow errors and poses.
+
+    What (10.9) and (10.10) add to the gain's covariance is an error of the gain as this record shows it, and
+    moves the body with it: (data^-1 + B B^T)^-1 by Woodbury's identity, for data that may be singular.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (added + added.T))
+    keep = values > 1e-18
+    if not keep.any():
+        return data
+    B = np.zeros((len(data), int(keep.sum())))
+    B[: 6 * n] = vectors[:, keep] * np.sqrt(values[keep]) * (units / root[: 6 * n])[:, None]
+    inner = np.eye(B.shape[1]) + B.T @ data @ B
+    out: Array = data - data @ B @ np.linalg.solve(inner, B.T @ data)
+    return 0.5 * (out + out.T)
+
+
+def _physical(body: Array) -> _core.Payload:
+    """The nearest physical body, as the core takes it."""
+    mass = float(np.exp(body[0]))
+    S = second_moments(mass, body[4:])
+    numbers = np.concatenate([body[:4], S])
+    spread = np.diag(np.array([1.0, *[0.1] * 3, *[0.01] * 6]) ** 2)
+    near, _ = nearest_physical(numbers, spread)
+    return _core.Payload(mass, near[1:4], symmetric(inertia_of(mass, near[4:])))
+
+
+def _of_payload(stated: _core.Payload) -> Array:
+    """(10,) log m, c, inertia."""
+    inertia = np.asarray(stated.inertia)
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    return np.concatenate(
+        [[np.log(stated.mass)], np.asarray(stated.center_of_mass), [inertia[i, j] for i, j in pairs]]
+    )
+
+
+def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
+    """(10,) log m, c, inertia by least squares on differentiated velocities, at a gain taken as exact.
+
+    Raises:
+        InputError: for logs too short to be differentiated.
+    """
+    A, b = [], []
+    back = np.linalg.pinv(gain)
+    for k, log in enumerate(logs):
+        for rows, nu, a, g in _motions(rig, log):
+            w = rig.sensor.sign * log.raw[rows] @ back.T
+            know = np.isfinite(w).all(axis=1)
+            if know.sum() < 3:
+                continue
+            Y = _regressor(nu[know], a[know], g[know])
+            offset = np.zeros((len(Y), 6, 6 * len(logs)))
+            offset[:, :, 6 * k : 6 * k + 6] = np.eye(6)
+            weight = (1.0 / rig.sensor.range_array)[:, None]
+            A.append((np.concatenate([Y, offset], axis=2) * weight).reshape(-1, 10 + 6 * len(logs)))
+            b.append((w[know] * weight.T).ravel())
+    if not A:
+        raise InputError.at(logs[0].path, "", "too little motion to be differentiated", "a second of it")
+    x = np.linalg.lstsq(np.vstack(A), np.concatenate(b), rcond=1e-10)[0]
+    mass = float(np.clip(x[0], 0.02, 1e5))
+    center = x[1:4] / mass if x[0] > 0.02 else np.zeros(3)
+    center = np.clip(center, -1.0, 1.0)
+    about = symmetric(x[4:10]) - mass * (center @ center * np.eye(3) - np.outer(center, center))
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    S = second_moments(mass, np.array([about[i, j] for i, j in pairs]))
+    spread = np.diag(np.array([1.0, *[0.1] * 3, *[0.01] * 6]) ** 2)
+    near, _ = nearest_physical(np.concatenate([[np.log(mass)], center, S]), spread)
+    return np.concatenate([near[:4], inertia_of(mass, np.clip(near[4:], -0.25, 0.25))])
+
+
+def _motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array, Array, Array]]:
+    """Rows, twist of the sensor's origin, its derivative and free fall there, piece by piece."""
+    out: list[tuple[NDArray[np.int64], Array, Array, Array]] = []
+    if log.tracking is not None and log.tracking.reference is not None:
+        since: Array = np.asarray((log.time_ns - log.tracking.reference.origin_ns) * 1e-9, np.float64)
+        nu, a, g = log.tracking.reference.motion(since)
+        rows = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
+        return [(rows, nu[rows], a[rows], g[rows])]
+    imu = rig.motion.source == "imu"
+    values = log.angular_velocity if imu else log.twist
+    if values is None:
+        return out
+    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if imu:
+        assert log.specific_force is not None
+        rows = rows[np.isfinite(log.specific_force[rows]).all(axis=1)]
+    elif log.gravity is not None:
+        rows = rows[np.isfinite(log.gravity[rows]).all(axis=1)]
+    for piece in segments(log.time[rows]):
+        at = rows[piece]
+        if at.size < 7:
+            continue
+        period = float(np.median(np.diff(log.time[at])))
+        window = min(2 * max(2, round(0.5 * _WINDOW / period)) + 1, (at.size - 1) // 2 * 2 + 1)
+        smooth = savgol_filter(values[at], window, 3, axis=0)
+        rate = savgol_filter(values[at], window, 3, deriv=1, delta=period, axis=0)
+        if imu:
+            assert log.specific_force is not None
+            force = savgol_filter(log.specific_force[at], window, 3, axis=0)
+            zero = np.zeros_like(force)
+            out.append((at, np.column_stack([zero, smooth]), np.column_stack([force, rate]), zero))
+        else:
+            fall = np.zeros((at.size, 3)) if log.gravity is None else log.gravity[at]
+            out.append((at, smooth, rate, fall))
+    return out
+
+
+def _regressor(nu: Array, a: Array, g: Array) -> Array:
+    """Y (N, 6, 10): w = Y (m, m c, inertia about the sensor's origin), `payload_on_sensor`."""
+    v, omega, alpha = nu[:, :3], nu[:, 3:], a[:, 3:]
+    force = a[:, :3] + np.cross(omega, v) - g
+    Y = np.zeros((len(nu), 6, 10))
+    Y[:, :3, 0] = -force
+    for k, e in enumerate(np.eye(3)):
+        Y[:, :3, 1 + k] = -(np.cross(alpha, e) + np.cross(omega, np.cross(omega, e)))
+        Y[:, 3:, 1 + k] = -np.cross(e, force)
+    for k, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+        unit = np.zeros((3, 3))
+        unit[i, j] = unit[j, i] = 1.0
+        Y[:, 3:, 4 + k] = -(alpha @ unit + np.cross(omega, omega @ unit))
+    return Y

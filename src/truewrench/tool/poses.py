@@ -1,0 +1,225 @@
+"""Static poses of a record: rows of zero twist seconds apart, and dwells found in a sampled log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.arm.robot import robot_of
+from truewrench.attitude import attitude_of
+from truewrench.errors import InputError
+from truewrench.log import Log
+from truewrench.rig import Rig
+from truewrench.temperature import temperature_at
+
+__all__ = ["Poses", "Split", "split_poses"]
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+APART = 0.3  # [s] from both neighbours: a row by itself
+SETTLE = 1.0  # [s] of a dwell that is left out: what the motion before it leaves
+DWELL = 1.5  # [s] at least, settling included
+STILL = 5.0  # sigma of the motion's noise, and
+CREEP = 1e-3  # [m/s, rad/s] that is no motion; tolerance
+MOVING = 2.0  # [s] of motion that are worth an estimate of their own
+FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """T static poses in the order of logs, and of time in each.
+
+    Attributes:
+        log: (T,) which log.
+        time_ns: (T,) stamps of their middles.
+        raw: (T, n) means of the channels [raw units].
+        variance: (T, n) of these means, by the noise of the samples and their own scatter.
+        R_sensor_root: (T, 3, 3) takes vectors of the root frame to sensor axes.
+        temperature: (T,) [degC], NaN where there is none.
+    """
+
+    log: Rows
+    time_ns: Rows
+    raw: Array
+    variance: Array
+    R_sensor_root: Array
+    temperature: Array
+
+    def __len__(self) -> int:
+        return len(self.log)
+
+    def of(self, chosen: Rows | NDArray[np.bool_]) -> Poses:
+        """Some of them."""
+        return Poses(
+            self.log[chosen],
+            self.time_ns[chosen],
+            self.raw[chosen],
+            self.variance[chosen],
+            self.R_sensor_root[chosen],
+            self.temperature[chosen],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """Logs as poses and motion.
+
+    Attributes:
+        poses: of all logs.
+        moving: logs of motion, and None for those without, channels of poses left out.
+        end_ns: last stamp of each log.
+    """
+
+    poses: Poses
+    moving: tuple[Log | None, ...]
+    end_ns: tuple[int, ...]
+
+
+def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
+    """What of each log stands still and what moves; together every sample is used at most once.
+
+    Raises:
+        InputError: for a pose whose direction of gravity nothing tells.
+    """
+    parts, moving = [], []
+    for k, log in enumerate(logs):
+        poses, rest = _split(rig, k, log)
+        parts.append(poses)
+        moving.append(rest)
+    names = ("log", "time_ns", "raw", "variance", "R_sensor_root", "temperature")
+    joined = Poses(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Split(joined, tuple(moving), tuple(int(log.time_ns[-1]) for log in logs))
+
+
+def _split(rig: Rig, k: int, log: Log) -> tuple[Poses, Log | None]:
+    time, sensed = log.time, np.isfinite(log.raw).all(axis=1)
+    gap = np.diff(time[sensed])
+    alone = np.zeros(len(time), dtype=bool)
+    alone[sensed] = np.append(np.inf, gap) >= APART
+    alone[sensed] &= np.append(gap, np.inf) >= APART
+    still = _still(rig, log)
+    pieces = [np.array([row]) for row in np.flatnonzero(alone & still)]
+    dwells = _dwells(time, sensed & ~alone & still, sensed & ~alone)
+    rest = sensed & ~alone
+    moves = rest & ~still
+    seconds = float(np.sum(np.minimum(np.diff(time), APART)[moves[1:]])) if len(time) > 1 else 0.0
+    if seconds < MOVING or len(dwells) >= FEWEST:
+        pieces += dwells
+    else:
+        dwells = []
+    pieces.sort(key=lambda rows: int(rows[0]))
+    if seconds >= MOVING:
+        kept = rest.copy()
+        for rows in dwells:
+            kept[rows] = False
+        raw = np.where(kept[:, None], log.raw, np.nan)
+        return _poses(rig, k, log, pieces), replace(log, raw=raw)
+    return _poses(rig, k, log, pieces), None
+
+
+def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:
+    """Rows at which nothing moves, as far as the measurements of motion tell."""
+    motion, still = rig.motion, np.ones(len(log.time_ns), dtype=bool)
+    if motion.source == "joints":
+        if log.velocity is not None:
+            limit = STILL * motion.noise_array + CREEP if motion.noise is not None else 2.0 * CREEP
+            still &= ~(np.abs(np.nan_to_num(log.velocity)) > limit).any(axis=1)
+        elif log.position is not None:
+            still &= ~_changing(log.time, log.position, CREEP)
+    elif motion.source == "imu":
+        if log.angular_velocity is not None:
+            bias = STILL * (motion.gyro_bias_prior or 0.0)
+            limit = STILL * motion.noise_array + CREEP + bias
+            still &= ~(np.abs(np.nan_to_num(log.angular_velocity)) > limit).any(axis=1)
+    elif log.twist is not None:
+        limit = STILL * motion.noise_array + CREEP
+        still &= ~(np.abs(np.nan_to_num(log.twist)) > limit).any(axis=1)
+    return still
+
+
+def _changing(time: Array, values: Array, rate: float) -> NDArray[np.bool_]:
+    """Rows near which values change faster than `rate`, rows that stand alone aside."""
+    out = np.zeros(len(time), dtype=bool)
+    step = np.diff(time)
+    with np.errstate(invalid="ignore"):
+        fast = (np.abs(np.diff(values, axis=0)) > rate * step[:, None]).any(axis=1) & (step < APART)
+    out[1:] |= fast
+    out[:-1] |= fast
+    return out
+
+
+def _dwells(time: Array, still: NDArray[np.bool_], known: NDArray[np.bool_]) -> list[Rows]:
+    """Rows of each stretch of stillness, the settling at its start left out."""
+    rows = np.flatnonzero(known)
+    if rows.size < 2:
+        return []
+    quiet = still[rows]
+    cut = (np.diff(time[rows]) >= APART) | (quiet[1:] != quiet[:-1])
+    pieces = np.split(rows, np.flatnonzero(cut) + 1)
+    out = []
+    for piece in pieces:
+        if still[piece[0]] and time[piece[-1]] - time[piece[0]] >= DWELL - 1e-9:
+            out.append(piece[time[piece] >= time[piece[0]] + SETTLE])
+    return out
+
+
+def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
+    n = rig.sensor.n
+    warm = temperature_at(log, log.time_ns) if log.temperature is not None else None
+    raw, variance, R = np.empty((len(pieces), n)), np.empty((len(pieces), n)), np.empty((len(pieces), 3, 3))
+    stamps, temperature = np.empty(len(pieces), np.int64), np.full(len(pieces), np.nan)
+    turn = _attitudes(rig, log) if pieces else None
+    for i, rows in enumerate(pieces):
+        raw[i] = log.raw[rows].mean(axis=0)
+        variance[i] = _of_mean(log.raw[rows], rig.sensor.noise_array)
+        stamps[i] = (int(log.time_ns[rows[0]]) + int(log.time_ns[rows[-1]])) // 2
+        assert turn is not None
+        told = turn[rows][np.isfinite(turn[rows][:, 0, 0])]
+        if not len(told):
+            place = f"row at {log.time[rows[0]]:g} s"
+            expected = "gx gy gz, qw qx qy qz, joints or an IMU, which tell the direction of gravity"
+            raise InputError.at(log.path, place, "a pose without attitude", expected)
+        U, _, Vt = np.linalg.svd(told.mean(axis=0))
+        R[i] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        if warm is not None:
+            temperature[i] = warm[rows].mean()
+    return Poses(np.full(len(pieces), k), stamps, raw, variance, R, temperature)
+
+
+def _attitudes(rig: Rig, log: Log) -> Array:
+    """R_sensor_root (N, 3, 3) of all rows, NaN where it is not told."""
+    out = np.full((len(log.time_ns), 3, 3), np.nan)
+    if rig.motion.source == "joints" and log.position is not None and log.base_attitude is None:
+        known = np.isfinite(log.position).all(axis=1)
+        out[known] = robot_of(rig).pose(log.position[known])[0].transpose(0, 2, 1)
+        return out
+    if rig.motion.source == "imu" and log.gravity is None and log.specific_force is not None:
+        log = replace(log, gravity=-log.specific_force)  # at rest
+    told = attitude_of(rig, log)
+    if told is not None:
+        out[np.searchsorted(log.time, told[0])] = told[1]
+    return out
+
+
+def _of_mean(samples: Array, noise: Array) -> Array:
+    """Variance (n,) of the mean of samples (M, n): their scatter, as far as it lasts, and not below noise."""
+    count = len(samples)
+    least: Array = noise**2 / count
+    if count < 8:
+        return least
+    x = samples - samples.mean(axis=0)
+    at_once = np.mean(x**2, axis=0)
+    lags = np.arange(1, min(count // 3, 200))
+    lasting = np.zeros(len(noise))
+    going = np.ones(len(noise), dtype=bool)
+    for lag in lags:  # until correlation turns negative: what follows is its own noise
+        rho = np.mean(x[lag:] * x[:-lag], axis=0) / np.maximum(at_once, 1e-300)
+        going &= rho > 2.0 / np.sqrt(count)
+        lasting += np.where(going, rho, 0.0)
+        if not going.any():
+            break
+    return np.asarray(np.maximum(least, at_once * (1.0 + 2.0 * lasting) / count))

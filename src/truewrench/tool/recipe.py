@@ -1,0 +1,57 @@
+"""The recipe in use elsewhere: gain exact, offset fixed, ten linear parameters. A start, and a comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.rig import Rig
+from truewrench.tool.poses import Poses
+
+__all__ = ["Recipe", "recipe"]
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recipe:
+    """Mass, mass times centre of mass, and offsets in units of the wrench.
+
+    Attributes:
+        mass: [kg], of either sign.
+        moment: (3,) mass times centre of mass [kg m].
+        offset: (6,) [N, N m].
+        residual: (T, 6) of all poses [N, N m].
+    """
+
+    mass: float
+    moment: Array
+    offset: Array
+    residual: Array
+
+    @property
+    def center_of_mass(self) -> Array:
+        """(3,) [m]."""
+        return self.moment / (self.mass if abs(self.mass) > 1e-6 else 1e-6)
+
+
+def recipe(rig: Rig, poses: Poses, chosen: Rows) -> Recipe:
+    """Least squares on chosen poses by the nominal gain; what is left in all poses."""
+    sensor = rig.sensor
+    wrench = sensor.sign * poses.raw @ np.linalg.pinv(sensor.nominal_gain_array).T
+    fall = poses.R_sensor_root @ rig.gravity_array
+    T = len(poses)
+    A = np.zeros((T, 6, 10))
+    A[:, :3, 0] = fall
+    for k, e in enumerate(np.eye(3)):
+        A[:, 3:, 1 + k] = np.cross(e, fall)
+    A[:, :, 4:] = np.eye(6)
+    weight = 1.0 / sensor.range_array
+    rows = (A[chosen] * weight[:, None]).reshape(-1, 10)
+    found: Array = np.asarray(
+        np.linalg.lstsq(rows, (wrench[chosen] * weight).ravel(), rcond=1e-9)[0], dtype=np.float64
+    )
+    return Recipe(float(found[0]), found[1:4], found[4:], wrench - A @ found)

@@ -1,0 +1,268 @@
+"""theta by damped Gauss-Newton, the sizes of the offset's walk and of a pose's repeatability beside it.
+
+    y = C R w(body, g) + b + walk(t) + e,  walk ~ rate^2 min(t_end - t, t_end - t'),   e: a pose's own
+
+Rate and repeatability, one each for all channels as fractions of their range, maximise the marginal
+likelihood with theta integrated out at the linearisation; how well they are known is part of sigma:
+estimates and covariances are mixed over a grid of both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from truewrench.tool.model_rows import Problem, whitened
+
+__all__ = ["REPEATABILITY", "WALK", "Solution", "solve"]
+
+Array = NDArray[np.float64]
+
+WALK = 1e-4  # of range per sqrt(s): where the search begins
+REPEATABILITY = 2e-4  # of range
+MOST_REPEATABILITY = 10.0  # times that: a pose that scatters more is no pose of this model
+MOST_WALK = 500.0
+_SPREAD = 2.0  # 1 sigma of the logarithm of either about its start: data overrule it
+_STEPS = 12
+_GRID = np.linspace(-2.5, 2.5, 6)  # sigma of the logarithms
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """What was found.
+
+    Attributes:
+        problem: that was solved.
+        x: (p,) estimate.
+        covariance: (p, p), the sizes' own uncertainty within.
+        prior_mean: (p,).
+        prior_covariance: (p, p).
+        rate: of the walk, fraction of range per sqrt(s).
+        repeatability: fraction of range.
+        residual: (T, n) readings less what x predicts, the walk not subtracted [raw units].
+        walk: (T, n) the walk's conditional mean [raw units].
+        chi_square: of the poses, whitened, over their number of readings less what theta took.
+        freedom: that number.
+        steps: of Gauss and Newton.
+    """
+
+    problem: Problem
+    x: Array
+    covariance: Array
+    prior_mean: Array
+    prior_covariance: Array
+    rate: float
+    repeatability: float
+    residual: Array
+    walk: Array
+    chi_square: float
+    freedom: int
+    steps: int
+    pose_chi_square: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linear:
+    """The problem about x: residuals, derivatives and prior in units of the prior's sigma."""
+
+    r: Array  # (T, n)
+    J: Array  # (n, T, p)
+    information: Array  # of prior, motion and known figures
+    pull: Array  # their gradient at x
+    constant: float
+    K: Array
+
+
+def _linearise(problem: Problem, x: Array, mean: Array, inverse: Array, scale: Array, K: Array) -> _Linear:
+    y, J = problem.of_poses(x)
+    away = (mean - x) / scale
+    information, pull = inverse.copy(), inverse @ away
+    constant = float(away @ inverse @ away)
+    if problem.motion is not None:
+        m = problem.motion
+        z, D = problem.of_motion(x)
+        D = D * scale
+        gap = m.at - z
+        information += D.T @ m.information @ D
+        pull += D.T @ (m.information @ gap + m.gradient)
+        constant += float(gap @ m.information @ gap + 2.0 * m.gradient @ gap)
+    if problem.prior.known:
+        r, D = problem.of_known(x)
+        D = D * scale
+        information += D.T @ D
+        pull += D.T @ r
+        constant += float(r @ r)
+    return _Linear(problem.poses.raw - y, J * scale, information, pull, constant, K)
+
+
+def _sums(problem: Problem, at: _Linear, sizes: Array) -> tuple[Array, Array, float, float]:
+    """Information, gradient, sum of squares at x, log determinant of the readings' covariance."""
+    A, g, squares, logdet = at.information.copy(), at.pull.copy(), at.constant, 0.0
+    if len(at.r):
+        for i, root in enumerate(problem.roots(float(np.exp(sizes[0])), float(np.exp(sizes[1])), at.K)):
+            both = whitened(root, np.column_stack([at.J[i], at.r[:, i]]))
+            Jw, rw = both[:, :-1], both[:, -1]
+            A += Jw.T @ Jw
+            g += Jw.T @ rw
+            squares += float(rw @ rw)
+            logdet += 2.0 * float(np.log(np.diag(root)).sum())
+    return A, g, squares, logdet
+
+
+_START = np.log([WALK, REPEATABILITY])
+
+
+def _evidence(problem: Problem, at: _Linear, sizes: Array) -> float:
+    """-2 log of the marginal likelihood of the sizes, and of their own broad prior."""
+    A, g, squares, logdet = _sums(problem, at, sizes)
+    quadratic = squares - float(g @ np.linalg.solve(A, g))
+    return (
+        quadratic + logdet + float(np.linalg.slogdet(A)[1]) + float((((sizes - _START) / _SPREAD) ** 2).sum())
+    )
+
+
+def _bounded(sizes: Array) -> Array:
+    upper = _START + np.log([MOST_WALK, MOST_REPEATABILITY])
+    return np.clip(sizes, _START - np.log(1e3), upper)
+
+
+def solve(problem: Problem, start: Array | None = None, sizes: Array | None = None) -> Solution:
+    """Estimate and covariance.
+
+    Args:
+        problem: data and prior.
+        start: (p,) x to begin at; None: by the usual linear recipe.
+        sizes: logarithms of rate and repeatability, held; None: found.
+    """
+    mean, P = problem.prior_of_all()
+    scale = np.sqrt(np.diag(P))
+    inverse = np.linalg.inv(P / np.outer(scale, scale) + 1e-12 * np.eye(len(mean)))
+    K = problem.walked()
+    x = mean.copy() if start is None else start.copy()
+    if start is None and len(problem.poses):
+        _linear_start(problem, x)
+    held = sizes is not None
+    now = _START.copy() if sizes is None else np.array(sizes)
+    steps = 0
+    for steps in range(1, _STEPS + 1):
+        at = _linearise(problem, x, mean, inverse, scale, K)
+        if not held and len(problem.poses) and steps > 1:
+            now = _sizes(problem, at, now)
+        A, g, *_ = _sums(problem, at, now)
+        step = np.linalg.solve(A, g)
+        size = float(np.sqrt(np.mean((A @ step) * step)))
+        body = problem.vector.layout.log_mass
+        step *= min(
+            1.0, 0.7 / max(abs(step[body] * scale[body]), 1e-12)
+        )  # the mass by a factor of two at most
+        x = x + scale * step
+        if size < 1e-3 and steps > 2:
+            break
+    at = _linearise(problem, x, mean, inverse, scale, K)
+    x_mixed, covariance = _mixed(problem, at, now, x, scale, held)
+    A, *_ = _sums(problem, at, now)
+    y, _ = problem.of_poses(x)
+    residual = problem.poses.raw - y
+    walk, chi, per_pose, taken = np.zeros_like(residual), 0.0, np.zeros(len(residual)), 0.0
+    if len(residual):
+        rate = float(np.exp(now[0]))
+        inner = np.linalg.inv(A)
+        for i, root in enumerate(problem.roots(float(np.exp(now[0])), float(np.exp(now[1])), K)):
+            rw, Jw = whitened(root, residual[:, i]), whitened(root, at.J[i])
+            V_rate = (rate * problem.rig.sensor.channel_scale[i]) ** 2 * K
+            solved = np.linalg.solve(root.T, rw)
+            walk[:, i] = V_rate @ solved
+            chi += float(rw @ rw)
+            taken += float(np.einsum("tp,pq,tq->", Jw, inner, Jw))
+            weight = np.linalg.inv(root.T) ** 2
+            precision = weight.sum(axis=1)  # diagonal of V^-1
+            per_pose += solved**2 / precision
+    freedom = max(1, round(residual.size - taken))
+    return Solution(
+        problem,
+        x_mixed,
+        covariance,
+        mean,
+        P,
+        float(np.exp(now[0])),
+        float(np.exp(now[1])),
+        residual,
+        walk,
+        chi / freedom,
+        freedom,
+        steps,
+        per_pose,
+    )
+
+
+def _sizes(problem: Problem, at: _Linear, start: Array) -> Array:
+    def evidence(s: Array) -> float:
+        return _evidence(problem, at, _bounded(s))
+
+    options: Any = {"xatol": 0.05, "fatol": 0.02, "maxiter": 60, "initial_simplex": start + _SIMPLEX}
+    found = minimize(evidence, start, method="Nelder-Mead", options=options)
+    return _bounded(np.asarray(found.x))
+
+
+_SIMPLEX = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+
+
+def _mixed(
+    problem: Problem, at: _Linear, sizes: Array, x: Array, scale: Array, held: bool
+) -> tuple[Array, Array]:
+    """Mean and covariance of x over what the sizes may be."""
+    A, g, *_ = _sums(problem, at, sizes)
+    own = np.linalg.inv(A)
+    if held or not len(problem.poses):
+        return x, own * np.outer(scale, scale)
+    width = np.array([_width(problem, at, sizes, k) for k in range(2)])
+    means, parts, weights = [], [], []
+    for a in _GRID:
+        for b in _GRID:
+            where = sizes + width * [a, b]
+            if (where > _bounded(where) + 1e-9).any():
+                continue
+            A, g, squares, logdet = _sums(problem, at, where)
+            inverse = np.linalg.inv(A)
+            step = inverse @ g
+            prior = float((((where - _START) / _SPREAD) ** 2).sum())
+            weights.append(squares - g @ step + logdet + np.linalg.slogdet(A)[1] + prior)
+            means.append(step)
+            parts.append(inverse)
+    share = np.exp(-0.5 * (np.array(weights) - np.min(weights)))
+    share /= share.sum()
+    mean = np.einsum("k,kp->p", share, np.array(means))
+    away = np.array(means) - mean
+    P = np.einsum("k,kpq->pq", share, np.array(parts)) + np.einsum("k,kp,kq->pq", share, away, away)
+    return x + scale * mean, P * np.outer(scale, scale)
+
+
+def _width(problem: Problem, at: _Linear, sizes: Array, k: int) -> float:
+    """1 sigma of the logarithm of a size, by the curvature of the evidence."""
+    step = np.zeros(2)
+    step[k] = 0.5
+    lower, here, upper = (_evidence(problem, at, sizes + s * step) for s in (-1.0, 0.0, 1.0))
+    curvature = 0.5 * (lower + upper - 2.0 * here) / 0.25
+    return float(np.clip(1.0 / np.sqrt(max(curvature, 1e-9)), 0.1, _SPREAD))
+
+
+def _linear_start(problem: Problem, x: Array) -> None:
+    """Mass, centre of mass and offsets of the ten-parameter recipe, per log, into x."""
+    from truewrench.tool.recipe import recipe
+
+    found = recipe(problem.rig, problem.poses, np.arange(len(problem.poses)))
+    v = problem.vector
+    mass = found.mass
+    if v.on:
+        mass -= float(np.exp(x[v.before.start]))
+    x[v.layout.log_mass] = np.log(np.clip(mass, 0.02, 1e4))
+    if mass > 0.02:
+        center = found.center_of_mass
+        if v.on:
+            first = float(np.exp(x[v.before.start]))
+            center = (found.mass * center - first * x[v.before.start + 1 : v.before.start + 4]) / mass
+        x[v.layout.center_of_mass] = np.clip(center, -1.0, 1.0)

@@ -1,0 +1,65 @@
+"""A tool in words: for the terminal, and correlations for its page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from truewrench.tool.model import Tool
+from truewrench.tool.parameters import ELEMENTS
+
+__all__ = ["correlations", "tool_summary"]
+
+_STRONG = 0.7
+
+
+def tool_summary(tool: Tool) -> Iterator[str]:
+    """Verdict first, then what was found; what was not determined is named and not printed as a number."""
+    yield "usable" if tool.verdict.usable else "NOT to be used as it stands"
+    yield from (f"  {reason}" for reason in tool.verdict.reasons)
+    known = tool.determined
+    if known["mass"]:
+        yield f"mass            {tool.mass:.5g} kg +- {tool.mass_std:.2g}"
+    else:
+        yield "mass            not determined"
+    for axis, value, std, told in zip(
+        "xyz", tool.center_of_mass, tool.center_of_mass_std, known["center_of_mass"], strict=True
+    ):
+        said = f"{1e3 * value:.5g} mm +- {1e3 * std:.2g}" if told else "not determined"
+        yield f"centre of mass {axis} {said}"
+    for name, value, std, told in zip(
+        ELEMENTS, tool.inertia, tool.inertia_std, known["inertia"], strict=True
+    ):
+        said = f"{value:.4g} kg m^2 +- {std:.2g}" if told else "not determined"
+        yield f"inertia {name}      {said}"
+    yield (
+        "offset          "
+        + ", ".join(f"{v:.4g}" for v in tool.offset)
+        + " +- "
+        + ", ".join(f"{s:.2g}" for s in tool.offset_std)
+    )
+    held = tool.held_out
+    if held.force is not None:
+        yield (
+            f"held-out poses  {held.force:.3g} N, {held.moment:.3g} N m left; the usual recipe leaves "
+            f"{held.recipe_force:.3g} N, {held.recipe_moment:.3g} N m"
+        )
+    yield from (f"  {one.words}" for one in tool.verdict.undetermined)
+    yield from (f"next: {need}" for need in tool.verdict.needed)
+
+
+def correlations(tool: Tool) -> list[str]:
+    """Which quantities of the tool stand and fall with which of the sensor, strongest first."""
+    layout = tool.layout
+    names = layout.names
+    std = np.sqrt(np.maximum(np.diag(tool.covariance), 1e-300))
+    rho = tool.covariance / np.outer(std, std)
+    body = range(layout.body.start, layout.body.start + 4)
+    others = [*range(6 * tool.n), *range(layout.offset.start, layout.size)]
+    pairs = sorted(((abs(rho[i, j]), i, j) for i in body for j in others), reverse=True)
+    return [
+        f"{names[i].replace('_', ' ')} and {names[j].replace('_', ' ')}: {rho[i, j]:+.2f}"
+        for size, i, j in pairs[:8]
+        if size > _STRONG
+    ]
