@@ -47,6 +47,7 @@ void bind_payload(nb::module_& m);
 void bind_sensor(nb::module_& m);
 void bind_ekf(nb::module_& m);
 void bind_corrector(nb::module_& m);
+void bind_contact(nb::module_& m);
 void bind_record(nb::module_& m);
 void bind_fit(nb::module_& m);
 void bind_incremental(nb::module_& m);

@@ -8,6 +8,7 @@ NB_MODULE(TRUEWRENCH_MODULE, m) {
   truewrench::python::bind_sensor(m);
   truewrench::python::bind_ekf(m);
   truewrench::python::bind_corrector(m);
+  truewrench::python::bind_contact(m);
   truewrench::python::bind_record(m);
   truewrench::python::bind_fit(m);
   truewrench::python::bind_incremental(m);

@@ -261,6 +261,173 @@ class Corrector:
     def covariance(self, wrench: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')]:
         """Covariance (6, 6) of one corrected wrench (6,)."""
 
+contact_limit: float = 48.4
+
+class ContactSettings:
+    """What is known of sensor and tool (truewrench.tool.Tool)."""
+
+    def __init__(self) -> None: ...
+
+    def set_sensor(self, gain: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], noise: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], payload_on_sensor: bool) -> None: ...
+
+    @property
+    def mass(self) -> float: ...
+
+    @mass.setter
+    def mass(self, arg: float, /) -> None: ...
+
+    @property
+    def center_of_mass(self) -> Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]: ...
+
+    @center_of_mass.setter
+    def center_of_mass(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], /) -> None: ...
+
+    @property
+    def S(self) -> Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')]: ...
+
+    @S.setter
+    def S(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], /) -> None: ...
+
+    @property
+    def mounting(self) -> Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]: ...
+
+    @mounting.setter
+    def mounting(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], /) -> None: ...
+
+    @property
+    def tilt(self) -> Annotated[NDArray[numpy.float64], dict(shape=(2), order='C')]: ...
+
+    @tilt.setter
+    def tilt(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(2), order='C')], /) -> None: ...
+
+    @property
+    def gravity(self) -> Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]: ...
+
+    @gravity.setter
+    def gravity(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], /) -> None: ...
+
+    @property
+    def covariance(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]: ...
+
+    @covariance.setter
+    def covariance(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], /) -> None: ...
+
+    @property
+    def offset_time_ns(self) -> int: ...
+
+    @offset_time_ns.setter
+    def offset_time_ns(self, arg: int, /) -> None: ...
+
+    @property
+    def offset_walk(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    @offset_walk.setter
+    def offset_walk(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def pose_repeatability(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    @pose_repeatability.setter
+    def pose_repeatability(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def time_offset(self) -> float: ...
+
+    @time_offset.setter
+    def time_offset(self, arg: float, /) -> None: ...
+
+    @property
+    def time_offset_std(self) -> float: ...
+
+    @time_offset_std.setter
+    def time_offset_std(self, arg: float, /) -> None: ...
+
+    @property
+    def temperature_slope(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    @temperature_slope.setter
+    def temperature_slope(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def temperature_slope_std(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    @temperature_slope_std.setter
+    def temperature_slope_std(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def temperature_reference(self) -> float: ...
+
+    @temperature_reference.setter
+    def temperature_reference(self, arg: float, /) -> None: ...
+
+    @property
+    def quadratic_std(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    @quadratic_std.setter
+    def quadratic_std(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def full_scale(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+
+    @full_scale.setter
+    def full_scale(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def twist_noise(self) -> Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')]: ...
+
+    @twist_noise.setter
+    def twist_noise(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')], /) -> None: ...
+
+    @property
+    def gravity_noise(self) -> Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')]: ...
+
+    @gravity_noise.setter
+    def gravity_noise(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], /) -> None: ...
+
+class ContactRows:
+    """Contact wrenches of the rows of a log, in their order."""
+
+    def __init__(self, settings: ContactSettings, window: float, newest: bool, imu: bool = False, capacity: int = 1024) -> None:
+        """
+        Kernels of `window` seconds around each row, or, `newest`, that end at it.
+        """
+
+    def feed(self, time_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], twist: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], fall: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], turn: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], temperature: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], twist_noise: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')]]:
+        """
+        Rows: stamps (N,), channels (N, n), twist (N, 6), free fall (N, 3), R_sensor_root (N, 9), temperature (N,) and,
+        or none of it, the covariance of the twist (N, 36). Gives the M rows that have their contact wrench now: their
+        numbers (M,), moments (M,), wrench (M, 6), covariance (M, 6, 6), chi2 (M,), R_sensor_root (M, 3, 3).
+        """
+
+    def finish(self) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')]]:
+        """The rows that waited for others, as `feed` gives them."""
+
+    def tare(self) -> str:
+        """`accepted`, or why not: `in_contact`, `nothing`, `singular`."""
+
+    def ended(self) -> list[tuple[int, int, float, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]]:
+        """
+        Events that have ended since the last call: begin and end [ns], peak force [N], point (3,) [m].
+        """
+
+    @property
+    def in_contact(self) -> bool: ...
+
+    @property
+    def lag(self) -> int:
+        """Rows after which one has its wrench."""
+
+    @property
+    def delay(self) -> float:
+        """The same in seconds."""
+
+    @property
+    def theta(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """The parameters, which a tare moves."""
+
+    @property
+    def center_of_mass(self) -> Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]: ...
+
 class Source(enum.Enum):
     """What the components of the motion spline are."""
 

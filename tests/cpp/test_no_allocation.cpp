@@ -1,4 +1,4 @@
-// Steps of the filter and the corrector neither allocate nor throw. Three traps: the C allocator is
+// Steps of the filter, the corrector and the contact wrench neither allocate nor throw. Three traps: the C allocator is
 // wrapped by the linker, operator new is replaced, and Eigen says when it asks for memory.
 namespace {
 // Volatile, because a compiler knows that malloc does not touch them.
@@ -13,6 +13,7 @@ void note() {
 #define EIGEN_RUNTIME_NO_MALLOC
 #define eigen_assert(condition) ((condition) ? void() : note())
 
+#include "truewrench/contact/rows.hpp"
 #include "truewrench/corrector.hpp"
 #include "truewrench/ekf.hpp"
 
@@ -126,6 +127,36 @@ void corrector_does_not_allocate(int n) {
   EXPECT_GT(sum, 0.0);
 }
 
+void contact_does_not_allocate(int n) {
+  contact::Settings s;
+  s.sensor.gain = Eigen::MatrixXd::Identity(n, 6) + 0.1 * Eigen::MatrixXd::Ones(n, 6);
+  s.sensor.offset = Eigen::VectorXd::Zero(n);
+  s.sensor.noise = Eigen::VectorXd::Ones(n);
+  s.covariance = 1e-4 * Eigen::MatrixXd::Identity(7 * n + 15, 7 * n + 15);
+  s.time_offset_std = 1e-3;
+  s.temperature_slope_std = s.quadratic_std = Eigen::VectorXd::Constant(n, 1e-3);
+  s.full_scale = Eigen::VectorXd::Ones(n);
+  for (const bool newest : {false, true}) {
+    ContactRows rows;
+    ASSERT_EQ(rows.configure(s, 0.02, newest, false, 1024), Status::ok);
+    const Eigen::VectorXd raw = 0.01 * Eigen::VectorXd::Ones(n);
+    int given = 0;
+    Tare tare = Tare::nothing;
+    const int count = allocations_in([&] {
+      for (std::int64_t i = 0; i < 1000; ++i) {
+        const ContactRow row{2'000'000 * i, raw.data(),
+                             Vector6::Constant(0.01 * std::sin(0.05 * static_cast<double>(i))),
+                             Vector3::Zero(), Matrix3::Identity()};
+        static_cast<void>(rows.feed(row, [&](std::int64_t, const ContactWrench&) { ++given; }));
+      }
+      tare = rows.contact.tare();
+    });
+    EXPECT_EQ(count, 0);
+    EXPECT_GT(given, 950);
+    EXPECT_EQ(tare, Tare::accepted);
+  }
+}
+
 // The traps themselves: without this, a build that bypasses them would pass.
 TEST(NoAllocation, TrapsSeeAllocations) {
   void* volatile block = nullptr;
@@ -143,6 +174,10 @@ TEST(NoAllocation, FilterStepWithOffset) { filter_does_not_allocate<true>(); }
 TEST(NoAllocation, CorrectorStep) {
   corrector_does_not_allocate<6>(6);
   corrector_does_not_allocate<Eigen::Dynamic>(9);
+}
+TEST(NoAllocation, ContactRowsAndTare) {
+  contact_does_not_allocate(6);
+  contact_does_not_allocate(8);
 }
 
 }  // namespace

@@ -1,0 +1,191 @@
+// Rows of a table, or messages, as samples of sensor and motion: every row has its contact wrench once the rows after
+// it have come, a constant number of them later.
+#pragma once
+
+#include "truewrench/contact.hpp"
+
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+namespace truewrench {
+
+// One row; NaN where it has no sample.
+struct ContactRow {
+  std::int64_t time_ns = 0;
+  const double* raw = nullptr;  // n channels
+  Vector6 twist;                // of the sensor's origin, sensor axes; v = 0 of an IMU
+  Vector3 fall;                 // free fall in sensor axes; less the specific force of an IMU
+  Matrix3 R_sensor_root;        // turns vectors of the root into sensor axes
+};
+
+class ContactRows {
+ public:
+  Contact contact;
+
+  // As Contact::configure. `imu`: the motion is an IMU's, and the direction of gravity plays no part. Allocates.
+  Status configure(const contact::Settings& settings, double window, bool newest, bool imu, int capacity) {
+    if (const Status status = contact.configure(settings, window, newest, capacity); status != Status::ok)
+      return status;
+    gravity_ = settings.gravity;
+    newest_ = newest;
+    imu_ = imu;
+    times_.assign(static_cast<std::size_t>(capacity), 0);
+    rows_ = 0;
+    started_ = turned_ = lonely_ = false;
+    raw_ = motion_ = Intervals();
+    lag_ = 0;
+    return Status::ok;
+  }
+
+  // Rows after which a row has its wrench.
+  std::int64_t lag() const noexcept { return lag_; }
+
+  // The next row. `sink(number, wrench)` is called for every earlier row (or this one) that has its wrench now.
+  template <typename Sink>
+  Status feed(const ContactRow& row, Sink&& sink) noexcept {
+    if (!contact.configured()) return Status::not_configured;
+    if (rows_ > 0 && row.time_ns <= time_of(rows_ - 1)) return Status::not_increasing;
+    const std::int64_t k = rows_;
+    const bool apart = k == 0 || row.time_ns - time_of(k - 1) >= apart_ns;
+    if (lonely_ && apart && !newest_) give_pose(k - 1, sink);
+    times_[slot(k)] = row.time_ns;
+    rows_ = k + 1;
+    const bool sensed = contact.add_raw(row.time_ns, row.raw, k) == Status::ok;
+    const bool moved = add_motion(row, k);
+    lonely_ = apart && sensed && moved && row.twist.isZero(0.0);
+    if (!started_) {
+      if (sensed) raw_.add(row.time_ns);
+      if (moved) motion_.add(row.time_ns);
+      if (raw_.full() && motion_.full()) start(sink);
+    } else {
+      give(k - lag_, sink);
+    }
+    if (lonely_ && newest_) give_pose(k, sink);
+    return Status::ok;
+  }
+
+  // The rows that waited for others, when no more will come.
+  template <typename Sink>
+  void finish(Sink&& sink) noexcept {
+    if (!started_ && raw_.count > 1 && motion_.count > 1) start(sink);
+    if (started_)
+      for (std::int64_t r = rows_ - lag_; r < rows_; ++r) give(r, sink);
+    if (lonely_ && !newest_) give_pose(rows_ - 1, sink);
+    lonely_ = false;
+  }
+
+ private:
+  static constexpr std::int64_t apart_ns = 500'000'000;  // a row at rest so far from its neighbours is a pose
+  static constexpr int learned = 20;                     // intervals that tell a nominal period
+
+  struct Intervals {
+    std::array<std::int64_t, learned> of{};
+    int count = 0;
+    std::int64_t last = 0;
+    bool any = false;
+
+    bool full() const { return count == learned; }
+    void add(std::int64_t time) {
+      if (any && time - last < apart_ns && !full()) of[static_cast<std::size_t>(count++)] = time - last;
+      last = time;
+      any = true;
+    }
+    double median() {
+      std::sort(of.begin(), of.begin() + count);
+      return 1e-9 * static_cast<double>(of[static_cast<std::size_t>(count / 2)]);
+    }
+  };
+
+  std::size_t slot(std::int64_t row) const noexcept { return static_cast<std::size_t>(row) % times_.size(); }
+  std::int64_t time_of(std::int64_t row) const noexcept { return times_[slot(row)]; }
+  std::int64_t oldest() const noexcept {
+    return std::max<std::int64_t>(0, rows_ - static_cast<std::int64_t>(times_.size()));
+  }
+
+  template <typename Sink>
+  void give(std::int64_t row, Sink&& sink) noexcept {
+    if (row < oldest()) return;
+    ContactWrench out;
+    if (contact.evaluate(time_of(row), out) == ContactState::ok) sink(row, out);
+  }
+
+  template <typename Sink>
+  void give_pose(std::int64_t row, Sink&& sink) noexcept {
+    ContactWrench out;
+    if (contact.evaluate_pose(time_of(row), out) == ContactState::ok) sink(row, out);
+  }
+
+  // With the periods known: how many rows a kernel waits for, and the rows that have waited for that.
+  template <typename Sink>
+  void start(Sink&& sink) noexcept {
+    started_ = contact.set_periods(raw_.median(), motion_.median()) == Status::ok;
+    if (!started_) return;
+    if (!newest_) {
+      std::int64_t least = static_cast<std::int64_t>(times_.size()), most = 0;
+      ContactWrench out;
+      for (std::int64_t r = oldest(); r < rows_; ++r) {
+        if (contact.evaluate(time_of(r), out) != ContactState::ok) continue;
+        least = std::min(least, out.newest - r);
+        most = std::max(most, out.newest - r);
+      }
+      lag_ = most + (most > least ? 1 : 0);  // where it varies, another row may need one more
+    }
+    for (std::int64_t r = oldest(); r < rows_ - lag_; ++r) give(r, sink);
+  }
+
+  bool add_motion(const ContactRow& row, std::int64_t k) noexcept {
+    const bool moving = row.twist.allFinite(), fall = row.fall.allFinite();
+    if (imu_)
+      return moving && fall &&
+             contact.add_motion(row.time_ns, row.twist, row.fall, Matrix3::Zero(), k) == Status::ok;
+    follow(row, moving, fall);
+    if (!moving) return false;
+    const Vector3 g = fall ? row.fall : Vector3(R_ * gravity_);
+    if (!fall && !turned_ && !gravity_.isZero(0.0)) return false;
+    return contact.add_motion(row.time_ns, row.twist, g, turned_ ? R_ : Matrix3::Zero().eval(), k) ==
+           Status::ok;
+  }
+
+  // How the sensor is turned: as the row says; else the last turn, carried on by the angular velocity, with the smallest
+  // further one that puts the stated direction of gravity on the logged one.
+  void follow(const ContactRow& row, bool moving, bool fall) noexcept {
+    const Vector3 omega = moving ? Vector3(row.twist.tail<3>()) : omega_;
+    if (row.R_sensor_root.allFinite()) {
+      R_ = row.R_sensor_root;
+      turned_ = true;
+    } else {
+      const std::int64_t since = row.time_ns - turn_time_;
+      if (turned_ && since < apart_ns) {
+        const Vector3 angle = -0.5e-9 * static_cast<double>(since) * (omega + omega_);
+        const double size = angle.norm();
+        if (size > 0.0) R_ = Eigen::AngleAxisd(size, angle / size).toRotationMatrix() * R_;
+      } else if (turned_ && !fall) {
+        turned_ = false;
+      }
+      const double weight = gravity_.norm(), found = fall ? row.fall.norm() : 0.0;
+      if (weight > 0.0 && found > 0.0) {
+        if (!turned_) R_.setIdentity();
+        const Vector3 down = R_ * gravity_ / weight;
+        R_ = Eigen::Quaterniond::FromTwoVectors(down, row.fall / found).toRotationMatrix() * R_;
+        R_ = Eigen::Quaterniond(R_).normalized().toRotationMatrix();  // against the rounding of many products
+        turned_ = true;
+      }
+    }
+    omega_ = omega;
+    turn_time_ = row.time_ns;
+  }
+
+  Vector3 gravity_ = Vector3::Zero(), omega_ = Vector3::Zero();
+  Matrix3 R_ = Matrix3::Zero();
+  std::vector<std::int64_t> times_;
+  std::int64_t rows_ = 0, lag_ = 0, turn_time_ = 0;
+  Intervals raw_, motion_;
+  bool newest_ = false, imu_ = false, started_ = false, turned_ = false, lonely_ = false;
+};
+
+}  // namespace truewrench
