@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from truewrench.io.tables import write_table
+from truewrench.log import Log
+from truewrench.rig import Rig
 from truewrench.rig.tool_rig import tool_rig
 from truewrench.tool.model import Body, HeldOut, Tool, ToolVerdict, Unknown
 from truewrench.tool.parameters import Layout, inertia_of
@@ -63,3 +68,100 @@ def a_tool(seed: int = 0) -> Tool:
         version="0",
         created="2026-01-01T00:00:00+00:00",
     )
+
+
+def directions(count: int, rng: np.random.Generator) -> Array:
+    """Attitudes R_root_sensor (count, 3, 3) of any kind."""
+    return Rotation.random(count, random_state=rng).as_matrix()
+
+
+def pose_log(
+    rig: Rig,
+    mass: float,
+    center: Array,
+    *,
+    poses: int = 16,
+    gain: Array | None = None,
+    walk: float = 1e-4,
+    seed: int = 0,
+    attitudes: Array | None = None,
+    apart: float = 8.0,
+) -> tuple[Log, Array]:
+    """Static poses of a tool, a row each, and the offset at their end.
+
+    Args:
+        rig: sensor and gravity.
+        mass: [kg].
+        center: (3,) [m].
+        poses: how many.
+        gain: (6, 6), identity by default.
+        walk: of the offset, fraction of range per sqrt(s).
+        seed: of noise, walk and attitudes.
+        attitudes: R_root_sensor (poses, 3, 3).
+        apart: seconds between them.
+    """
+    rng = np.random.default_rng(seed)
+    R = directions(poses, rng) if attitudes is None else attitudes
+    poses = len(R)
+    fall = R.transpose(0, 2, 1) @ rig.gravity_array
+    wrench = rig.sensor.sign * mass * np.column_stack([fall, np.cross(center, fall)])
+    steps = rng.normal(size=(poses, 6)) * np.sqrt(apart) * walk * rig.sensor.range_array
+    drift = np.cumsum(steps, axis=0)
+    offset = rng.normal(size=6) * 0.05 * rig.sensor.range_array
+    raw = wrench @ (np.eye(6) if gain is None else gain).T + offset + drift
+    raw += rng.normal(size=raw.shape) * rig.sensor.noise_array
+    attitude = Rotation.from_matrix(R).as_quat()[:, [3, 0, 1, 2]]
+    time_ns = (np.arange(poses) * apart * 1e9).astype(np.int64)
+    log = Log(None, "tool", "", time_ns, raw, twist=np.zeros((poses, 6)), gravity=fall, attitude=attitude)
+    return log, offset + drift[-1]
+
+
+def swing_log(
+    rig: Rig, mass: float, center: Array, inertia: Array, *, seconds: float = 8.0, seed: int = 0
+) -> Log:
+    """A tool swung at four frequencies an axis, 100 Hz; R_root_sensor integrated in small steps.
+
+    The wrench is Newton's and Euler's about the origin, written apart from the package's.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(100 * seconds)) / 100.0
+    f, phase = rng.uniform(0.2, 0.9, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
+    size = np.repeat([0.3, 0.8], 3)
+
+    def twist(t: float) -> Array:
+        return size * np.sin(2.0 * np.pi * f * t + phase).sum(axis=1)
+
+    nu = np.array([twist(t) for t in time])
+    a = np.array([size * (2.0 * np.pi * f * np.cos(2.0 * np.pi * f * t + phase)).sum(axis=1) for t in time])
+    R = [Rotation.random(random_state=rng)]
+    for t in time[:-1]:
+        now = R[-1]
+        for part in range(4):
+            now = now * Rotation.from_rotvec(twist(t + 0.0025 * (part + 0.5))[3:] * 0.0025)
+        R.append(now)
+    turns = Rotation.concatenate(R)
+    fall = turns.inv().apply(rig.gravity_array)
+    raw = np.empty((time.size, 6))
+    for k in range(time.size):
+        omega, alpha = nu[k, 3:], a[k, 3:]
+        at_mass = a[k, :3] + np.cross(omega, nu[k, :3]) + np.cross(alpha, center)
+        at_mass = at_mass + np.cross(omega, np.cross(omega, center)) - fall[k]
+        moment = inertia @ alpha + np.cross(omega, inertia @ omega) + mass * np.cross(center, at_mass)
+        raw[k] = -rig.sensor.sign * np.concatenate([mass * at_mass, moment])
+    raw += rng.normal(size=raw.shape) * rig.sensor.noise_array + rng.normal(size=6) * 0.5
+    nu += rng.normal(size=nu.shape) * rig.motion.noise_array
+    quaternion = turns.as_quat()[:, [3, 0, 1, 2]]
+    stamps = (time * 1e9).astype(np.int64) + 10**12
+    return Log(None, "tool", "", stamps, raw, twist=nu, gravity=fall, attitude=quaternion)
+
+
+def write_log(path: Path, log: Log) -> Path:
+    """A log as a table."""
+    assert log.twist is not None
+    assert log.attitude is not None
+    columns: dict[str, Any] = {"time_ns": log.time_ns}
+    columns |= {f"raw_{i}": log.raw[:, i] for i in range(log.raw.shape[1])}
+    columns |= dict(zip(("vx", "vy", "vz", "wx", "wy", "wz"), log.twist.T, strict=True))
+    columns |= dict(zip(("qw", "qx", "qy", "qz"), log.attitude.T, strict=True))
+    write_table(path, columns)
+    return path

@@ -114,7 +114,7 @@ def tool(
     for key in ("covariance", "rig"):
         figures.pop(key)
     return Outcome(
-        outputs=outputs, verdict=verdict, figures=figures, words=lambda: iter(tool_summary(found_tool))
+        outputs=outputs, verdict=verdict, figures=figures, words=lambda: iter([tool_summary(found_tool)])
     )
 
 

@@ -188,7 +188,10 @@ def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
     """What compensates gravity on the wrench: the body that the sensor feels, sensor axes, no housing."""
     robot = tool.rig.motion.robot
     frame = robot.sensor_frame if robot else "ft_sensor"
-    mass, center, size = tool.mass, tool.center_of_mass.tolist(), float(np.linalg.norm(tool.gravity))
+    size = float(np.linalg.norm(tool.gravity))
+    mass, center = tool.mass, tool.center_of_mass.tolist()
+    if tool.housing[0] == 0.0:
+        mass, center = tool.exported.mass, tool.exported.center_of_mass.tolist()
     feels = tool.rig.sensor.feels
     head = [
         *(word for word in held.words if not word.startswith(("Flange", "With"))),

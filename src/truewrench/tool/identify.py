@@ -37,7 +37,9 @@ Progress = Callable[[str, float | None], None]
 DETERMINED = 0.5
 """Of the prior's sigma: what is less certain than that the data did not tell."""
 
-_ROUNDS = 2  # of the estimator of motion: about a linear start, and about what it found
+_ROUNDS = 6  # of the estimator of motion: about a linear start, then about what was found
+_SETTLED = 0.1  # sigma that the mass may still move, and the gains, RMS
+_NEAR = 0.005  # 1 sigma of the gains after the first round: the estimate then stays where it is linear
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,15 +137,18 @@ def _solved(
     still = solve(problem) if len(problem.poses) else None
     gain = problem.prior.mean[layout.gain].reshape(-1, 6)
     gain_std = np.sqrt(np.diag(problem.prior.covariance)[layout.gain]).reshape(-1, 6)
-    turn = np.sqrt(np.diag(problem.prior.covariance)[layout.mounting])
+    mounting = np.sqrt(np.diag(problem.prior.covariance)[layout.mounting])
     span = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
-    gain_std = np.hypot(gain_std, turn.max() / span)  # the estimator's gain holds the mounting
+    gain_std = np.hypot(gain_std, mounting.max() / span)  # the estimator's gain holds the mounting
     tilt_std = float(np.sqrt(np.diag(problem.prior.covariance)[layout.tilt]).max())
     body, x = body_start(rig, logs, gain), None if still is None else still.x
     motion = None
     solution = still
-    for _ in range(_ROUNDS):
-        found = motion_information(rig, logs, places, gain, gain_std, body, tilt_std, threads=threads or 0)
+    for turn in range(_ROUNDS):
+        # subtracted again, the prior only keeps gain and body, whose product is what data tell, from
+        # wandering off along their curve, which a tangent does not follow back
+        held = gain_std if turn == 0 else np.minimum(gain_std, _NEAR / span)
+        found = motion_information(rig, logs, places, gain, held, body, tilt_std, threads=threads or 0)
         if found is None:
             break
         motion = found
@@ -151,10 +156,14 @@ def _solved(
         if x is None:
             x = _start_from(problem, found.body)
         solution = solve(problem, x)
+        moved = (solution.x - x)[: layout.log_mass + 1]
         x = solution.x
         body = problem.total(x)[0]
-        R = np.kron(np.eye(2), channel_turn(x[layout.mounting])[0])
-        gain = x[layout.gain].reshape(-1, 6) @ R
+        gain = x[layout.gain].reshape(-1, 6) @ np.kron(np.eye(2), channel_turn(x[layout.mounting])[0])
+        sigma = np.sqrt(np.diag(solution.covariance))[: layout.log_mass + 1]
+        by = np.abs(moved / sigma)
+        if turn > 0 and max(float(np.sqrt(np.mean(by**2))), by[-1]) < _SETTLED:
+            break
     if solution is None:
         raise InputError.at(
             logs[0].path, "", "a motion that could not be fitted", "a longer, livelier record"

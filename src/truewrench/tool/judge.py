@@ -16,6 +16,7 @@ from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit
 from truewrench.tool.parameters import inertia_of, symmetric
 from truewrench.tool.parts import ToolVerdict, Unknown
+from truewrench.tool.setup import mistakes
 from truewrench.tool.solve import REPEATABILITY, WALK, Solution
 
 __all__ = ["Judged", "judge"]
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 
 CHANCE = 1e-6  # of a test of the set-up
 WORST_WALK = 50.0  # times its start
+SUSPECT_WALK = 20.0
 FAR = 25.0  # squared distance to a physical body, 4.4 where all is well
 APART = np.radians(10.0)  # of two directions of gravity
 NARROW = np.radians(30.0)
@@ -142,6 +144,9 @@ def _reasons(
             "axes or units of the log are not as stated."
         )
     reasons += _of_poses(solution, figures)
+    if reasons or figures["offset_walk_over_start"] > SUSPECT_WALK:
+        named = mistakes(rig, poses, solution.problem.prior.gain_std)
+        reasons = [*named, *(reason for reason in reasons if not (named and reason.startswith("The gains")))]
     if all(determined["inertia"]) and figures["physical_distance"] > FAR:
         reasons.append(
             f"No physical body is near what was found (squared distance {figures['physical_distance']:.0f}): "

@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 _LOG_MASS, _CENTER, _GYRATION = 1.0, 0.1, 0.01  # 1 sigma of the broad body: 1, [m], [m^2] times the mass
 _LEAST_GAIN = 1e-4  # 1 sigma of the gains that the estimator is given at least, normalised
+_TOLD = 0.05  # information of a direction in units of its prior: below, nothing was learnt
 _WINDOW = 0.15  # [s] of the derivative for the start
 
 
@@ -133,11 +134,15 @@ def _taken(
     root = np.sqrt(np.diag(Pi))
     data = np.linalg.inv(own / np.outer(root, root)) - np.linalg.inv(Pi / np.outer(root, root))
     values, vectors = np.linalg.eigh(0.5 * (data + data.T))
-    data = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    # along what data do not tell (mass against the scale of force) the estimator's steps end early: what is
+    # left of the prior's pull there is no gradient of the data
+    told = vectors[:, values > _TOLD]
+    pull = told @ (told.T @ (root * np.linalg.solve(Pi, pick @ (theta - mean))))
+    data = (told * values[values > _TOLD]) @ told.T
     data = _widened(data, np.asarray(found.gain_covariance) - P[: 6 * n, : 6 * n], root, units, n)
     count = len(pick)
     information[:count, :count] = data / np.outer(root, root)
-    gradient[:count] = np.linalg.solve(Pi, pick @ (theta - mean))
+    gradient[:count] = pull / root
     y = np.append(pick @ theta, np.zeros(size - count))
     y[6 * n : 6 * n + 10] += _of_payload(stated)
     # offsets of steps are sums of priors of mean zero: the gradient above holds for them, too

@@ -240,6 +240,6 @@ def _held(tool: Tool) -> str:
     )
     return (
         "<h2>Held-out poses</h2><table><tr><th></th><th>force [N]</th><th>usual recipe</th><th>moment "
-        f"[N m]</th><th>usual recipe</th></tr>{rows}</table><p>RMS of what is left in poses that the fit did not see, "
-        "beside ten linear parameters with an exact gain and a fixed offset.</p>"
+        f"[N m]</th><th>usual recipe</th></tr>{rows}</table><p>RMS of what is left in poses that the fit did "
+        "not see, beside ten linear parameters with an exact gain and a fixed offset.</p>"
     )

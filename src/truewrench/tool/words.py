@@ -14,8 +14,12 @@ __all__ = ["correlations", "tool_summary"]
 _STRONG = 0.7
 
 
-def tool_summary(tool: Tool) -> Iterator[str]:
+def tool_summary(tool: Tool) -> str:
     """Verdict first, then what was found; what was not determined is named and not printed as a number."""
+    return "\n".join(_lines(tool))
+
+
+def _lines(tool: Tool) -> Iterator[str]:
     yield "usable" if tool.verdict.usable else "NOT to be used as it stands"
     yield from (f"  {reason}" for reason in tool.verdict.reasons)
     known = tool.determined

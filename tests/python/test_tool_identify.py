@@ -1,0 +1,246 @@
+"""An unknown tool is found with an honest sigma, and a set-up that is not as stated ends in its word."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tool_cases import a_rig, pose_log, swing_log
+
+import truewrench as tw
+from truewrench.errors import InputError
+from truewrench.log import Log
+from truewrench.rig.tool_rig import tool_rig
+from truewrench.tool.model import Tool
+
+MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
+INERTIA = np.array([[0.012, 5e-4, -3e-4], [5e-4, 0.010, 2e-4], [-3e-4, 2e-4, 0.006]])
+RIG = tool_rig(a_rig())
+STILL_AIR: dict[str, Any] = {"discrepancy": 0, "time_offset_prior": 0.0}
+
+
+def within(tool: Tool, sigma: float = 4.0) -> bool:
+    """Whether mass and centre of mass are where they claim to be."""
+    return bool(
+        abs(tool.mass - MASS) < sigma * tool.mass_std
+        and (np.abs(tool.center_of_mass - CENTER) < sigma * tool.center_of_mass_std).all()
+    )
+
+
+def test_poses_tell_mass_center_and_offset_but_no_inertia() -> None:
+    log, offset = pose_log(RIG, MASS, CENTER)
+    tool = tw.identify_tool(RIG, log)
+    assert tool.verdict.usable
+    assert within(tool)
+    assert tool.mass_std / MASS < 0.02
+    assert (tool.center_of_mass_std < 3e-3).all()
+    assert (np.abs(tool.offset - offset) < 4.0 * tool.offset_std).all()
+    assert tool.determined["mass"]
+    assert not any(tool.determined["inertia"])
+    assert tool.exported.inertia_assumed
+    words = " ".join(one.words for one in tool.verdict.undetermined)
+    assert "The tool was not accelerated: its inertia is not known. Swing it at 1 rad/s for 5 s." in words
+    assert "Mass and the sensor's force scale cannot be told apart" in words
+    assert tool.offset_time_ns == log.time_ns[-1]
+
+
+def test_held_out_poses_beat_the_recipe_where_the_offset_drifts() -> None:
+    log, _ = pose_log(RIG, MASS, CENTER, poses=30, walk=1e-3)
+    tool = tw.identify_tool(RIG, log)
+    assert tool.held_out.force is not None
+    assert tool.held_out.recipe_force is not None
+    assert tool.held_out.force < 0.7 * tool.held_out.recipe_force
+    assert tool.offset_walk / RIG.sensor.channel_scale == pytest.approx(1e-3, rel=0.5)
+    assert any("The offset moved by" in one.words for one in tool.verdict.undetermined)
+
+
+def test_motion_tells_the_inertia() -> None:
+    rig = tool_rig(a_rig(sensor=STILL_AIR))
+    tool = tw.identify_tool(rig, swing_log(rig, MASS, CENTER, INERTIA))
+    assert tool.verdict.usable, tool.verdict.reasons
+    assert within(tool)
+    assert all(tool.determined["inertia"])
+    truth = np.array([INERTIA[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))])
+    assert (np.abs(tool.inertia - truth) < 4.0 * tool.inertia_std).all()
+    assert (tool.inertia_std < 0.05 * INERTIA[0, 0]).all()
+    assert not tool.exported.inertia_assumed
+
+
+def test_poses_and_motion_together_are_better_than_either() -> None:
+    rig = tool_rig(a_rig(sensor=STILL_AIR))
+    swing, (poses, _) = swing_log(rig, MASS, CENTER, INERTIA), pose_log(rig, MASS, CENTER)
+    both = tw.identify_tool(rig, [poses, swing])
+    for alone in (tw.identify_tool(rig, poses), tw.identify_tool(rig, swing)):
+        assert both.mass_std < alone.mass_std
+        assert (both.center_of_mass_std < alone.center_of_mass_std).all()
+    assert within(both)
+
+
+def test_a_weighing_tells_the_mass() -> None:
+    log, _ = pose_log(RIG, MASS, CENTER)
+    tool = tw.identify_tool(RIG, log, known={"mass": (2.001, 0.001)})
+    assert tool.mass_std < 1.01e-3
+    assert abs(tool.mass - MASS) < 4e-3
+    assert not any("force scale" in one.words for one in tool.verdict.undetermined)
+
+
+def test_a_tight_gain_gives_a_tight_mass() -> None:
+    rig = tool_rig(a_rig(sensor={"gain_prior": 1e-6, "noise": [0.01] * 3 + [1e-3] * 3}))
+    log, _ = pose_log(rig, MASS, CENTER, walk=1e-6)
+    tool = tw.identify_tool(rig, log, mounting_sigma=0.0, tilt_sigma=0.0)
+    assert tool.mass == pytest.approx(MASS, rel=2e-3)
+    assert tool.mass_std < 2e-3
+    assert within(tool)
+
+
+def test_a_workpiece_on_a_known_tool() -> None:
+    """What was there before is subtracted, with its uncertainty."""
+    before = tw.identify_tool(RIG, pose_log(RIG, MASS, CENTER)[0])
+    whole, middle = 2.5, (MASS * CENTER + 0.5 * np.array([0.0, 0.0, 0.2])) / 2.5
+    tool = tw.identify_tool(RIG, pose_log(RIG, whole, middle, seed=3)[0], on=before)
+    assert abs(tool.mass - 0.5) < 4.0 * tool.mass_std
+    assert tool.mass_std < 0.05
+    assert (np.abs(tool.center_of_mass - [0.0, 0.0, 0.2]) < 4.0 * tool.center_of_mass_std).all()
+
+
+def test_dwells_of_a_sampled_log_are_poses() -> None:
+    rng = np.random.default_rng(5)
+    R = Rotation.random(8, random_state=rng).as_matrix()
+    poses, _ = pose_log(RIG, MASS, CENTER, attitudes=R, walk=0.0)
+    assert poses.attitude is not None
+    assert poses.gravity is not None
+    count = 8 * 40
+    time_ns = np.arange(count) * 100_000_000
+    moving = np.arange(count) % 40 < 10  # a second of turning, three of rest
+    twist = np.where(moving[:, None], 0.5, 0.0) * np.ones(6)
+    rows = np.repeat(np.arange(8), 40)
+    raw = poses.raw[rows] + rng.normal(size=(count, 6)) * RIG.sensor.noise_array
+    raw[moving] = np.nan
+    sampled = Log(
+        None,
+        "tool",
+        "",
+        time_ns,
+        raw,
+        twist=twist,
+        gravity=poses.gravity[rows],
+        attitude=poses.attitude[rows],
+    )
+    tool = tw.identify_tool(RIG, sampled)
+    assert tool.logs[0]["poses"] == 8
+    assert within(tool)
+
+
+def turned(log: Log, quaternion: np.ndarray) -> Log:
+    attitude = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
+    return replace(log, attitude=quaternion, gravity=attitude.transpose(0, 2, 1) @ RIG.gravity_array)
+
+
+def _sign(log: Log) -> Log:
+    return replace(log, raw=-log.raw)
+
+
+def _swapped(log: Log) -> Log:
+    return replace(log, raw=log.raw[:, [1, 0, 2, 4, 3, 5]])
+
+
+def _inverse(log: Log) -> Log:
+    assert log.attitude is not None
+    return turned(log, log.attitude * [1.0, -1.0, -1.0, -1.0])
+
+
+def _subtracted(log: Log) -> Log:
+    assert log.gravity is not None
+    weight = MASS * np.column_stack([log.gravity, np.cross(CENTER, log.gravity)])
+    return replace(log, raw=log.raw - weight)
+
+
+def _equal(log: Log) -> Log:
+    assert log.attitude is not None
+    again = turned(log, np.repeat(log.attitude[:1], len(log.raw), axis=0))
+    assert again.gravity is not None
+    weight = MASS * np.column_stack([again.gravity, np.cross(CENTER, again.gravity)])
+    noise = np.random.default_rng(0).normal(size=log.raw.shape) * RIG.sensor.noise_array
+    return replace(again, raw=weight + noise)
+
+
+def _two(log: Log) -> Log:
+    assert log.gravity is not None
+    assert log.attitude is not None
+    assert log.twist is not None
+    return replace(
+        log,
+        time_ns=log.time_ns[:2],
+        raw=log.raw[:2],
+        twist=log.twist[:2],
+        gravity=log.gravity[:2],
+        attitude=log.attitude[:2],
+    )
+
+
+def _touched(log: Log) -> Log:
+    raw = log.raw.copy()
+    raw[7, 0] += 5.0
+    return replace(log, raw=raw)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        (_sign, "The gains would have to be 100 of their stated sigma away: sign"),
+        (_swapped, "sign, axes or units of the log are not as stated"),
+        (_inverse, "attitudes fit when taken the other way round"),
+        (_subtracted, "a weight already subtracted"),
+        (_equal, "directions of gravity"),
+        (_two, "directions of gravity"),
+        (_touched, "A contact during the poses"),
+    ],
+)
+def test_what_is_not_as_stated_is_refused_with_its_word(wrong: Any, word: str, seed: int) -> None:
+    tool = tw.identify_tool(RIG, wrong(pose_log(RIG, MASS, CENTER, seed=seed)[0]))
+    assert not tool.verdict.usable
+    assert word in " ".join(tool.verdict.reasons)
+
+
+def test_a_tool_lighter_than_the_noise_is_no_tool() -> None:
+    tool = tw.identify_tool(RIG, pose_log(RIG, 0.003, CENTER)[0])
+    assert not tool.verdict.usable
+    assert "lighter than the noise" in tool.verdict.reasons[0]
+
+
+def test_an_offset_that_runs_is_refused() -> None:
+    tool = tw.identify_tool(RIG, pose_log(RIG, MASS, CENTER, walk=2e-2, poses=40)[0])
+    assert not tool.verdict.usable
+    assert any("offset wanders" in reason for reason in tool.verdict.reasons)
+
+
+def test_gravity_of_another_planet_is_bad_input() -> None:
+    log, _ = pose_log(RIG, MASS, CENTER)
+    assert log.gravity is not None
+    moon = replace(log, gravity=log.gravity / 6.0, attitude=None)
+    with pytest.raises(InputError, match=r"free fall of 1\.635 m/s\^2, expected 9\.81 m/s\^2"):
+        tw.identify_tool(RIG, moon)
+
+
+def test_degrees_are_bad_input() -> None:
+    swing = swing_log(RIG, MASS, CENTER, INERTIA, seconds=3.0)
+    assert swing.twist is not None
+    with pytest.raises(InputError, match="degrees"):
+        tw.identify_tool(RIG, replace(swing, twist=np.degrees(swing.twist)))
+
+
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        ({"weight": (1.0, 0.1)}, "`weight`, expected one of mass"),
+        ({"mass": (-1.0, 0.1)}, "found -1, expected a number greater than 0"),
+        ({"mass": (1.0, 0.0)}, "a sigma of 0"),
+    ],
+)
+def test_statements_that_cannot_be_right_are_bad_input(known: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        tw.identify_tool(RIG, pose_log(RIG, MASS, CENTER)[0], known=known)
