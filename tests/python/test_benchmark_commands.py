@@ -30,6 +30,7 @@ SMALLEST: dict[str, str] = {
     "speed.py": "--duration 5 --repeat 1",
     "static_poses.py": "",
     "tools.py": "--draws 2",
+    "unknown_tools.py": "--trials 2",
     "wrench_accuracy.py": "--draws 20",
 }
 
