@@ -142,7 +142,8 @@ class Contact : public contact::Estimate {
   // Kernels around a moment, and the means under them.
   ContactState gather(std::int64_t moment, ContactWrench& out) noexcept {
     if (raw_.end() == 0 || motion_.end() == 0) return ContactState::waiting;
-    const double s = theta_[at_.clock()];  // t_motion = t_sensor + s
+    const double s =
+        settings_.time_offset;  // t_motion = t_sensor + s; what a tare adds acts through the rates
     const auto shift = static_cast<std::int64_t>(std::llround(s * 1e9));
     if (newest_) {  // what both streams have
       moment = std::min({moment, raw_.time(raw_.end() - 1), motion_.time(motion_.end() - 1) - shift});

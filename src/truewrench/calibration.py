@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from truewrench.calibration_parts import (
 )
 from truewrench.errors import InputError
 from truewrench.files import read_yaml, write_yaml
+from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.rig.fields import Fields
 
@@ -142,6 +144,17 @@ class Calibration:
             offset = offset + above[..., None] * self.offset_temperature
         wrench: FloatArray = (np.asarray(raw, dtype=np.float64) - offset) @ self.inverse.T
         return wrench
+
+    def contact(self, log: Log, tool: Any, **options: Any) -> Any:
+        """What the sensor felt beyond a tool, row by row: a `truewrench.contact.log.Contact`.
+
+        Args:
+            log: with motion and, in gravity, its direction.
+            tool: a `Tool`, identified on this sensor.
+            **options: `delay` and `view` of `truewrench.contact.log.contact`.
+        """
+        # by name: tools stand on calibrations, and not the other way round
+        return import_module("truewrench.contact.log").contact(log, tool, self, **options)
 
     def write_yaml(self, path: str | Path) -> None:
         """Write `calibration.yaml`, every number to its last bit; the file appears whole or not at all."""

@@ -177,7 +177,7 @@ class Estimate {
     p.S = symmetric(theta.segment<6>(at_.S()));
     p.R = channel_turn(theta.segment<3>(at_.mounting()), p.R_by);
     p.fall_off = tilted_fall(settings_.gravity, theta.segment<2>(at_.tilt()), p.fall_by) - settings_.gravity;
-    p.clock_off = theta[at_.clock()] - theta_[at_.clock()];
+    p.clock_off = theta[at_.clock()] - settings_.time_offset;
     p.offset = theta.segment(at_.offset(), n);
     p.slope.setZero(n);
     p.quadratic.setZero(n);

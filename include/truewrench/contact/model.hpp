@@ -142,7 +142,7 @@ struct Point {
   Matrix3 R_by[3];
   Vector3 fall_off = Vector3::Zero();  // free fall in the root frame less the stated one [m/s^2]
   Matrix3x2 fall_by = Matrix3x2::Zero();
-  double clock_off = 0.0;  // time offset less that of the features [s]
+  double clock_off = 0.0;  // time offset less the one by which the features were taken [s]
   Channels offset, slope, quadratic, scale;
   Inverse inverse;  // (C R)^+, 6 x n
 

@@ -24,6 +24,7 @@ from truewrench.cli.common import (
     report_notes,
     verdict_of,
 )
+from truewrench.errors import UnsupportedError
 
 if TYPE_CHECKING:
     from truewrench.calibration import Calibration
@@ -164,16 +165,43 @@ def validate(
 
 
 def apply(
-    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml.")],
+    calibration: Annotated[
+        Path, typer.Argument(metavar="CALIBRATION", help="A calibration.yaml; with --tool, or the RIG.")
+    ],
     log: Annotated[str, typer.Argument(metavar="LOG", help="CSV, Parquet, or a recording.")],
     output: OutputLogOption,
     predict: Annotated[
         bool, typer.Option(help="Of MCAP: with what the motion predicts, which needs memory for the log.")
     ] = True,
+    tool: Annotated[
+        Path | None, typer.Option(metavar="TOOL", help="A tool.yaml: the contact wrench instead.")
+    ] = None,
+    delay: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="--tool: half the kernels' length, 0.01; 0: they end at the row."
+        ),
+    ] = None,
+    at: Annotated[
+        str | None, typer.Option(metavar="x,y,z,roll,pitch,yaw", help="--tool: at this point of the tool.")
+    ] = None,
+    axes: Annotated[
+        Literal["sensor", "base"] | None, typer.Option(help="--tool: axes of the sensor, or of the root.")
+    ] = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
-    """Write a log with the true wrench and its 1 sigma added, or, as FILE.mcap, a recording of both."""
+    """Write a log with the true wrench and its 1 sigma added, or, as FILE.mcap, a recording of both.
+
+    With --tool it is the contact wrench, tool removed.
+    """
+    if tool is not None:
+        from truewrench.cli.contacts import apply_tool
+
+        return apply_tool(calibration, log, output, tool, delay, at, axes)
+    for name, value in {"--delay": delay, "--at": at, "--axes": axes}.items():
+        if value is not None:
+            raise UnsupportedError.at(None, name, "without --tool", "this option with --tool only")
     from truewrench.apply import apply as run
     from truewrench.calibration import load_calibration
 

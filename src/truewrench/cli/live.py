@@ -58,6 +58,13 @@ def stream(
     seconds: Annotated[
         float | None, typer.Option("--duration", min=0.0, help="--ros2: end after so many seconds.")
     ] = None,
+    tool: Annotated[
+        Path | None, typer.Option(metavar="TOOL", help="A tool.yaml: the contact wrench beyond it.")
+    ] = None,
+    delay: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="--tool: half the kernels' length, 0.01; 0: none."),
+    ] = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -75,6 +82,11 @@ def stream(
     )
     of_ros = {"--wrench-topic": wrench_topic, "--joint-topic": joint_topic, "--output-topic": output_topic}
     _check_belongs("--ros2", ros2, {**of_ros, "--reliable": reliable or None, "--duration": seconds})
+    _check_belongs("--tool", tool is not None, {"--delay": delay})
+    if tool is not None:
+        if rig is not None or calibration is None:
+            raise UnsupportedError.at(None, "--tool", "--calibrate", "CALIBRATION or RIG as the argument")
+        return _contact(calibration, tool, delay, as_json, ros2)
     from truewrench.calibration import load_calibration
     from truewrench.rig import load_rig
 
@@ -103,6 +115,29 @@ def _check_belongs(to: str, given: bool, options: Mapping[str, object]) -> None:
     for name, value in options.items():
         if value is not None and not given:
             raise UnsupportedError.at(None, name, f"without {to}", f"this option with {to} only")
+
+
+def _contact(source: Path, tool: Path, delay: float | None, as_json: bool, ros2: bool) -> Outcome:
+    from truewrench.cli.contacts import sensor_and_tool
+    from truewrench.contact.run import DELAY, ContactRun
+    from truewrench.stream.contact_lines import contact_lines
+    from truewrench.stream.json_lines import INPUT
+    from truewrench.stream.lines import Output
+    from truewrench.stream.stop import Stop
+
+    made, found, verdict = sensor_and_tool(source, tool)
+    for reason in verdict["reasons"]:
+        _say(f"not to be used as it stands: {reason}")
+    if ros2:
+        raise UnsupportedError.at(None, "--tool", "--ros2", "JSON lines")
+    run = ContactRun(found, None, calibration=made, delay=DELAY if delay is None else delay)
+    with Stop() as stop:
+        lines = contact_lines(run, found.n, Output(silent=as_json), stop, _Complaints())
+    if lines.refused:
+        told = f"{lines.refused} of {lines.read} lines refused, the first: {lines.first}"
+        raise InputError(f"{INPUT}: {told}")
+    words = f"{lines.read} lines"
+    return Outcome((), {"lines": lines.read}, verdict, lambda: iter([words]), aside=True)
 
 
 def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as_json: bool) -> Outcome:

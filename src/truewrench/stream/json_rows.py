@@ -14,7 +14,7 @@ from truewrench.io.table import ACCELERATION, ATTITUDE, GRAVITY, REFERENCE, SPEC
 from truewrench.rig.strict import shown
 from truewrench.stream.lines import LONGEST
 
-__all__ = ["LineError", "Row", "motion_of", "read_row"]
+__all__ = ["LineError", "Row", "motion_of", "read_row", "tare_of"]
 
 _COLUMNS = frozenset(
     [*TWIST, *GRAVITY, *ATTITUDE, *ACCELERATION, *SPECIFIC_FORCE, *REFERENCE]
@@ -65,6 +65,22 @@ def motion_of(row: Row) -> dict[str, float]:
     return {
         key: _number(key, value) for key, value in row.data.items() if key in _COLUMNS or _JOINT.match(key)
     }
+
+
+def tare_of(line: bytes) -> bool:
+    """Whether a line asks for a tare: `{"tare": true}`.
+
+    Raises:
+        LineError: it says something else of one.
+    """
+    if b'"tare"' not in line:  # most lines: not worth a second look
+        return False
+    data = _object(line)
+    if "tare" not in data:
+        return False
+    if data != {"tare": True}:
+        raise LineError(f'found {shown(data)}, expected {{"tare": true}} alone')
+    return True
 
 
 def _object(line: bytes) -> dict[str, Any]:

@@ -1,0 +1,114 @@
+"""What `apply` and `stream` share about a tool and the contact wrench beyond it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from truewrench.cli.common import Outcome, progress_bar, report_notes
+from truewrench.errors import InputError
+
+if TYPE_CHECKING:
+    from truewrench.calibration import Calibration
+    from truewrench.contact.apply import ContactApplied
+    from truewrench.contact.run import View
+    from truewrench.tool.model import Tool
+
+__all__ = ["apply_tool", "sensor_and_tool", "view_of"]
+
+
+def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool, dict[str, Any]]:
+    """The calibration, if `source` is one and no rig, the tool, and the verdict on using both.
+
+    Raises:
+        InputError: a file is at fault, or the two are of different sensors.
+    """
+    from truewrench.calibration import load_calibration
+    from truewrench.contact.run import check_same_sensor
+    from truewrench.files import read_yaml
+    from truewrench.rig.tool_rig import tool_rig
+    from truewrench.tool.model import read_tool
+
+    data, _ = read_yaml(source)
+    found = read_tool(tool)
+    made = load_calibration(source) if isinstance(data, dict) and "format" in data else None
+    check_same_sensor(found, tool_rig(data, source) if made is None else made.rig)
+    reasons = [*found.verdict.reasons, *(() if made is None else made.verdict.reasons)]
+    usable = found.verdict.usable and (made is None or made.verdict.usable)
+    return made, found, {"usable": usable, "reasons": reasons}
+
+
+def view_of(at: str | None, axes: Literal["sensor", "base"] | None) -> View:
+    """Where and how to express the wrench.
+
+    Raises:
+        InputError: `at` is not six numbers.
+    """
+    from truewrench.contact.run import View
+
+    values: list[float] = [0.0] * 6
+    if at is not None:
+        try:
+            values = [float(word) for word in at.split(",")]
+        except ValueError:
+            values = []
+        if len(values) != 6 or not all(map(math.isfinite, values)):
+            raise InputError.at(None, "--at", f"`{at}`", "six numbers: x,y,z,roll,pitch,yaw in m and rad")
+    return View(tuple(values), axes or "sensor")
+
+
+def apply_tool(
+    source: Path,
+    log: str,
+    output: Path,
+    tool: Path,
+    delay: float | None,
+    at: str | None,
+    axes: Literal["sensor", "base"] | None,
+) -> Outcome:
+    """`apply --tool`."""
+    from truewrench.contact.apply import apply_contact
+    from truewrench.contact.run import DELAY
+
+    made, found, verdict = sensor_and_tool(source, tool)
+    with progress_bar() as update:
+        done = apply_contact(
+            found,
+            log,
+            output,
+            calibration=made,
+            delay=DELAY if delay is None else delay,
+            view=view_of(at, axes),
+            progress=lambda rows: update(f"{rows} rows", None),
+        )
+    report_notes(log, done.notes)
+    return Outcome(
+        outputs=[output],
+        verdict=verdict,
+        figures={
+            "rows": done.rows,
+            "contact_rows": done.found,
+            "events": [dataclasses.asdict(event) for event in done.events],
+            "notes": done.notes,
+        },
+        words=lambda: _words(output, done, verdict["reasons"]),
+    )
+
+
+def _words(output: Path, done: ContactApplied, reasons: list[str]) -> Iterator[str]:
+    yield f"{output}: {done.found} of {done.rows} rows with the contact wrench"
+    yield f"{len(done.events)} contacts" if len(done.events) != 1 else "1 contact"
+    for event in done.events[:20]:
+        x, y, z = event.point
+        seconds = 1e-9 * (event.end_ns - event.begin_ns)
+        yield (
+            f"from {event.begin_ns} ns for {seconds:.3f} s: at most {event.peak_force:.3g} N, "
+            f"near ({x:.3f}, {y:.3f}, {z:.3f}) m of the sensor frame"
+        )
+    if len(done.events) > 20:
+        yield f"and {len(done.events) - 20} more"
+    for reason in reasons:
+        yield f"not to be used as it stands: {reason}"
