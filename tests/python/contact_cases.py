@@ -1,4 +1,4 @@
-"""Tools with an honest covariance, motions of the sensor, and what it then measures, written without the core."""
+"""Tools with an honest covariance, motions of the sensor, and what it measures, written without the core."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tool_cases import a_rig, a_tool
 from truewrench.rig.tool_rig import tool_rig
 from truewrench.tool.model import Tool
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 AXIS = np.array([1.0, 2.0, -1.0]) / np.sqrt(6.0)
 START = Rotation.from_rotvec([0.4, -0.7, 0.2])

@@ -21,7 +21,7 @@ PERIOD = 2_000_000  # 500 Hz
 HIT = np.array([30.0, -20.0, 34.0, 1.0, -0.5, 0.7])  # 50 N
 
 
-def stamps(count: int, start: int = 0) -> np.ndarray[Any, np.dtype[np.int64]]:
+def stamps(count: int, start: int = 0) -> Array:
     return start + PERIOD * np.arange(count, dtype=np.int64)
 
 
