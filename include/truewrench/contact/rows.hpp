@@ -35,28 +35,32 @@ class ContactRows {
     newest_ = newest;
     imu_ = imu;
     times_.assign(static_cast<std::size_t>(capacity), 0);
-    rows_ = 0;
+    numbers_.assign(static_cast<std::size_t>(capacity), 0);
+    rows_ = given_ = 0;
     started_ = turned_ = lonely_ = false;
     raw_ = motion_ = Intervals();
     lag_ = 0;
     return Status::ok;
   }
 
-  // Rows after which a row has its wrench.
+  // Rows after which a row has its wrench; rows without a sample of sensor or motion are not counted.
   std::int64_t lag() const noexcept { return lag_; }
 
   // The next row. `sink(number, wrench)` is called for every earlier row (or this one) that has its wrench now.
   template <typename Sink>
   Status feed(const ContactRow& row, Sink&& sink) noexcept {
     if (!contact.configured()) return Status::not_configured;
-    if (rows_ > 0 && row.time_ns <= time_of(rows_ - 1)) return Status::not_increasing;
-    const std::int64_t k = rows_;
+    if (given_ > 0 && row.time_ns <= last_time_) return Status::not_increasing;
+    const std::int64_t number = given_++, k = rows_;
+    last_time_ = row.time_ns;
+    const bool sensed = contact.add_raw(row.time_ns, row.raw, k) == Status::ok;
+    const bool moved = add_motion(row, k);
+    if (!sensed && !moved) return Status::ok;
     const bool apart = k == 0 || row.time_ns - time_of(k - 1) >= apart_ns;
     if (lonely_ && apart && !newest_) give_pose(k - 1, sink);
     times_[slot(k)] = row.time_ns;
+    numbers_[slot(k)] = number;
     rows_ = k + 1;
-    const bool sensed = contact.add_raw(row.time_ns, row.raw, k) == Status::ok;
-    const bool moved = add_motion(row, k);
     lonely_ = apart && sensed && moved && row.twist.isZero(0.0);
     if (!started_) {
       if (sensed) raw_.add(row.time_ns);
@@ -111,13 +115,13 @@ class ContactRows {
   void give(std::int64_t row, Sink&& sink) noexcept {
     if (row < oldest()) return;
     ContactWrench out;
-    if (contact.evaluate(time_of(row), out) == ContactState::ok) sink(row, out);
+    if (contact.evaluate(time_of(row), out) == ContactState::ok) sink(numbers_[slot(row)], out);
   }
 
   template <typename Sink>
   void give_pose(std::int64_t row, Sink&& sink) noexcept {
     ContactWrench out;
-    if (contact.evaluate_pose(time_of(row), out) == ContactState::ok) sink(row, out);
+    if (contact.evaluate_pose(time_of(row), out) == ContactState::ok) sink(numbers_[slot(row)], out);
   }
 
   // With the periods known: how many rows a kernel waits for, and the rows that have waited for that.
@@ -182,8 +186,8 @@ class ContactRows {
 
   Vector3 gravity_ = Vector3::Zero(), omega_ = Vector3::Zero();
   Matrix3 R_ = Matrix3::Zero();
-  std::vector<std::int64_t> times_;
-  std::int64_t rows_ = 0, lag_ = 0, turn_time_ = 0;
+  std::vector<std::int64_t> times_, numbers_;  // of the rows with a sample of sensor or motion
+  std::int64_t rows_ = 0, given_ = 0, lag_ = 0, turn_time_ = 0, last_time_ = 0;
   Intervals raw_, motion_;
   bool newest_ = false, imu_ = false, started_ = false, turned_ = false, lonely_ = false;
 };

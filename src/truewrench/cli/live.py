@@ -16,6 +16,7 @@ from truewrench.errors import InputError, UnsupportedError
 
 if TYPE_CHECKING:
     from truewrench.calibration import Calibration
+    from truewrench.contact.run import ContactRun
     from truewrench.rig import Rig
     from truewrench.stream.ros2 import Topics
     from truewrench.stream.stop import Stop
@@ -86,7 +87,8 @@ def stream(
     if tool is not None:
         if rig is not None or calibration is None:
             raise UnsupportedError.at(None, "--tool", "--calibrate", "CALIBRATION or RIG as the argument")
-        return _contact(calibration, tool, delay, as_json, ros2)
+        named = (wrench_topic, joint_topic, reliable) if ros2 else None
+        return _contact(calibration, tool, delay, as_json, named, math.inf if seconds is None else seconds)
     from truewrench.calibration import load_calibration
     from truewrench.rig import load_rig
 
@@ -117,27 +119,46 @@ def _check_belongs(to: str, given: bool, options: Mapping[str, object]) -> None:
             raise UnsupportedError.at(None, name, f"without {to}", f"this option with {to} only")
 
 
-def _contact(source: Path, tool: Path, delay: float | None, as_json: bool, ros2: bool) -> Outcome:
+def _contact(
+    source: Path,
+    tool: Path,
+    delay: float | None,
+    as_json: bool,
+    named: tuple[str | None, str | None, bool] | None,
+    seconds: float,
+) -> Outcome:
     from truewrench.cli.contacts import sensor_and_tool
     from truewrench.contact.run import DELAY, ContactRun
-    from truewrench.stream.contact_lines import contact_lines
-    from truewrench.stream.json_lines import INPUT
-    from truewrench.stream.lines import Output
     from truewrench.stream.stop import Stop
 
     made, found, verdict = sensor_and_tool(source, tool)
     for reason in verdict["reasons"]:
         _say(f"not to be used as it stands: {reason}")
-    if ros2:
-        raise UnsupportedError.at(None, "--tool", "--ros2", "JSON lines")
     run = ContactRun(found, None, calibration=made, delay=DELAY if delay is None else delay)
     with Stop() as stop:
-        lines = contact_lines(run, found.n, Output(silent=as_json), stop, _Complaints())
+        if named is not None:
+            from truewrench.stream.ros2 import Topics
+            from truewrench.stream.ros2_contact import contact_topics
+
+            topics = Topics(named[0], named[1], reliable=named[2])
+            counts = contact_topics(run, found.rig, topics, stop, _Complaints(), seconds)
+            figures: dict[str, int] = dataclasses.asdict(counts)
+        else:
+            figures = _contact_lines(run, found.n, stop, as_json)
+    words = ", ".join(f"{count} {name}" for name, count in figures.items())
+    return Outcome((), figures, verdict, lambda: iter([words]), aside=True)
+
+
+def _contact_lines(run: ContactRun, n: int, stop: Stop, as_json: bool) -> dict[str, int]:
+    from truewrench.stream.contact_lines import contact_lines
+    from truewrench.stream.json_lines import INPUT
+    from truewrench.stream.lines import Output
+
+    lines = contact_lines(run, n, Output(silent=as_json), stop, _Complaints())
     if lines.refused:
         told = f"{lines.refused} of {lines.read} lines refused, the first: {lines.first}"
         raise InputError(f"{INPUT}: {told}")
-    words = f"{lines.read} lines"
-    return Outcome((), {"lines": lines.read}, verdict, lambda: iter([words]), aside=True)
+    return {"lines": lines.read}
 
 
 def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as_json: bool) -> Outcome:

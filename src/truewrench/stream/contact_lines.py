@@ -1,4 +1,4 @@
-"""JSON lines with the contact wrench: an answer a line, the numbers of `apply --tool`; tares and events between."""
+"""JSON lines with the contact wrench: an answer a line, the numbers of `apply`; tares and events between."""
 
 from __future__ import annotations
 

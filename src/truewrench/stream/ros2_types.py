@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import annotations as annotate
-from cyclonedds.idl.types import array, byte, float64, int32, uint32
+from cyclonedds.idl.types import array, byte, float64, int32, uint8, uint32
 
 if TYPE_CHECKING:
     from builtins import list as sequence
@@ -23,8 +23,10 @@ else:
 
 __all__ = [
     "TYPE_HASHES",
+    "Bool",
     "DiagnosticArray",
     "DiagnosticStatus",
+    "Empty",
     "Float64MultiArray",
     "Header",
     "Imu",
@@ -290,6 +292,22 @@ class DiagnosticArray(IdlStruct, typename="diagnostic_msgs.msg.dds_.DiagnosticAr
     status: sequence[DiagnosticStatus] = field(default_factory=list)
 
 
+@dataclass
+@annotate.final
+class Bool(IdlStruct, typename="std_msgs.msg.dds_.Bool_"):
+    """Yes or no."""
+
+    data: bool = False
+
+
+@dataclass
+@annotate.final
+class Empty(IdlStruct, typename="std_msgs.msg.dds_.Empty_"):
+    """That something happens; IDL knows no message without a member."""
+
+    structure_needs_at_least_one_member: uint8 = 0
+
+
 TYPE_HASHES: dict[type[IdlStruct], str] = {
     WrenchStamped: "8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77",
     TwistStamped: "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
@@ -298,6 +316,8 @@ TYPE_HASHES: dict[type[IdlStruct], str] = {
     Temperature: "72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
     Vector3Stamped: "d4829622288cbb443886e7ea94ea5671a3b1be6bab4ad04224432a65f7d7887a",
     Float64MultiArray: "1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f",
+    Bool: "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
+    Empty: "20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312",
     DiagnosticArray: "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
 }
 """Of the messages that are topics."""
