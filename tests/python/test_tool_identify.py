@@ -244,3 +244,19 @@ def test_degrees_are_bad_input() -> None:
 def test_statements_that_cannot_be_right_are_bad_input(known: Any, words: str) -> None:
     with pytest.raises(InputError, match=words):
         tw.identify_tool(RIG, pose_log(RIG, MASS, CENTER)[0], known=known)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        (_sign, "sign, axes or units of the log are not as stated"),
+        (_swapped, "sign, axes or units of the log are not as stated"),
+        (_subtracted, "a weight already subtracted"),
+        (_inverse, "attitudes fit when taken the other way round"),
+    ],
+)
+def test_a_motion_that_is_not_as_stated_is_refused_with_its_word(wrong: Any, word: str) -> None:
+    rig = tool_rig(a_rig(sensor=STILL_AIR))
+    tool = tw.identify_tool(rig, wrong(swing_log(rig, MASS, CENTER, INERTIA, seconds=6.0)))
+    assert not tool.verdict.usable
+    assert word in tool.verdict.reasons[0]

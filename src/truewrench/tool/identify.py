@@ -116,13 +116,12 @@ def identify_tool(
         raise InputError.at(records[0].path, "", "neither poses nor motion", expected)
     problem = Problem(rig, prior, split.poses, split.end_ns)
     report("estimating", None)
-    problem, solution, motion = _solved(
-        problem, [log for log in split.moving if log is not None], moving, threads
-    )
+    swung = [log for log in split.moving if log is not None]
+    problem, solution, motion = _solved(problem, swung, moving, threads)
     solution = replace(solution, covariance=solution.covariance * widening(prior.gain_std))
     report("holding poses out", None)
     left = held_out(problem, solution)
-    judged = judge(rig, solution, motion, left, moving=bool(moving), determined=_determined(solution))
+    judged = judge(rig, solution, motion, left, logs=swung, determined=_determined(solution))
     if evidence is not None:
         evidence(Evidence(solution, motion, left.details))
     return _tool(rig, solution, motion, judged, left.figures, flange, housing, records, split.end_ns)

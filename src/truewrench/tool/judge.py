@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit
 from truewrench.tool.parameters import inertia_of, symmetric
 from truewrench.tool.parts import ToolVerdict, Unknown
-from truewrench.tool.setup import mistakes
+from truewrench.tool.setup import mistakes, mistakes_of_motion
 from truewrench.tool.solve import REPEATABILITY, WALK, Solution
 
 __all__ = ["Judged", "judge"]
@@ -31,6 +32,9 @@ APART = np.radians(10.0)  # of two directions of gravity
 NARROW = np.radians(30.0)
 LIGHT = 0.3  # 1 sigma of the mass, relative: beyond, no weight is felt
 MASKED = 0.2
+NOISE = 4.0  # found over stated, which people misstate by two
+SLOW = 0.015  # fraction of range: worse than any cable that is guided
+PARTS = 5e-4
 OWN = 0.5  # of a variance: what the gain explains of it
 HELD_OUT = 3.0  # squared errors over what was predicted
 
@@ -49,12 +53,13 @@ def judge(
     motion: MotionFit | None,
     left: Left,
     *,
-    moving: bool,
+    logs: Sequence[Log] = (),
     determined: Mapping[str, Any],
 ) -> Judged:
-    """Set-up tests, words and needs of one identification."""
+    """Set-up tests, words and needs of one identification; `logs` those of motion."""
+    moving = bool(logs)
     figures = _figures(solution, motion, left)
-    reasons, needed = _reasons(rig, solution, motion, left, figures, determined)
+    reasons, needed = _reasons(rig, solution, motion, left, figures, determined, logs)
     unknown, more = _undetermined(rig, solution, motion, moving, determined, figures)
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(dict.fromkeys([*needed, *more])))
     return Judged(verdict, figures)
@@ -113,6 +118,7 @@ def _reasons(
     left: Left,
     figures: Mapping[str, Any],
     determined: Mapping[str, Any],
+    logs: Sequence[Log],
 ) -> tuple[list[str], list[str]]:
     reasons, needed = [], []
     v, poses = solution.problem.vector, solution.problem.poses
@@ -143,9 +149,11 @@ def _reasons(
             f"The gains would have to be {figures['gain_worst']:.0f} of their stated sigma away: sign, "
             "axes or units of the log are not as stated."
         )
-    reasons += _of_poses(solution, figures)
+    reasons += [*_of_poses(solution, figures), *_of_motion(motion)]
     if reasons or figures["offset_walk_over_start"] > SUSPECT_WALK:
         named = mistakes(rig, poses, solution.problem.prior.gain_std)
+        if not named and motion is not None:
+            named = mistakes_of_motion(rig, logs, solution.problem.prior.gain_std)
         reasons = [*named, *(reason for reason in reasons if not (named and reason.startswith("The gains")))]
     if all(determined["inertia"]) and figures["physical_distance"] > FAR:
         reasons.append(
@@ -164,6 +172,26 @@ def _reasons(
     if figures["masked"] > MASKED:
         reasons.append(f"{100 * figures['masked']:.0f}% of the motion was left out as contact or outliers.")
     return reasons, needed
+
+
+def _of_motion(motion: MotionFit | None) -> list[str]:
+    """Whether the motion fits a rigid body: its noise, what is slow in it, and its parts."""
+    if motion is None:
+        return []
+    out = []
+    if max(motion.factors) > NOISE:
+        out.append(
+            f"The motion fits no rigid body: {max(motion.factors):.1f} times the stated noise is left; "
+            "attitude, sign, axes or units of the log, or the noise, are not as stated."
+        )
+    if motion.slow > SLOW:
+        out.append(
+            f"{100 * motion.slow:.1f}% of range follows neither weight nor motion: attitude, sign or axes of "
+            "the log are not as stated, or a cable pulls."
+        )
+    if motion.agreement < PARTS:
+        out.append(f"Parts of the motion tell different sensors (p = {motion.agreement:.1g}).")
+    return out
 
 
 def _of_poses(solution: Solution, figures: Mapping[str, Any]) -> list[str]:

@@ -24,7 +24,7 @@ from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model_rows import MotionInformation
 from truewrench.tool.parameters import inertia_of, second_moments, symmetric
 
-__all__ = ["MotionFit", "body_start", "motion_information"]
+__all__ = ["MotionFit", "body_start", "measured_motions", "motion_information", "regressor"]
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,9 @@ class MotionFit:
         body: (10,) log m, c, inertia at its estimate.
         time_offset: of the last of these logs, and its 1 sigma [s].
         masked: share of the samples that were left out as contacts and outliers.
-        factors: of the noise of the channels that was found, over the stated.
+        factors: of the noise that was found, of channels and of motion, over the stated.
+        slow: the largest slow error that was found, fraction of range.
+        agreement: p of halves, and of quarters, of the record telling the same (10.11).
         found: the estimator's own answer.
     """
 
@@ -52,6 +54,8 @@ class MotionFit:
     time_offset: tuple[float, float]
     masked: float
     factors: tuple[float, ...]
+    slow: float
+    agreement: float
     found: object
 
 
@@ -154,7 +158,21 @@ def _taken(
         y[6 * n : 6 * n + 10],
         (-float(theta[s]), float(np.sqrt(P[s, s]))),
         float(np.mean(np.concatenate(masked))) if masked else 0.0,
-        tuple(float(f) for k in range(len(places)) for f in fit.sizes(k).raw_factor),
+        tuple(
+            float(f)
+            for k in range(len(places))
+            for group in (fit.sizes(k).raw_factor, *fit.sizes(k).motion_factor)
+            for f in group
+        ),
+        max(
+            (
+                float(np.max(fit.sizes(k).delta))
+                for k in range(len(places))
+                if fit.sizes(k).form != _core.Form.none
+            ),
+            default=0.0,
+        ),
+        min(float(found.halves.p), float(found.quarters.p)),
         found,
     )
 
@@ -204,12 +222,12 @@ def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
     A, b = [], []
     back = np.linalg.pinv(gain)
     for k, log in enumerate(logs):
-        for rows, nu, a, g in _motions(rig, log):
+        for rows, nu, a, g in measured_motions(rig, log):
             w = rig.sensor.sign * log.raw[rows] @ back.T
             know = np.isfinite(w).all(axis=1)
             if know.sum() < 3:
                 continue
-            Y = _regressor(nu[know], a[know], g[know])
+            Y = regressor(nu[know], a[know], g[know])
             offset = np.zeros((len(Y), 6, 6 * len(logs)))
             offset[:, :, 6 * k : 6 * k + 6] = np.eye(6)
             weight = (1.0 / rig.sensor.range_array)[:, None]
@@ -229,7 +247,7 @@ def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
     return np.concatenate([near[:4], inertia_of(mass, np.clip(near[4:], -0.25, 0.25))])
 
 
-def _motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array, Array, Array]]:
+def measured_motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array, Array, Array]]:
     """Rows, twist of the sensor's origin, its derivative and free fall there, piece by piece."""
     out: list[tuple[NDArray[np.int64], Array, Array, Array]] = []
     if log.tracking is not None and log.tracking.reference is not None:
@@ -266,7 +284,7 @@ def _motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array, Array, 
     return out
 
 
-def _regressor(nu: Array, a: Array, g: Array) -> Array:
+def regressor(nu: Array, a: Array, g: Array) -> Array:
     """Y (N, 6, 10): w = Y (m, m c, inertia about the sensor's origin), `payload_on_sensor`."""
     v, omega, alpha = nu[:, :3], nu[:, 3:], a[:, 3:]
     force = a[:, :3] + np.cross(omega, v) - g

@@ -6,17 +6,21 @@ recipe with a fixed offset judges: the reading as stated against the same with o
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.attitude import free_fall
+from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.tool.motion import measured_motions, regressor
 from truewrench.tool.poses import Poses
 from truewrench.tool.recipe import Recipe, recipe
 
-__all__ = ["mistakes"]
+__all__ = ["mistakes", "mistakes_of_motion"]
 
 Array = NDArray[np.float64]
 
@@ -39,17 +43,87 @@ def mistakes(rig: Rig, poses: Poses, gain_std: float) -> list[str]:
         words = "The attitudes fit when taken the other way round (sensor to root, or root to sensor)."
         found.append((_left(rig, turned), words))
     back = np.linalg.pinv(rig.sensor.nominal_gain_array)
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            turn = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.array_equal(turn, np.eye(3)):
-                continue
-            six = np.kron(np.eye(2), turn)
-            raw = poses.raw @ back.T @ six.T @ rig.sensor.nominal_gain_array.T
-            fit = recipe(rig, replace(poses, raw=raw), np.arange(len(poses)))
-            if fit.mass > 0.0 and _left(rig, fit) < least:
-                found.append((_left(rig, fit), _gains(float(np.abs(six - np.eye(6)).max()) / gain_std)))
+    for turn in _TURNS:
+        six = np.kron(np.eye(2), turn)
+        raw = poses.raw @ back.T @ six.T @ rig.sensor.nominal_gain_array.T
+        fit = recipe(rig, replace(poses, raw=raw), np.arange(len(poses)))
+        if fit.mass > 0.0 and _left(rig, fit) < least:
+            found.append((_left(rig, fit), _gains(float(np.abs(six - np.eye(6)).max()) / gain_std)))
     return [min(found)[1]] if found else []
+
+
+def mistakes_of_motion(rig: Rig, logs: Sequence[Log], gain_std: float) -> list[str]:
+    """The same of a motion, by least squares on differentiated velocities; a subtracted weight, too."""
+    stated = _moved(rig, logs)
+    if stated is None or not rig.in_gravity:
+        return []
+    left, mass = stated
+    found: list[tuple[float, str]] = []
+
+    def ask(words: str, tried: tuple[float, float] | None) -> None:
+        if tried is not None and tried[1] > 0.0 and tried[0] < _FITS * left:
+            found.append((tried[0], words))
+
+    ask(
+        "The motion fits a tool whose weight is not felt: a weight already subtracted.",
+        _moved(rig, logs, weightless=True),
+    )
+    if all(log.attitude is not None for log in logs):
+        around = [_around(rig, log) for log in logs]
+        words = "The attitudes fit when taken the other way round (sensor to root, or root to sensor)."
+        ask(words, _moved(rig, around))
+    for turn in _TURNS:
+        six = np.kron(np.eye(2), turn)
+        words = _gains(float(np.abs(six - np.eye(6)).max()) / gain_std)
+        ask(words, _moved(rig, logs, turn=lambda w, six=six: w @ six.T))  # type: ignore[misc]
+    if not found and mass < 0.0:
+        return [_gains(2.0 / gain_std)]
+    return [min(found)[1]] if found else []
+
+
+_TURNS = [
+    turn
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    if not np.array_equal(turn := np.eye(3)[list(order)] * np.array(signs)[:, None], np.eye(3))
+]
+
+
+def _around(rig: Rig, log: Log) -> Log:
+    """The log with its attitudes taken the other way round."""
+    assert log.attitude is not None
+    attitude = log.attitude * np.array([1.0, -1.0, -1.0, -1.0])
+    return replace(log, attitude=attitude, gravity=free_fall(rig, attitude))
+
+
+def _moved(
+    rig: Rig,
+    logs: Sequence[Log],
+    *,
+    weightless: bool = False,
+    turn: Callable[[Array], Array] | None = None,
+) -> tuple[float, float] | None:
+    """RMS of what a rigid body leaves, fraction of range, and its mass; None where little moves."""
+    rows, target = [], []
+    back = np.linalg.pinv(rig.sensor.nominal_gain_array)
+    for k, log in enumerate(logs):
+        for at, nu, a, g in measured_motions(rig, log):
+            w = rig.sensor.sign * log.raw[at] @ back.T
+            known = np.isfinite(w).all(axis=1)
+            w = w[known] if turn is None else turn(w[known])
+            Y = regressor(nu[known], a[known], 0.0 * g[known] if weightless else g[known])
+            own = np.zeros((len(Y), 6, 6 * len(logs)))
+            own[:, :, 6 * k : 6 * k + 6] = np.eye(6)
+            weight = 1.0 / rig.sensor.range_array
+            both = np.concatenate([Y, own], axis=2) * weight[:, None]
+            step = max(1, len(Y) // 500)
+            rows.append(both[::step].reshape(-1, both.shape[2]))
+            target.append((w * weight)[::step].ravel())
+    if not rows:
+        return None
+    A, b = np.vstack(rows), np.concatenate(target)
+    x = np.linalg.lstsq(A, b, rcond=1e-10)[0]
+    return float(np.sqrt(np.mean((b - A @ x) ** 2))), float(x[0])
 
 
 def _gains(sigmas: float) -> str:
