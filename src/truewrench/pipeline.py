@@ -278,9 +278,6 @@ def _check_supported(rig: Rig, estimator: EstimatorName) -> None:
 
 def _check_motion(rig: Rig, estimator: EstimatorName) -> None:
     """Refuse motions that an estimator does not know."""
-    if rig.motion.source == "joints" and estimator == "online":
-        expected = "`twist` or `imu`: of joints `map` alone makes a calibration"
-        raise UnsupportedError.at(rig.path, "motion.source", "`joints`", expected)
     if rig.motion.source == "imu" and estimator in ("ekf", "ls"):
         expected = f"`twist` or `joints`: `{estimator}` knows no motion of an IMU"
         raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)

@@ -158,9 +158,6 @@ def test_position_begins_anew_where_the_sensor_was_silent(arm_rig: RigOf) -> Non
         np.testing.assert_array_less(np.abs(start.value[0] - log.position[row]), 5.0 * walked)
 
 
-@pytest.mark.xfail(
-    reason="(10.6) finds a factor for the one row that tells a position, and has nothing to do so"
-)
 def test_velocities_alone_give_the_gain_within_its_sigma(arm_rig: RigOf) -> None:
     rig = arm_with(arm_rig, "panda_ground", position_noise=None)
     run = simulate_arm(rig, seed=2)

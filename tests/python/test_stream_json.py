@@ -284,7 +284,7 @@ def test_signal_ends_a_calibration_with_that_of_the_whole_record(run: Any, tmp_p
     assert record.num_rows == len(log.time_ns)
     assert np.array_equal(record["raw_3"].to_numpy(), log.raw[:, 3])
     assert np.array_equal(record["wz"].to_numpy(), log.twist[:, 5])
-    expected = calibrate(made.rig, log, "online")
+    expected = calibrate(made.rig, log)
     np.testing.assert_allclose(made.gain, expected.gain, rtol=1e-9, atol=1e-12)
     assert made.gain.tolist() == final["gain"]
     departure = (made.gain - simulated.truth.gain) / made.gain_std

@@ -193,7 +193,7 @@ def test_joints_and_wrenches_of_two_topics_become_the_calibration_of_their_recor
     said = json.loads(peer.communicate()[0])
     assert counts.used == len(wrenches) + len(joints)
     made = load_calibration(tmp_path / "calibration.yaml")
-    expected = calibrate(rig, replace(log, time_ns=log.time_ns + begin, tracking=None), "online")
+    expected = calibrate(rig, replace(log, time_ns=log.time_ns + begin, tracking=None))
     np.testing.assert_allclose(made.gain, expected.gain, rtol=1e-6, atol=1e-9)
     assert np.abs((made.gain - simulated.truth.gain) / made.gain_std).max() < 5.0
     level, name, message, values = said["diagnostics"][-1]

@@ -24,7 +24,7 @@ from truewrench.motion.joint_spline import JointSpline, fit_joints
 from truewrench.motion.smooth import segments
 from truewrench.rig import Rig
 
-__all__ = ["TrackedStream", "track", "tracked", "tracked_streams"]
+__all__ = ["TrackedStream", "measured_twists", "track", "tracked", "tracked_streams"]
 
 Array = NDArray[np.float64]
 
@@ -52,12 +52,17 @@ def tracked(rig: Rig, logs: Sequence[Log]) -> list[Log]:
     return list(logs)
 
 
-def track(rig: Rig, log: Log) -> Log:
+def track(rig: Rig, log: Log, *, exact_positions: bool = False) -> Log:
     """The log of a joint rig with the twist, the gravity and the tracking of its sensor.
 
     With `motion.position_noise` encoders and tachometers are followed together; without it logged positions
     are exact, and velocities alone are measurements; without logged positions these are integrated. A log
     with a wrench known from elsewhere needs no joints.
+
+    Args:
+        rig: of joints.
+        log: its joints may be missing in some rows.
+        exact_positions: whatever noise of them is stated.
 
     Raises:
         InputError: for streams that leave the motion undetermined.
@@ -79,11 +84,26 @@ def track(rig: Rig, log: Log) -> Log:
     )
     if log.position is None:
         found = _integrated(rig, robot, base, within)
-    elif rig.motion.position_noise is not None:
+    elif rig.motion.position_noise is not None and not exact_positions:
         found = _encoders(rig, robot, base, within)
     else:
         found = _exact_positions(rig, robot, base, within)
     return replace(found, position=log.position, velocity=log.velocity)
+
+
+def measured_twists(rig: Rig, log: Log) -> Log:
+    """The log of a joint rig with the twist that its tachometers measure, through the manipulator Jacobian.
+
+    Encoders tell pose and gravity only: a twist of theirs would be a difference of samples.
+
+    Raises:
+        InputError: for a log without joint velocities, or without positions and `motion.initial_position`.
+    """
+    if log.velocity is None or rig.motion.noise is None:
+        found = "no column dq_*" if log.velocity is None else "no `motion.noise`"
+        expected = "joint velocities and their noise: of positions alone `map` makes a calibration"
+        raise InputError.at(log.path, "dq_*", found, expected)
+    return track(rig, log, exact_positions=True)
 
 
 def _encoders(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:

@@ -47,7 +47,7 @@ def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = 
     Raises:
         InputError: for logs that do not hold what the rig says.
     """
-    assumed, statement, records = recorded_logs(rig, logs)
+    assumed, statement, records = recorded_logs(rig, logs, twists=online)
     settings = _core.Settings()
     settings.threads = threads
     settings.discrepancy = assumed.discrepancy
@@ -114,7 +114,7 @@ def _solved(
         quadratic=theta[u],
         quadratic_std=np.sqrt(np.diag(covariance)[u]),
         discrepancy=np.sqrt(np.asarray(found.discrepancy2)),
-        noise=tuple(_noise(rig, fit, k) for k in range(len(logs))),
+        noise=tuple(_noise(rig, record, fit, k) for k, record in enumerate(records)),
         slow=tuple(_slow(rig, found, k) for k in range(len(logs))),
         events=tuple(_events(r) for r in rows),
         steps=tuple(_steps(c, theta, covariance, n) for c in columns),
@@ -202,11 +202,13 @@ def _rows(rig: Rig, log: Log, of: Any) -> LogRows:
 
 
 def _streams(rig: Rig, record: Any) -> list[str]:
-    if rig.motion.source == "joints":
+    """What people call the motion streams of a log."""
+    if record.source == _core.Source.mapped:
         return [("positions", "velocities", "accelerations")[m.derivative] for m in record.motion]
-    if rig.motion.source == "imu":
+    if record.source == _core.Source.imu:
         return ["specific force", "rate of turn"][: len(record.motion)]
-    return [("twist", "accelerations")[m.derivative] for m in record.motion]
+    twist = "velocities" if rig.motion.source == "joints" else "twist"
+    return [(twist, "accelerations")[m.derivative] for m in record.motion]
 
 
 def _clocks(rig: Rig, columns: Any, record: Any, fit: Any, covariance: Array) -> tuple[Clock, ...]:
@@ -291,21 +293,15 @@ def _groups(n: int) -> tuple[str, ...]:
     return ("force", "moment") if n == 6 else ("channels",)
 
 
-def _noise(rig: Rig, fit: Any, k: int) -> tuple[FoundNoise, ...]:
+def _noise(rig: Rig, record: Any, fit: Any, k: int) -> tuple[FoundNoise, ...]:
     sizes = fit.sizes(k)
     out = [
         FoundNoise(what, float(f)) for what, f in zip(_groups(rig.sensor.n), sizes.raw_factor, strict=True)
     ]
-    names = {"twist": ("velocities v", "velocities Omega")}.get(rig.motion.source)
-    for i, factors in enumerate(sizes.motion_factor):
-        for g, factor in enumerate(np.asarray(factors)):
-            if names is not None and i == 0:
-                what = names[g]
-            elif rig.motion.source == "imu":
-                what = ("specific force", "rate of turn")[i]
-            else:
-                what = f"motion stream {i + 1}"
-            out.append(FoundNoise(what, float(factor)))
+    for stream, factors in zip(_streams(rig, record), sizes.motion_factor, strict=True):
+        name = "velocities" if stream == "twist" else stream
+        parts = (" v", " Omega") if record.source == _core.Source.twist else ("",)
+        out += [FoundNoise(name + p, float(f)) for p, f in zip(parts, np.asarray(factors), strict=False)]
     return tuple(out)
 
 

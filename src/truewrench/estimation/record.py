@@ -14,12 +14,14 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from truewrench import _core
+from truewrench.arm.track import measured_twists
 from truewrench.attitude import attitude_of
 from truewrench.errors import InputError
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
 from truewrench.estimation.joint_map import JointMap, joint_map
 from truewrench.log import Log
 from truewrench.motion.smooth import segments
+from truewrench.motion_noise import twist_noise
 from truewrench.rig import Rig
 from truewrench.temperature import temperature_at
 
@@ -47,23 +49,24 @@ class Recorded:
 
 
 def recorded_logs(
-    rig: Rig, logs: Sequence[Log]
+    rig: Rig, logs: Sequence[Log], *, twists: bool = False
 ) -> tuple[Assumptions, _core.Statement, list[_core.RecordedLog]]:
     """What is assumed of a rig and its logs, the same for the core, and the logs' streams.
 
     Args:
         rig: the user's statement.
         logs: with a subtracted weight added back (`compensation.uncompensated`).
+        twists: of joints, what the tachometers measure of the sensor's twist, in place of the joints.
 
     Raises:
         InputError: for a log without motion, without samples of the sensor, or without gravity where it acts.
     """
     assumptions = Assumptions.of(rig, logs)
-    streams = [recorded(rig, assumptions, log).streams for log in logs]
+    streams = [recorded(rig, assumptions, log, twists=twists).streams for log in logs]
     return assumptions, statement(assumptions), streams
 
 
-def recorded(rig: Rig, assumptions: Assumptions, log: Log) -> Recorded:
+def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = False) -> Recorded:
     """The streams of one log.
 
     Samples of the sensor at which the attitude, or the motion of the base, is needed and not known are left
@@ -74,6 +77,7 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log) -> Recorded:
         rig: source and point of the motion, payloads, robot.
         assumptions: every number.
         log: with a subtracted weight added back.
+        twists: as for `recorded_logs`.
 
     Raises:
         InputError: as for `recorded_logs`.
@@ -82,14 +86,20 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log) -> Recorded:
     out = _core.RecordedLog()
     out.payload = _core.Payload(spec.mass, spec.center_of_mass_array, spec.inertia_matrix)
     out.body = assumptions.body(log.payload)
-    out.point = spec.center_of_mass_array if rig.motion.of == "com" else np.zeros(3)
+    of_com = rig.motion.source == "twist" and rig.motion.of == "com"
+    out.point = spec.center_of_mass_array if of_com else np.zeros(3)
     if not np.isfinite(log.raw).any():
         raise InputError.at(log.path, "raw_*", "no samples of the sensor", "its channels")
     notes: list[str] = []
     known = np.ones(len(log.time_ns), dtype=np.bool_)
-    if rig.motion.source == "twist":
+    joints = rig.motion.source == "joints"
+    if rig.motion.source == "twist" or (joints and twists):
         out.source = _core.Source.twist
-        out.motion = _twist_streams(assumptions, log, notes)
+        if joints:
+            log = measured_twists(rig, log)
+            out.motion = _jacobian_streams(rig, assumptions, log)
+        else:
+            out.motion = _twist_streams(assumptions, log, notes)
         if rig.in_gravity:
             R_sensor_root = _attitude(rig, log)
             known = np.isfinite(R_sensor_root[:, 0])
@@ -155,6 +165,12 @@ def _twist_streams(assumptions: Assumptions, log: Log, notes: list[str]) -> list
         streams.append(_stream(assumptions, log, acceleration, sigma, halves, derivative=1))
     _say_unused_accelerometer(assumptions, log, notes)
     return streams
+
+
+def _jacobian_streams(rig: Rig, assumptions: Assumptions, log: Log) -> list[_core.MotionStream]:
+    """Twist of the sensor's origin, J qdot, with the noise J Sigma J^T of its mean row ([A00] 26)."""
+    twist = _measured(log, log.twist, "velocities `dq_*`")
+    return [_stream(assumptions, log, twist, twist_noise(rig, log), (0, 0, 0, 1, 1, 1))]
 
 
 def _imu_streams(assumptions: Assumptions, log: Log) -> list[_core.MotionStream]:

@@ -136,7 +136,7 @@ class WrenchMotion:
 
     def twist(self, time: Array) -> Array:
         """Twist of the centre of mass (N, 6) at the times (N,) [s]."""
-        return np.asarray(self.state(time)[:6].T)
+        return self._states(time)[:, :6]
 
     def acceleration(self, time: Array) -> Array:
         """Component-wise derivative of the twist (N, 6), from the equations of motion."""
@@ -145,9 +145,15 @@ class WrenchMotion:
 
     def pose(self, time: Array) -> tuple[Array, Array]:
         """Position of the centre of mass (N, 3) [m] and attitude quaternion xyzw (N, 4), inertial frame."""
-        state = self.state(time).T
+        state = self._states(time)
         quaternion = state[:, 9:13]
         return state[:, 6:9], quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+    def _states(self, time: Array) -> Array:
+        t = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        return (
+            np.asarray(self.state(t).T) if t.size else np.empty((0, 13))
+        )  # SciPy's solution takes no empty array
 
 
 def motion_of_wrench(body: Body, wrench: Array, twist: Array) -> Array:
