@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from contact_cases import Array, Swing, body_wrench, columns_of, raw_of, tilted, tool_of, unpacked
 from scipy.spatial.transform import Rotation
 
+from truewrench.arm.robot import robot_of
 from truewrench.contact.log import contact
 from truewrench.contact.run import ContactRun, View
 from truewrench.errors import InputError
@@ -352,3 +354,31 @@ def test_missing_columns_and_other_sensors_are_named() -> None:
         ContactRun(tool, ["time_ns", "vx", "vy", "vz", "wx", "wy", "wz"])
     with pytest.raises(InputError, match="--delay"):
         ContactRun(tool, None, delay=-1.0)
+
+
+def test_joints_tell_the_motion_row_by_row() -> None:
+    rig = tool_of(0).rig.to_mapping()
+    robot = {"urdf": str(Path(__file__).parents[2] / "src/truewrench/robots/ur10.urdf"), "sensor_frame": "ft"}
+    rig["motion"] = {"source": "joints", "noise": [1e-4] * 6, "robot": robot}
+    tool = replace(tool_of(11), rig=tool_rig(rig))
+    arm = robot_of(tool.rig)
+    time_ns = stamps(100)
+    time = 1e-9 * time_ns
+    rate, phase = np.linspace(1.0, 3.0, arm.n), np.arange(arm.n)
+    angle = rate * time[:, None] + phase
+    q, qd, qdd = np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle)
+    moved = arm.motion(q, qd, qdd)
+    gain, mass, c, inertia, offset, R, tilt = unpacked(tool.theta)
+    g = np.einsum("kji,j->ki", moved.R_root_sensor, tilted(tool.rig.gravity_array, tilt))
+    w = body_wrench(mass, c, inertia, moved.twist, moved.acceleration, g)
+    raw = np.hstack([w[:, :3] @ R.T, w[:, 3:] @ R.T]) @ gain.T + offset
+    columns = {f"q_{name}": q[:, k] for k, name in enumerate(arm.joints)}
+    columns |= {f"dq_{name}": qd[:, k] for k, name in enumerate(arm.joints)}
+    run = ContactRun(tool, {"time_ns", *columns}, view=View(axes="base"))
+    found = all_of(run, time_ns, raw, columns)
+    assert len(found) == 90
+    assert max(np.abs(w[:3]).max() for w, *_ in found.values()) < 2e-2
+    log = Log(None, "tool", "", time_ns, raw, position=q, velocity=qd)
+    np.testing.assert_allclose(
+        contact(log, tool, view=View(axes="base")).wrench[30], found[30][0], atol=1e-12
+    )

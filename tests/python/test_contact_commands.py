@@ -11,6 +11,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 from contact_cases import Swing, columns_of, raw_of, tool_of, write_log
+from rosbags.highlevel import AnyReader
 from tool_cases import a_rig
 
 from truewrench.cli import main
@@ -148,3 +149,15 @@ def test_words_for_what_is_wrong(
     assert status_of([*base, "--tool", str(tool), "--at", "0.1,0,0,0,0,0", "--axes", "base"]) == 0
     assert status_of(["apply", str(rig), str(out), "-o", str(tmp_path / "two.csv"), "--tool", str(tool)]) == 2
     assert "a log without it" in capsys.readouterr().err
+
+
+def test_a_recording_has_the_wrench_and_its_sigma(files: tuple[Path, Path, Path]) -> None:
+    log = files[2]
+    out = log.with_name("out.mcap")
+    done = apply_contact(tool_of(1), log, out)
+    with AnyReader([out]) as reader:
+        topics = {connection.topic: connection.msgcount for connection in reader.connections}
+        first = next(iter(reader.messages()))
+    assert topics == {"/truewrench/contact": 290, "/truewrench/contact_std": 290}
+    assert first[1] == 5 * PERIOD
+    assert done.found == 290
