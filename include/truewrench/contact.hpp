@@ -129,7 +129,6 @@ class Contact : public contact::Estimate {
   }
 
   bool configured() const noexcept { return configured_; }
-  int channels() const noexcept { return at_.n; }
 
  private:
   static constexpr int motion_values =

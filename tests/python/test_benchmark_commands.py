@@ -14,6 +14,7 @@ from pages import BENCHMARKS, ROOT
 SMALLEST: dict[str, str] = {
     "chain.py": "--runs 1 --arm panda_ground",
     "confident.py": "--runs 1",
+    "contact.py": "--tools 1 --hours 0.02",
     "coverage.py": "--runs 2",
     "demo_seeds.py": "--seeds 1",
     "efficiency.py": "--seeds 2",
