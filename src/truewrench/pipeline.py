@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -157,8 +158,18 @@ def _comparisons(estimate: Estimate, compared: Comparison, rig: Rig, logs: Seque
         improvement=compared.improvement if held_out else {},
         worse=compared.reasons,
         not_held_out="" if held_out else str(compared.figures.get("none_because", "nothing was compared")),
-        setup=setup_errors(estimate, rig, logs) if estimate.solved else (),
+        setup=setup_errors(estimate, rig, logs, partial(_plain, rig, logs)) if estimate.solved else (),
     )
+
+
+def _plain(rig: Rig, logs: Sequence[Log]) -> tuple[Array, Array] | None:
+    """Gain and its covariance by least squares, which takes no departure for noise; None where it cannot."""
+    try:
+        found = least_squares(rig, tracked(rig, logs))
+    except InputError:
+        return None
+    n = rig.sensor.n
+    return found.gain, found.covariance[: 6 * n, : 6 * n]
 
 
 def _undisturbed(log: Log, estimate: Estimate, k: int) -> Log:

@@ -130,7 +130,7 @@ def test_online_reads_joints_as_the_twist_that_their_velocities_measure(scene: C
         nees.append(score(recorded.rig, estimate(recorded.rig, [log], online=True), truth)[1])
     assert_honest(nees)
     positions = replace(log, velocity=None, tracking=None)
-    with pytest.raises(InputError, match="dq_.*joint velocities"):
+    with pytest.raises(InputError, match=r"dq_.*joint velocities"):
         estimate(recorded.rig, [positions], online=True)
 
 

@@ -271,7 +271,7 @@ def test_command_with_a_poor_log_writes_and_leaves_with_3(
     status, said = through_command(capsys, settings_of(), poor, tmp_path)
     assert status == 3
     assert said["verdict"]["usable"] is False
-    assert said["verdict"]["reasons"]
+    assert "of the sensor's samples were left out" in said["verdict"]["reasons"][0]
     assert not load_calibration(tmp_path / "out" / "calibration.yaml").verdict.usable
 
 
@@ -309,3 +309,12 @@ def test_empty_cells_of_a_written_log_are_no_samples(tmp_path: Path) -> None:
     result, direct = calibrate(rig, log), calibrate(rig, run.log)
     np.testing.assert_allclose(result.gain, direct.gain, rtol=1e-7, atol=1e-9)
     assert result.logs[0].used == 2400 - 3  # the last three lie behind the last sample of the motion
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3, 9.80665])
+def test_a_log_in_another_unit_is_refused_with_its_name(rig: Rig, run: SimulatedRun, factor: float) -> None:
+    """A thousand times too much is noise to the estimate, and not to least squares."""
+    verdict = calibrate(rig, replace(run.log, raw=factor * run.log.raw)).verdict
+    named = {1e3: "mN for N", 1e-3: "kN for N", 9.80665: "N for kgf"}[factor]
+    assert not verdict.usable
+    assert any(named in reason for reason in verdict.reasons), verdict.reasons
