@@ -68,7 +68,7 @@ def result(rig: Rig, run: SimulatedRun) -> Calibration:
 
 
 def test_new_gain_reads_unseen_loads_to_the_noise(rig: Rig, run: SimulatedRun, result: Calibration) -> None:
-    """Against the residual that the true gain would leave: the noise turned by its inverse, and the motion's."""
+    """Against what the true gain would leave: the noise turned by its inverse, and that of the motion."""
     left = np.sqrt(np.linalg.inv(run.truth.gain) ** 2 @ rig.sensor.noise_array**2)
     figures = result.figures["held_out"]
     samples = figures["samples"]

@@ -202,7 +202,7 @@ def test_other_units_change_nothing() -> None:
 
 @pytest.mark.parametrize("kind", ["moving", "held"])
 def test_a_log_in_two_parts_says_the_same(kind: str) -> None:
-    """But for what lasts across the cut."""
+    """But for what lasts across the cut: an offset is as good as the time that half a log tells."""
     rig, log, _, _ = example(kind, pool_offsets=True)
     assert log.reference is not None
     half = len(log.raw) // 2
@@ -213,7 +213,9 @@ def test_a_log_in_two_parts_says_the_same(kind: str) -> None:
     whole, split = (estimate_from_known_wrench(rig, logs) for logs in ([log], parts))
     sigma = np.sqrt(np.diag(whole.covariance))
     assert np.abs((split.gain - whole.gain).ravel() / sigma[:36]).max() < 0.8
-    np.testing.assert_allclose(np.sqrt(np.diag(split.covariance)), sigma, rtol=0.3)
+    ratio = np.sqrt(np.diag(split.covariance)) / sigma
+    np.testing.assert_allclose(ratio[:36], 1.0, rtol=0.3)
+    np.testing.assert_allclose(ratio[36:], 1.0, rtol=0.5)
 
 
 def test_rows_that_are_missing_are_no_harm() -> None:
