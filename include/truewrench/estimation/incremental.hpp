@@ -122,7 +122,7 @@ class Incremental {
   std::int64_t blocks() const { return blocks_; }    // completed
   std::int64_t samples() const { return samples_; }  // that left the lag
   std::int64_t masked_samples() const { return masked_samples_; }
-  int dropped() const { return dropped_; }  // stretches too short
+  int dropped() const { return dropped_; }         // stretches too short
   bool unresolved() const { return unresolved_; }  // (10.7) still falls at the finest h that was tried
   Status status() const { return status_; }
   double spacing() const { return h_; }
@@ -142,8 +142,8 @@ class Incremental {
   const Eigen::MatrixXd& theta_covariance() noexcept;
   // Of C (6n, 6n), with (10.9) and (10.10).
   const Eigen::MatrixXd& covariance() noexcept;
-  const Eigen::MatrixXd& added() const { return added_; }  // (10.9), of the last covariance()
-  const std::vector<Moment>& moments() const { return found_; }  // likewise
+  const Eigen::MatrixXd& added() const { return added_; }                // (10.9), of the last covariance()
+  const std::vector<Moment>& moments() const { return found_; }          // likewise
   const Eigen::VectorXd& discrepancy2() const { return discrepancy2_; }  // delta_i^2 for (10.10), likewise
   PoseShare pose() const { return pose_.share(); }
   // (10.11): lags in turn, each with what it adds to what was known before it.
