@@ -4,9 +4,9 @@
     python benchmarks/contact.py --tools 2 --hours 0.5
 
 Each tool is one of 2 kg, drawn from the covariance that the estimate claims (1% gains, 0.5% mass, 0.5 mm),
-on a sensor whose offset walks by 0.5 N and 0.05 N m in the square root of an hour, swung slowly, tared every ten
-minutes. Detectable: the force along a random direction that is found in 90% of the samples, in sigma of that
-direction; chi-square says 7.90.
+on a sensor whose offset walks by 0.5 N and 0.05 N m in the square root of an hour, swung slowly, tared every
+ten minutes. Detectable: the force along a random direction that is found in 90% of the samples, in sigma of
+that direction; chi-square says 7.90.
 """
 
 from __future__ import annotations

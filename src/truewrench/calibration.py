@@ -134,6 +134,8 @@ class Calibration:
     def wrench(self, raw: npt.ArrayLike, temperature: npt.ArrayLike | None = None) -> FloatArray:
         """The true wrench, (N, 6) [N, N m], of raw samples (N, n); NaN where a channel has none.
 
+        NaN on `withheld` axes, too.
+
         Args:
             raw: samples.
             temperature: (N,) [degC], which the offset follows; None: that of the reference.
@@ -143,7 +145,14 @@ class Calibration:
             above = np.asarray(temperature, dtype=np.float64) - self.rig.temperature.reference
             offset = offset + above[..., None] * self.offset_temperature
         wrench: FloatArray = (np.asarray(raw, dtype=np.float64) - offset) @ self.inverse.T
+        wrench[..., self.withheld] = np.nan
         return wrench
+
+    @property
+    def withheld(self) -> npt.NDArray[np.bool_]:
+        """(6,) wrench axes that are not to be used, of a calibration that is good for others."""
+        usable = np.array([self.axes.get(axis, False) for axis in AXES])
+        return ~usable if usable.any() else np.zeros(6, dtype=np.bool_)
 
     def contact(self, log: Log, tool: Any, **options: Any) -> Any:
         """What the sensor felt beyond a tool, row by row: a `truewrench.contact.log.Contact`.

@@ -167,7 +167,7 @@ def calibration(rig: Rig) -> Calibration:
                      "mz": AxisImprovement(nominal=0.1, new=0.1, held_out=True, better="unsure")},
         bound=Bound(oracle_rms=1e-3, rms=1.1e-3), offset_temperature=np.zeros(6), time_offset=1e-3,
         time_offset_std=1e-5, payload_posterior={"default": {"mass": 50.1}}, figures={"chi_square": 1.01},
-        axes=dict.fromkeys(AXES, True) | {"mz": False},
+        axes=dict.fromkeys(AXES, True),
         assumed=(Assumed("noise, factor on the stated", "all logs", 2.5, 0.1, "residuals"),
                  Assumed("step of the offset, fraction of range", "run.csv, fx, 3.2 s", 0.01)),
         quadratic=1e-3 * draw.normal(size=6), quadratic_std=np.full(6, 1e-4), discrepancy=np.full(6, 2e-4),

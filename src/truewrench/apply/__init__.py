@@ -20,7 +20,7 @@ from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 
-__all__ = ["Applied", "Run", "apply", "corrector", "without_temperature", "without_weight"]
+__all__ = ["Applied", "Run", "apply", "corrector", "used_in_part", "without_temperature", "without_weight"]
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
@@ -98,16 +98,18 @@ class Run:
         self._rows = 0
         self._corrected = 0
         self._corrector = corrector(calibration, source)
+        self._withheld = np.tile(calibration.withheld, 2)
         self._raw = raw_columns(self.table, calibration.n)
         self._time = TimeReader(self.table)
         self._warmth = _Warmth(calibration, self.table.names)
         self._weighed = without_weight(calibration)
+        self._in_part = used_in_part(calibration)
         self._progress = progress
 
     @property
     def applied(self) -> Applied:
         """What has been done so far."""
-        notes = (*self.table.notes, *self._warmth.notes, *self._weighed)
+        notes = (*self.table.notes, *self._warmth.notes, *self._weighed, *self._in_part)
         return Applied(self._rows, self._corrected, notes)
 
     @property
@@ -118,7 +120,7 @@ class Run:
         """Stamps (N,), raw (N, n), wrenches and their sigma (N, 12), where all channels have a sample."""
         for chunk in self.table.chunks(self._read):
             time, raw, new = self._correct(chunk)
-            complete = ~np.isnan(new[:, 0])
+            complete = ~np.isnan(new).all(axis=1)
             yield time[complete], raw[complete], new[complete]
         self._check_rows()
 
@@ -148,6 +150,7 @@ class Run:
         compensated = self._warmth.without(chunk, raw)
         complete = ~np.isnan(compensated).any(axis=1)
         new[complete] = np.hstack(self._corrector.correct(compensated[complete]))
+        new[:, self._withheld] = np.nan
         self._rows += chunk.rows
         self._corrected += int(complete.sum())
         if self._progress is not None:
@@ -187,6 +190,12 @@ def without_temperature(calibration: Calibration) -> tuple[str, ...]:
         return ()
     reference = f"{calibration.rig.temperature.reference:g} degC"
     return (f"no `temperature`, which the offset follows: it is taken for that of {reference}",)
+
+
+def used_in_part(calibration: Calibration) -> tuple[str, ...]:
+    """What is worth saying where some axes of a calibration may be used and others not."""
+    axes = [axis for axis, held in zip(AXES, calibration.withheld, strict=True) if held]
+    return (f"{', '.join(axes)}: left empty, the calibration may not be used on them",) if axes else ()
 
 
 def without_weight(calibration: Calibration) -> tuple[str, ...]:

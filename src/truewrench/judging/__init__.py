@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +71,7 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
         logs: those of the estimate.
     """
     n = rig.sensor.n
-    required = _required(rig)
+    required = rig.required_array
     faults = channel_faults(rig, logs)
     silent = sorted({fault.channel for fault in faults if fault.silent})
     undetermined = _undetermined(estimate, rig, silent)
@@ -94,13 +93,6 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
         reasons.append(_accuracy(estimate, rig, logs, std, required, accurate))
     verdict = Verdict(not reasons, tuple(reasons), undetermined, blind_to(estimate, rig))
     return Judgement(verdict, axes, tuple(_notes(estimate, comparisons, rig, logs)))
-
-
-def _required(rig: Rig) -> Array:
-    """(6,) sigma that is acceptable of the gains to each wrench axis; infinite where it is not asked for."""
-    stated: Any = rig.required
-    each = stated if isinstance(stated, Sequence) else [stated] * 6
-    return np.array([np.inf if value is None else float(value) for value in each])
 
 
 def _std(estimate: Estimate, n: int) -> Array:
@@ -193,7 +185,7 @@ def _accuracy(
     required: Array,
     accurate: NDArray[np.bool_],
 ) -> str:
-    i, j = np.unravel_index(int(np.argmax(std / required)), std.shape)
+    i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(required), std / required, 0.0))), std.shape)
     failed = [axis for axis, fine in zip(AXES, accurate, strict=True) if not fine]
     others = f" (of {', '.join(failed)}, this is the worst)" if len(failed) > 1 else ""
     slow = listed(looks_slow(estimate, rig, logs))

@@ -36,7 +36,7 @@ def advice(estimate: Estimate, rig: Rig, required: Array, payload: str | None, s
     n = rig.sensor.n
     std = np.sqrt(np.maximum(np.diag(estimate.normalised_covariance)[: 6 * n], 0.0)).reshape(n, 6)
     prior = estimate.gain_prior.reshape(n, 6)
-    worst = np.unravel_index(int(np.argmax(std / required)), std.shape)
+    worst = np.unravel_index(int(np.argmax(np.where(np.isfinite(required), std / required, 0.0))), std.shape)
     if std[worst] > _UNSEEN_SHARE * prior[worst]:
         return _UNSEEN
     parts = {name: float(sigma[worst]) for name, sigma in estimate.sources.items()}

@@ -160,14 +160,15 @@ def _draw_sigma(path: Path, plan: Plan) -> None:
     axes[1].set_xlim(0.0, 118.0 * max(value for _, value in bars))
     axes[1].set(xlabel="RMS sigma [% of full scale]", title="what limits it, and what would help")
     axes[1].spines[["top", "right"]].set_visible(False)
-    worst, axis = np.unravel_index(int(np.argmax(std)), std.shape)
-    enough = std.max() <= 100.0 * plan.rig.required
+    required = 100.0 * plan.rig.required_array
+    worst, axis = np.unravel_index(int(np.argmax(std / required)), std.shape)
+    enough = bool((std <= required).all())
     source = max(found.limited_by, key=lambda name: found.limited_by[name], default="noise")
     caption = (
         f"What a calibration with this motion will state, before anything moves: {100 * found.rms:.2g} % of "
-        f"full scale (RMS), at worst {std.max():.2g} % for {channels[int(worst)]} to {AXES[int(axis)]}. "
-        f"Conclusion: {'enough' if enough else 'not enough'} for the {100 * plan.rig.required:g} % that the "
-        f"rig requires; what limits it most is {source.replace('_', ' ')}."
+        f"full scale (RMS), at worst {std[worst, axis]:.2g} % for {channels[int(worst)]} to "
+        f"{AXES[int(axis)]}. Conclusion: {'enough' if enough else 'not enough'} for the {required[axis]:g} % "
+        f"that the rig requires; what limits it most is {source.replace('_', ' ')}."
     )
     finish(figure, path, caption)
 

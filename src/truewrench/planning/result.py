@@ -172,13 +172,14 @@ class Plan:
             )
             notes.append(f"no limit of the {name} is stated: the motion reaches {values}")
         if found is not None and not found.undetermined:
-            largest = float(found.std.max())
-            if largest > self.rig.required:
-                channel, axis = np.unravel_index(int(np.argmax(found.std)), found.std.shape)
+            required = self.rig.required_array
+            channel, axis = np.unravel_index(int(np.argmax(found.std / required)), found.std.shape)
+            largest = float(found.std[channel, axis])
+            if largest > required[axis]:
                 notes.append(
                     f"the largest sigma, {largest:.3g} of the gain of "
                     f"{self.rig.sensor.channels[channel]} to {AXES[axis]}, would exceed `required` "
-                    f"({self.rig.required:g}): one record of this motion is not enough"
+                    f"({required[axis]:g}): one record of this motion is not enough"
                 )
         if found is not None and found.pose.share > _MOST and self.method == "optimal":
             notes.append(

@@ -31,8 +31,8 @@ from truewrench.rig.sections import (
     UncertaintySpec,
 )
 from truewrench.rig.strict import (
+    ForAllOrEach,
     NonNegative,
-    Positive,
     Section,
     SixPositives,
     Text,
@@ -73,7 +73,7 @@ class Rig(Section):
     gravity_tilt_prior: NonNegative = 3.5e-3  # [rad] 1 sigma of gravity's direction about two axes
     reference_noise: SixPositives | None = None
     temperature: TemperatureSpec = TemperatureSpec()
-    required: Positive = 0.02
+    required: ForAllOrEach = 0.02  # sigma of a normalised gain; per wrench axis, null: not asked for
     limits: LimitsSpec = LimitsSpec()
     plan: PlanSpec = PlanSpec()
     simulate: SimulateSpec = SimulateSpec()
@@ -118,6 +118,12 @@ class Rig(Section):
                 what = "one per joint" if motion.source == "joints" else "one per axis of the twist"
                 raise refuse(f"limits.{key}", f"{len(values)} entries", f"{axes}: {what}")
         return self
+
+    @property
+    def required_array(self) -> FloatArray:
+        """(6,) acceptable sigma of the gains to each wrench axis; infinite where it is not asked for."""
+        each = self.required if isinstance(self.required, tuple) else (self.required,) * 6
+        return np.array([np.inf if value is None else value for value in each])
 
     @property
     def path(self) -> Path | None:

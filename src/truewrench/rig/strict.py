@@ -114,6 +114,20 @@ def word_or_number(word: str, number: str, least: float = -math.inf) -> BeforeVa
     return BeforeValidator(check)
 
 
+def _for_all_or_each(value: Any) -> Any:
+    def positive(x: Any) -> bool:
+        return isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x) and x > 0
+
+    if isinstance(value, list | tuple):
+        asked = [x for x in value if x is not None]
+        if len(value) == 6 and asked and all(positive(x) for x in asked):
+            return tuple(None if x is None else float(x) for x in value)
+    elif positive(value):
+        return float(value)
+    expected = "a number greater than 0, or six, one per wrench axis, null where an axis is not asked for"
+    raise refuse("", shown(value), expected)
+
+
 Number = Annotated[float, Strict(), AllowInfNan(False)]
 Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
@@ -127,6 +141,7 @@ NonNegatives = tuple[NonNegative, ...]
 ThreeNumbers = Annotated[Numbers, AfterValidator(of_length(3, "x, y, z"))]
 SixNumbers = Annotated[Numbers, AfterValidator(of_length(6, "one per axis"))]
 SixPositives = Annotated[Positives, AfterValidator(of_length(6, "one per axis"))]
+ForAllOrEach = Annotated[float | tuple[float | None, ...], BeforeValidator(_for_all_or_each)]
 Matrix = tuple[SixNumbers, ...]
 
 

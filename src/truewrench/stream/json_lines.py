@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truewrench.apply import corrector, without_temperature, without_weight
+from truewrench.apply import corrector, used_in_part, without_temperature, without_weight
 from truewrench.calibration import AXES, Calibration
 from truewrench.errors import InputError
 from truewrench.stream.json_rows import LineError, Row, motion_of, read_row
@@ -77,7 +77,12 @@ def correct_lines(
         InputError: the gain of the calibration cannot be inverted.
     """
     correct = corrector(calibration, INPUT).correct
-    for note in (*without_temperature(calibration), *without_weight(calibration)):
+    withheld = [*calibration.withheld, *calibration.withheld]
+    for note in (
+        *without_temperature(calibration),
+        *without_weight(calibration),
+        *used_in_part(calibration),
+    ):
         complain(note)
     n = calibration.n
     sample = np.empty((1, n))
@@ -100,6 +105,7 @@ def correct_lines(
             values = [*wrench[0].tolist(), *std[0].tolist()]
             if not all(map(math.isfinite, values)):
                 raise LineError("found channels of such a size that no wrench can be told")
+            values = [math.nan if held else x for held, x in zip(withheld, values, strict=True)]
         last = row.time_ns
         output.write(_line(row, values))
 

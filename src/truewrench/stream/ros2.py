@@ -14,7 +14,7 @@ import numpy as np
 from cyclonedds.util import duration
 
 from truewrench import _core
-from truewrench.apply import corrector, without_temperature, without_weight
+from truewrench.apply import corrector, used_in_part, without_temperature, without_weight
 from truewrench.calibration import Calibration
 from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS
@@ -102,6 +102,7 @@ class _Wrenches:
         self._wrench = node.writer(topic, WrenchStamped)
         self._std = node.writer(topic + STD, WrenchStamped)
         self._raw = np.empty((1, n))
+        self.withheld = np.zeros(6, dtype=np.bool_)  # axes that are NaN in every message
 
     def write(
         self, correct: _core.Corrector, header: Header, channels: Sequence[float], with_std: bool
@@ -116,9 +117,10 @@ class _Wrenches:
         values = wrench[0].tolist()
         if not math.isfinite(sum(values)):
             raise InputError("found channels of such a size that no wrench can be told")
-        self._wrench.write(WrenchStamped.of(header, values))
+        told = np.where(self.withheld, np.nan, [values, std[0]])
+        self._wrench.write(WrenchStamped.of(header, told[0].tolist()))
         if with_std:
-            self._std.write(WrenchStamped.of(header, std[0].tolist()))
+            self._std.write(WrenchStamped.of(header, told[1].tolist()))
 
     @property
     def std_wanted(self) -> bool:
@@ -142,12 +144,17 @@ def correct_topic(
         InputError: no topic is found, or the gain cannot be inverted.
     """
     correct = corrector(calibration, "ROS 2")  # before a topic is waited for
-    for note in (*without_temperature(calibration), *without_weight(calibration)):
+    for note in (
+        *without_temperature(calibration),
+        *without_weight(calibration),
+        *used_in_part(calibration),
+    ):
         complain(note)
     sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
     node = Node()
     name = _sensor_topic(node, sensor, topics, stop)
     wrenches = _Wrenches(node, topics.output, calibration.n)
+    wrenches.withheld = calibration.withheld
     reader = node.reader(name, sensor.kind, topics.reliable)
     begun = time.monotonic()
     silent = True
@@ -256,6 +263,7 @@ def calibrate_topics(
         found = session.poll()
         if found is not None and found.calibration is not None and found.usable:
             correct = corrector(found.calibration, "ROS 2")
+            wrenches.withheld = found.calibration.withheld
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress
             writer.write(_diagnostics(rig, progress))
