@@ -79,7 +79,7 @@ def test_other_programs_read_the_same_numbers(calibration: Calibration, tmp_path
     assert np.array(data["inverse"]).shape == (6, 6)
     assert data["verdict"]["usable"] is True
     assert data["improvement"]["axes"]["fx"] == {"nominal": 3.0, "new": 0.5, "held_out": True, "better": True}
-    assert data["axes"] == {"fx": True, "fy": True, "fz": True, "mx": True, "my": True, "mz": False}
+    assert data["axes"] == {"fx": True, "fy": True, "fz": True, "mx": True, "my": True, "mz": True}
     noise = {"what": "noise, factor on the stated", "where": "all logs", "value": 2.5, "sigma": 0.1}
     assert data["assumed"][0] == noise | {"evidence": "residuals"}
     blind = {"kind": "delay", "size": 1e-3, "effect": 4e-3}

@@ -308,7 +308,7 @@ def test_json_says_what_was_assumed_and_what_the_record_is_blind_to(
     answer = json.loads(out)
     assert answer["verdict"]["blind_to"][0]["kind"] == "delay"
     assert answer["figures"]["assumed"][0]["value"] == 2.5
-    assert answer["figures"]["axes"]["mz"] is False
+    assert answer["figures"]["axes"]["mz"] is True
     assert answer["figures"]["discrepancy"] == [2e-4] * 6
     _, out, _ = run("apply", tmp_path / "calibration.yaml", log, "-o", tmp_path / "out.csv", "--json")
     assert json.loads(out)["verdict"] == answer["verdict"]
