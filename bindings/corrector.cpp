@@ -19,13 +19,14 @@ struct AnyCorrector {
 
   AnyCorrector() = default;  // without a calibration: every use of it raises
   AnyCorrector(const RowMatrix& gain, const Eigen::VectorXd& offset, const Eigen::VectorXd& noise,
-               const Eigen::MatrixXd& covariance)
+               const Eigen::MatrixXd& covariance, const Eigen::VectorXd& quadratic,
+               const Eigen::VectorXd& discrepancy)
       : channels(gain.rows()) {
     if (channels < 6 || channels > max_channels || gain.cols() != 6 || offset.size() != channels ||
         noise.size() != channels)
       require(Status::wrong_size, "gain, offset and noise of 6 to 32 channels");
-    require(channels == 6 ? six.configure({gain, offset, noise}, covariance)
-                          : more.configure({gain, offset, noise}, covariance),
+    require(channels == 6 ? six.configure({gain, offset, noise}, covariance, quadratic, discrepancy)
+                          : more.configure({gain, offset, noise}, covariance, quadratic, discrepancy),
             "calibration");
   }
 
@@ -62,12 +63,15 @@ struct AnyCorrector {
 void bind_corrector(nb::module_& m) {
   nb::class_<AnyCorrector>(m, "Corrector", "Raw channels to the true wrench and its uncertainty.")
       .def(nb::init<>(), "Without a calibration: `status` says so, and correcting raises ValueError.")
-      .def(nb::init<const RowMatrix&, const Eigen::VectorXd&, const Eigen::VectorXd&,
-                    const Eigen::MatrixXd&>(),
+      .def(nb::init<const RowMatrix&, const Eigen::VectorXd&, const Eigen::VectorXd&, const Eigen::MatrixXd&,
+                    const Eigen::VectorXd&, const Eigen::VectorXd&>(),
            nb::arg("gain"), nb::arg("offset"), nb::arg("noise"), nb::arg("covariance"),
+           nb::arg("quadratic") = Eigen::VectorXd(), nb::arg("discrepancy") = Eigen::VectorXd(),
            "gain (n, 6), offset (n,), 1-sigma noise per sample (n,) and the covariance (7n, 7n) of [gain row "
            "by row,\n"
-           "offset]. Raises ValueError when the gain cannot be inverted.")
+           "offset]; quadratic (n,), 1 sigma of a channel's departure from linear over (raw - offset)^2;\n"
+           "discrepancy (n,), 1 sigma of a sample beside the noise. Raises ValueError when the gain cannot "
+           "be inverted.")
       .def_prop_ro("status", &AnyCorrector::status, "`ok`, or `not_configured` without a calibration.")
       .def("correct", &AnyCorrector::correct, nb::arg("raw"),
            "The true wrench (N, 6) [N, N m] of raw samples (N, n), and its 1 sigma (N, 6); NaN where a "

@@ -21,17 +21,26 @@ class Corrector {
  public:
   using Sensor = SensorModel<N>;
 
-  // `covariance`: 7n x 7n, of [gain row by row; offset]. Allocates; step() does not. A failure leaves no
-  // calibration, not even an earlier one: what it was replaced for is not to be used in its place.
-  Status configure(const Sensor& sensor, const Eigen::Ref<const Eigen::MatrixXd>& covariance) {
+  // `covariance`: 7n x 7n, of [gain row by row; offset]. Of each channel, none if empty: `quadratic`, 1 sigma of its
+  // departure from linear over the square of its signal, (raw - b)^2; `discrepancy`, 1 sigma of a sample beside the
+  // noise, which has no part in the weights. Allocates; step() does not. A failure leaves no calibration, not even an
+  // earlier one: what it was replaced for is not to be used in its place.
+  Status configure(const Sensor& sensor, const Eigen::Ref<const Eigen::MatrixXd>& covariance,
+                   const Eigen::Ref<const Eigen::VectorXd>& quadratic = Eigen::VectorXd(),
+                   const Eigen::Ref<const Eigen::VectorXd>& discrepancy = Eigen::VectorXd()) {
     configured_ = false;
     const Eigen::Index n = sensor.gain.rows();
     if (covariance.rows() != 7 * n || covariance.cols() != 7 * n) return Status::wrong_size;
-    if (!covariance.allFinite()) return Status::not_finite;
+    if (quadratic.size() != 0 && quadratic.size() != n) return Status::wrong_size;
+    if (discrepancy.size() != 0 && discrepancy.size() != n) return Status::wrong_size;
+    if (!covariance.allFinite() || !quadratic.allFinite() || !discrepancy.allFinite())
+      return Status::not_finite;
     typename Sensor::Inverse inverse;
     if (const Status status = generalised_inverse(sensor, inverse); status != Status::ok) return status;
 
     sensor_ = sensor;
+    quadratic_.setZero(n);
+    if (quadratic.size() == n) quadratic_ = quadratic;
     inverse_.setZero(8, n);
     inverse_.template topRows<6>() = inverse;
     // Column 7 k + p of E takes [gain row by row; offset] to element (k, p) of G^+ D.
@@ -40,7 +49,9 @@ class Corrector {
       for (Eigen::Index i = 0; i < n; ++i)
         for (int p = 0; p < 7; ++p) e(p < 6 ? 6 * i + p : 6 * n + i, 7 * k + p) = inverse(k, i);
     const Eigen::MatrixXd moments = e.transpose() * covariance * e;
-    const Matrix6 noise = inverse * sensor.noise.cwiseAbs2().asDiagonal() * inverse.transpose();
+    Eigen::VectorXd variance = sensor.noise.cwiseAbs2();
+    if (discrepancy.size() == n) variance += discrepancy.cwiseAbs2();
+    const Matrix6 noise = inverse * variance.asDiagonal() * inverse.transpose();
 
     deviation_.setZero();
     int pair = 0;
@@ -72,6 +83,10 @@ class Corrector {
     const Products monomials = products_of(w);
     Lanes variance = Lanes::Zero();
     for (int p = 0; p < products; ++p) variance += monomials(p) * deviation_.col(p);
+    for (Eigen::Index i = 0; i < sensor_.offset.size(); ++i) {
+      const double signal = raw[i] - sensor_.offset(i);
+      variance += (quadratic_(i) * signal * signal * inverse_.col(i)).cwiseAbs2();
+    }
     out.wrench = w.template head<6>();
     // Rounding can leave a variance that is zero in truth slightly below it.
     out.std = variance.template head<6>().cwiseMax(0.0).cwiseSqrt();
@@ -88,6 +103,13 @@ class Corrector {
     int pair = 0;
     for (int k = 0; k < 6; ++k)
       for (int l = k; l < 6; ++l, ++pair) c(k, l) = c(l, k) = elements(pair);
+    for (Eigen::Index i = 0; i < sensor_.offset.size(); ++i) {
+      double signal = 0.0;
+      for (int j = 0; j < 6; ++j) signal += sensor_.gain(i, j) * wrench(j);
+      const Vector6 departure = quadratic_(i) * signal * signal * inverse_.col(i).template head<6>();
+      for (int k = 0; k < 6; ++k)
+        for (int l = 0; l < 6; ++l) c(k, l) += departure(k) * departure(l);
+    }
     return c;
   }
 
@@ -113,6 +135,7 @@ class Corrector {
   }
 
   Sensor sensor_;
+  typename Sensor::Channels quadratic_;
   Eigen::Matrix<double, 8, N, Eigen::ColMajor, 8, Sensor::storage> inverse_;
   Eigen::Matrix<double, 8, products> deviation_;
   Eigen::Matrix<double, 21, products> elements_;

@@ -243,10 +243,11 @@ class Corrector:
         """
 
     @overload
-    def __init__(self, gain: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], noise: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]) -> None:
+    def __init__(self, gain: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], noise: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], quadratic: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] = ..., discrepancy: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] = ...) -> None:
         """
         gain (n, 6), offset (n,), 1-sigma noise per sample (n,) and the covariance (7n, 7n) of [gain row by row,
-        offset]. Raises ValueError when the gain cannot be inverted.
+        offset]; quadratic (n,), 1 sigma of a channel's departure from linear over (raw - offset)^2;
+        discrepancy (n,), 1 sigma of a sample beside the noise. Raises ValueError when the gain cannot be inverted.
         """
 
     @property

@@ -92,6 +92,9 @@ def test_eight_channels_are_weighted_by_their_noise(
     rig = Rig.from_mapping(settings)
     eight = replace(
         calibration,
+        quadratic=None,
+        quadratic_std=None,
+        discrepancy=None,
         gain=gain,
         gain_std=gain * 0,
         offset=np.arange(8.0),

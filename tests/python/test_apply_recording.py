@@ -137,7 +137,8 @@ def test_eight_gauges_are_an_array(
         "channels": [f"g{i}" for i in range(8)], "noise": [1.0] * 8, "nominal_gain": gain.tolist(),
     }  # fmt: skip
     eight = replace(
-        calibration, gain=gain, gain_std=0 * gain, offset=np.zeros(8), covariance=np.zeros((56, 56)),
+        calibration, quadratic=None, quadratic_std=None, discrepancy=None,
+        gain=gain, gain_std=0 * gain, offset=np.zeros(8), covariance=np.zeros((56, 56)),
         rig=Rig.from_mapping(settings),
     )  # fmt: skip
     write_table(tmp_path / "run.csv", {"time_ns": np.arange(10)} | {f"raw_{i}": raw[:, i] for i in range(8)})

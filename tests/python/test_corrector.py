@@ -53,6 +53,22 @@ def test_sigma_is_the_scatter_over_calibrations_and_noise() -> None:
     np.testing.assert_allclose(np.std(errors, axis=0), std[0], rtol=0.03)
 
 
+def test_sigma_contains_what_channels_depart_from_linear_and_a_slow_disturbance() -> None:
+    rng = np.random.default_rng(9)
+    gain, offset, noise, covariance = random_calibration(rng, 8)
+    bent, slow = 0.01 * rng.random(8), rng.random(8)
+    wrench = np.array([5.0, -3, 8, 1, 2, -4])
+    weighted = gain / noise[:, None]
+    inverse = np.linalg.solve(weighted.T @ weighted, weighted.T) / noise  # d has no part in the weights
+    J = np.hstack([np.kron(np.eye(8), wrench), np.eye(8)])
+    beside = noise**2 + slow**2 + (bent * (gain @ wrench) ** 2) ** 2
+    expected = inverse @ (np.diag(beside) + J @ covariance @ J.T) @ inverse.T
+    corrector = _core.Corrector(gain, offset, noise, covariance, bent, slow)
+    _, std = corrector.correct((gain @ wrench + offset)[None])
+    np.testing.assert_allclose(std[0], np.sqrt(np.diag(expected)), rtol=1e-9)
+    np.testing.assert_allclose(corrector.covariance(wrench), expected, rtol=1e-9, atol=1e-12)
+
+
 def test_missing_channel_leaves_no_wrench() -> None:
     rng = np.random.default_rng(8)
     corrector = _core.Corrector(*random_calibration(rng, 6))

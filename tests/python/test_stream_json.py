@@ -71,7 +71,13 @@ def test_wrench_and_sigma_are_those_of_linear_algebra(correct: Any, calibration:
     )
     for w, out in zip(wrench, found, strict=True):
         J = np.hstack([np.kron(np.eye(6), w), np.eye(6)])  # of raw by [gain row by row, offset]
-        of_raw = J @ calibration.covariance @ J.T + np.diag(calibration.rig.sensor.noise_array**2)
+        sensor = calibration.rig.sensor
+        signal = calibration.gain @ w / sensor.channel_scale
+        bent = (
+            np.hypot(calibration.quadratic, calibration.quadratic_std) * signal**2
+        )  # u and d, fractions of range
+        beside = np.hypot(bent, calibration.discrepancy) * sensor.channel_scale
+        of_raw = J @ calibration.covariance @ J.T + np.diag(sensor.noise_array**2 + beside**2)
         inverse = np.linalg.inv(calibration.gain)
         std = np.sqrt(np.diag(inverse @ of_raw @ inverse.T))
         np.testing.assert_allclose([out[f"{axis}_std"] for axis in AXES], std, rtol=1e-9)

@@ -215,6 +215,9 @@ def test_arrays_of_more_channels_become_wrenches_at_their_sending(
     sensor = {**settings["sensor"], "channels": names, "noise": noise.tolist(), "nominal_gain": gain.tolist()}
     more = replace(
         calibration,
+        quadratic=None,
+        quadratic_std=None,
+        discrepancy=None,
         rig=Rig.from_mapping({**settings, "sensor": sensor}),
         gain=gain,
         offset=offset,

@@ -210,14 +210,24 @@ def without_weight(calibration: Calibration) -> tuple[str, ...]:
 
 
 def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
-    """What turns raw samples into wrenches and their 1 sigma.
+    """What turns raw samples into wrenches and their 1 sigma: of noise, gain, offset, u (10.3), d (10.2).
+
+    The gain is the tangent at no wrench; what a channel departs from it is part of sigma, and not corrected.
 
     Raises:
         InputError: naming the source of the samples, if the gain cannot be inverted.
     """
+    scale, nothing = calibration.rig.sensor.channel_scale, np.zeros(calibration.n)
+    quadratic = discrepancy = nothing
+    if calibration.quadratic is not None and calibration.quadratic_std is not None:
+        quadratic = np.hypot(calibration.quadratic, calibration.quadratic_std) / scale
+    if calibration.discrepancy is not None:
+        discrepancy = calibration.discrepancy * scale
     noise = calibration.rig.sensor.noise_array
     try:
-        return _core.Corrector(calibration.gain, calibration.offset, noise, calibration.covariance)
+        return _core.Corrector(
+            calibration.gain, calibration.offset, noise, calibration.covariance, quadratic, discrepancy
+        )
     except ValueError as error:
         raise InputError(f"{source}: cannot be corrected: {error}") from error
 
