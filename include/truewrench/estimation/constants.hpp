@@ -18,6 +18,8 @@ inline constexpr double most_masked = 0.2;       // share of the samples beyond 
 inline constexpr double filter_prior = 0.5;      // 1 sigma of kappa and gamma
 inline constexpr double filter_information =
     16;  // of the data alone, below which kappa and gamma are held: NEES 27 -> 1.1
+inline constexpr double delay_left =
+    0.05;  // share of a delay that the gain leaves, below which it is held: 0.036 at most in the paper's motion, 0.1 elsewhere
 inline constexpr double fewest_freedom = 3.0;  // left to a factor on noise, below which it is held: tolerance
 inline constexpr double factor_floor = 0.02;   // of a factor on noise: tolerance
 inline constexpr double quadratic_start = 0.1;   // upsilon, fraction of range: tolerance

@@ -2,9 +2,11 @@
 // (10.6), and the likelihood (10.7) that compares fits.
 #pragma once
 
+#include "truewrench/estimation/delay.hpp"
 #include "truewrench/estimation/traces.hpp"
 #include "truewrench/parallel.hpp"
 
+#include <algorithm>
 #include <limits>
 #include <memory>
 
@@ -173,6 +175,7 @@ class Fit {
     for (Eigen::Index i = 0; i < size; ++i) {
       if (active[static_cast<std::size_t>(i)] != 0) continue;
       Eigen::VectorXd L = dense::times(P_, S_.col(i));
+      if (imitated()) imitate(i, L);
       L[i] = -1.0;
       for (Eigen::Index j = 0; j < size; ++j)
         for (Eigen::Index k = 0; k < size; ++k) out(k, j) += prior[i] * L[j] * L[k];
@@ -253,6 +256,7 @@ class Fit {
     lagged = Eigen::Map<const RowMatrix>(theta.data() + layout_.C, n_, 6);
     predict();
     reweigh();
+    compare_delays();
     converged = false;
     for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
       if (!linearise() || !solve()) return *this;
@@ -362,6 +366,7 @@ class Fit {
   Eigen::MatrixXd data_, S_, P_;
   std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
+  std::vector<Imitation> delays_;  // of each log, at the begin of the run
   bool moved_ = false;
 
   template <typename Work>
@@ -408,6 +413,35 @@ class Fit {
     return S;
   }
 
+  // What the gain can imitate of each log's delay, at the motion as it stands.
+  void compare_delays() {
+    delays_.clear();
+    Eigen::VectorXd found(n_);
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      for (int i = 0; i < n_; ++i) found[i] = sigma(l, i);
+      delays_.push_back(imitation(logs_[l].stretches, theta.data() + layout_.C, found));
+    }
+  }
+
+  // Whether no log tells its delay from the gain: one that does would tell the gain, and with it the others' delays.
+  bool imitated() const {
+    return !delays_.empty() && std::all_of(delays_.begin(), delays_.end(),
+                                           [](const Imitation& d) { return d.left < constants::delay_left; });
+  }
+
+  // Less d theta / ds, where i is the s of a log: the gain and the offset that imitate it.
+  void imitate(Eigen::Index i, Eigen::VectorXd& L) const {
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      const Columns& c = layout_.log(l);
+      if (c.global[static_cast<std::size_t>(c.clock[0])] != i) continue;
+      L.setZero();
+      for (int r = 0; r < n_; ++r) {
+        for (int j = 0; j < 6; ++j) L[layout_.C + 6 * r + j] = -delays_[l].gain(r, j);
+        L[c.global[static_cast<std::size_t>(c.b + r)]] = -delays_[l].offset[r];
+      }
+    }
+  }
+
   // s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2) (10.1).
   bool clock_prior() {
     Eigen::MatrixXd P;
@@ -420,12 +454,13 @@ class Fit {
         const double s = theta[i] + step[i];
         const double V = 1.0 / std::max(1.0 / P(i, i) - 1.0 / prior[i], 1e-12);
         const double apart = (s - layout_.mean()[i]) * V / P(i, i);
-        prior[i] = stated_[i] + std::max(0.0, apart * apart - V - stated_[i]);
+        prior[i] = stated_[i] + (imitated() ? 0.0 : std::max(0.0, apart * apart - V - stated_[i]));
       }
     return true;
   }
 
-  // kappa and gamma are held at their means unless the data's own variance is below 1/16 (10.1).
+  // kappa and gamma are held at their means unless the data's own variance is below 1/16 (10.1), and the first s of a log where
+  // the gain imitates it: the others are told by the motion that they share.
   bool hold() {
     Eigen::MatrixXd P;
     double logdet = 0.0;
@@ -434,16 +469,21 @@ class Fit {
     const auto judge = [&](int i) {
       const double own = std::max(1.0 / P(i, i) - 1.0 / prior[i], 0.0);
       if (own > constants::filter_information) return;
-      active[static_cast<std::size_t>(i)] = 0;
-      moved_ = moved_ || theta[i] != layout_.mean()[i];
-      theta[i] = layout_.mean()[i];
+      rest(i);
     };
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Columns& c = layout_.log(l);
+      if (imitated() && !c.clock.empty()) rest(c.global[static_cast<std::size_t>(c.clock[0])]);
       for (const int at : c.clock) judge(c.global[static_cast<std::size_t>(at + 1)]);
       if (c.gamma >= 0) judge(c.global[static_cast<std::size_t>(c.gamma)]);
     }
     return true;
+  }
+
+  void rest(int i) {
+    active[static_cast<std::size_t>(i)] = 0;
+    moved_ = moved_ || theta[i] != layout_.mean()[i];
+    theta[i] = layout_.mean()[i];
   }
 
   double resize_tau(LogFit& l, const std::vector<Traces>& traces);
