@@ -11,9 +11,9 @@
 namespace truewrench {
 
 struct Imitation {
-  double left = 1.0;       // share of C w', in noise of the channels, that A and a leave
-  RowMatrix gain;          // C A, (n, 6)
-  Eigen::VectorXd offset;  // C a, (n)
+  double left = 1.0;          // share of C w', in noise of the channels, that A and a leave
+  RowMatrix gain[2];          // C A, C A A, (n, 6)
+  Eigen::VectorXd offset[2];  // C a, C A a, (n)
 };
 
 // Over the unmasked samples of one log; `C` (n, 6) row by row, `sigma` (n) of the channels.
@@ -41,8 +41,10 @@ inline Imitation imitation(const std::vector<Stretch>& stretches, const double* 
     }
   Imitation out;
   const auto n = static_cast<int>(sigma.size());
-  out.gain = RowMatrix::Zero(n, 6);
-  out.offset = Eigen::VectorXd::Zero(n);
+  for (int order = 0; order < 2; ++order) {
+    out.gain[order] = RowMatrix::Zero(n, 6);
+    out.offset[order] = Eigen::VectorXd::Zero(n);
+  }
   const double count = ff(6, 6);
   if (count < 2.0 * F) return out;
   for (int j = 0; j < 6; ++j) ff(j, j) += 1e-12 * (ff(j, j) + ff.trace() / F);  // an axis that nothing loads
@@ -62,9 +64,13 @@ inline Imitation imitation(const std::vector<Stretch>& stretches, const double* 
         const double both = C[6 * i + j] * C[6 * i + k] / (sigma[i] * sigma[i]);
         all += both * (dd[j][k] - fd[6][j] * fd[6][k] / count);
         left += both * (dd[j][k] - fitted);
-        out.gain(i, k) += C[6 * i + j] * A[k][j];
+        out.gain[0](i, k) += C[6 * i + j] * A[k][j];
       }
-    for (int j = 0; j < 6; ++j) out.offset[i] += C[6 * i + j] * A[6][j];
+    for (int j = 0; j < 6; ++j) out.offset[0][i] += C[6 * i + j] * A[6][j];
+    for (int j = 0; j < 6; ++j) {
+      for (int k = 0; k < 6; ++k) out.gain[1](i, k) += out.gain[0](i, j) * A[k][j];
+      out.offset[1][i] += out.gain[0](i, j) * A[6][j];
+    }
   }
   if (all > 0.0) out.left = left / all;
   return out;

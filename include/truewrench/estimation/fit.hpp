@@ -174,11 +174,14 @@ class Fit {
     const Eigen::Index size = layout_.size();
     for (Eigen::Index i = 0; i < size; ++i) {
       if (active[static_cast<std::size_t>(i)] != 0) continue;
-      Eigen::VectorXd L = dense::times(P_, S_.col(i));
-      if (imitated()) imitate(i, L);
+      Eigen::VectorXd L = dense::times(P_, S_.col(i)), bend;
+      imitate(i, L, bend);
       L[i] = -1.0;
       for (Eigen::Index j = 0; j < size; ++j)
-        for (Eigen::Index k = 0; k < size; ++k) out(k, j) += prior[i] * L[j] * L[k];
+        for (Eigen::Index k = 0; k < size; ++k) {
+          out(k, j) += prior[i] * L[j] * L[k];
+          if (bend.size() > 0) out(k, j) += 0.75 * prior[i] * prior[i] * bend[j] * bend[k];  // E s^4 / 4
+        }
     }
     return out;
   }
@@ -429,15 +432,21 @@ class Fit {
                                            [](const Imitation& d) { return d.left < constants::delay_left; });
   }
 
-  // Less d theta / ds, where i is the s of a log: the gain and the offset that imitate it.
-  void imitate(Eigen::Index i, Eigen::VectorXd& L) const {
+  // Less d theta / ds, and d^2 theta / ds^2, of the gain and the offset that imitate the s of a log, where i is one.
+  void imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& bend) const {
+    if (!imitated()) return;
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Columns& c = layout_.log(l);
-      if (c.global[static_cast<std::size_t>(c.clock[0])] != i) continue;
+      if (c.clock.empty() || c.global[static_cast<std::size_t>(c.clock[0])] != i) continue;
       L.setZero();
+      bend = Eigen::VectorXd::Zero(L.size());
       for (int r = 0; r < n_; ++r) {
-        for (int j = 0; j < 6; ++j) L[layout_.C + 6 * r + j] = -delays_[l].gain(r, j);
-        L[c.global[static_cast<std::size_t>(c.b + r)]] = -delays_[l].offset[r];
+        for (int j = 0; j < 6; ++j) {
+          L[layout_.C + 6 * r + j] = -delays_[l].gain[0](r, j);
+          bend[layout_.C + 6 * r + j] = delays_[l].gain[1](r, j);
+        }
+        L[c.global[static_cast<std::size_t>(c.b + r)]] = -delays_[l].offset[0][r];
+        bend[c.global[static_cast<std::size_t>(c.b + r)]] = delays_[l].offset[1][r];
       }
     }
   }
