@@ -1,79 +1,113 @@
 // Which delays the gain can imitate. Where w' = A w + a over a record (force and moment in quadrature at one frequency an axis:
-// the paper's own motion), C w(t + s) = (C + s C A) w + s C a: no residual tells s from C. What then seems to tell them apart is
+// the paper's own motion), C w(t + s) = C exp(s A) w + ..., and no residual tells s from C. What then seems to tell them apart is
 // the noise of the estimated motion, and one dw/dx an interval: together they gave s to 0.5 us, 0.6 ms beside the truth.
 #pragma once
 
-#include "truewrench/estimation/stretch.hpp"
-#include "truewrench/math/dense.hpp"
+#include "truewrench/estimation/constants.hpp"
 
-#include <vector>
+#include <algorithm>
+#include <cmath>
 
 namespace truewrench {
 
-struct Imitation {
-  double left = 1.0;          // share of C w', in noise of the channels, that A and a leave
-  RowMatrix gain[2];          // C A, C A A, (n, 6)
-  Eigen::VectorXd offset[2];  // C a, C A a, (n)
-};
+// Sums of w' on [w, 1] over samples as they come, w' by differences of the neighbours; fixed size, no heap.
+class DelaySums {
+ public:
+  static constexpr int features = 7;  // [w, 1]
 
-// Over the unmasked samples of one log; `C` (n, 6) row by row, `sigma` (n) of the channels.
-inline Imitation imitation(const std::vector<Stretch>& stretches, const double* C,
-                           const Eigen::VectorXd& sigma) {
-  constexpr int F = 7;  // [w, 1]
-  Eigen::MatrixXd ff = Eigen::MatrixXd::Zero(F, F);
-  double fd[F][6] = {}, dd[6][6] = {};
-  for (const Stretch& s : stretches)
-    for (Eigen::Index k = 1; k + 1 < s.raw.size(); ++k) {
-      if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
-      const double span = s.raw.time[k + 1] - s.raw.time[k - 1];
-      double f[F], d[6];
+  void clear() { *this = DelaySums(); }
+  void cut() { known_ = 0; }  // the next sample does not follow the last
+
+  void add(double time, const double* w) {
+    if (known_ == 2) {
+      const double span = time - time_[0];
+      double f[features], d[6];
       for (int j = 0; j < 6; ++j) {
-        f[j] = s.now.w(k, j);
-        d[j] = (s.now.w(k + 1, j) - s.now.w(k - 1, j)) / span;
+        f[j] = w_[1][j];
+        d[j] = (w[j] - w_[0][j]) / span;
       }
       f[6] = 1.0;
-      for (int i = 0; i < F; ++i) {
-        for (int j = 0; j < F; ++j) ff(i, j) += f[i] * f[j];
-        for (int j = 0; j < 6; ++j) fd[i][j] += f[i] * d[j];
+      for (int i = 0; i < features; ++i) {
+        for (int j = 0; j < features; ++j) ff_[i][j] += f[i] * f[j];
+        for (int j = 0; j < 6; ++j) fd_[i][j] += f[i] * d[j];
       }
       for (int i = 0; i < 6; ++i)
-        for (int j = 0; j < 6; ++j) dd[i][j] += d[i] * d[j];
+        for (int j = 0; j < 6; ++j) dd_[i][j] += d[i] * d[j];
     }
-  Imitation out;
-  const auto n = static_cast<int>(sigma.size());
-  for (int order = 0; order < 2; ++order) {
-    out.gain[order] = RowMatrix::Zero(n, 6);
-    out.offset[order] = Eigen::VectorXd::Zero(n);
+    if (known_ == 2) {
+      time_[0] = time_[1];
+      std::copy_n(w_[1], 6, w_[0]);
+    }
+    const int last = std::min(known_, 1);
+    time_[last] = time;
+    std::copy_n(w, 6, w_[last]);
+    known_ = std::min(known_ + 1, 2);
   }
-  const double count = ff(6, 6);
-  if (count < 2.0 * F) return out;
-  for (int j = 0; j < 6; ++j) ff(j, j) += 1e-12 * (ff(j, j) + ff.trace() / F);  // an axis that nothing loads
-  Eigen::MatrixXd inverse;
-  double logdet = 0.0;
-  if (!dense::invert(ff, inverse, logdet)) return out;
-  double A[F][6] = {};  // w' = A^T [w, 1]
-  for (int i = 0; i < F; ++i)
-    for (int k = 0; k < F; ++k)
-      for (int j = 0; j < 6; ++j) A[i][j] += inverse(i, k) * fd[k][j];
-  double all = 0.0, left = 0.0;
-  for (int i = 0; i < n; ++i) {
+
+  // [A^T; a^T] of w' = A w + a; false where the samples are too few.
+  bool rates(double (&A)[features][6]) const {
+    double M[features][features + 6], mean = 0.0;
+    if (ff_[6][6] < 2.0 * features) return false;
+    for (int i = 0; i < 6; ++i) mean += ff_[i][i] / 6.0;
+    for (int i = 0; i < features; ++i) {
+      std::copy_n(ff_[i], features, M[i]);
+      std::copy_n(fd_[i], 6, M[i] + features);
+      if (i < 6) M[i][i] += 1e-12 * (ff_[i][i] + mean);  // an axis that nothing loads
+    }
+    for (int p = 0; p < features; ++p) {  // positive definite: no pivots
+      if (!(M[p][p] > 0.0)) return false;
+      for (int i = 0; i < features; ++i) {
+        if (i == p) continue;
+        const double x = M[i][p] / M[p][p];
+        for (int j = p; j < features + 6; ++j) M[i][j] -= x * M[p][j];
+      }
+    }
+    for (int i = 0; i < features; ++i)
+      for (int j = 0; j < 6; ++j) A[i][j] = M[i][features + j] / M[i][i];
+    return true;
+  }
+
+  // Whether the gain C (n, 6), row by row, imitates a delay: the share of C w' that A and a leave, in noise of the channels.
+  template <typename Sigma>
+  bool imitated(const double* C, int n, const Sigma& sigma) const {
+    double A[features][6], unexplained[6][6], centred[6][6];
+    if (!rates(A)) return false;
     for (int j = 0; j < 6; ++j)
       for (int k = 0; k < 6; ++k) {
-        double fitted = 0.0;
-        for (int f = 0; f < F; ++f) fitted += A[f][j] * fd[f][k];
-        const double both = C[6 * i + j] * C[6 * i + k] / (sigma[i] * sigma[i]);
-        all += both * (dd[j][k] - fd[6][j] * fd[6][k] / count);
-        left += both * (dd[j][k] - fitted);
-        out.gain[0](i, k) += C[6 * i + j] * A[k][j];
+        unexplained[j][k] = dd_[j][k];
+        for (int f = 0; f < features; ++f) unexplained[j][k] -= A[f][j] * fd_[f][k];
+        centred[j][k] = dd_[j][k] - fd_[6][j] * fd_[6][k] / ff_[6][6];
       }
-    for (int j = 0; j < 6; ++j) out.offset[0][i] += C[6 * i + j] * A[6][j];
-    for (int j = 0; j < 6; ++j) {
-      for (int k = 0; k < 6; ++k) out.gain[1](i, k) += out.gain[0](i, j) * A[k][j];
-      out.offset[1][i] += out.gain[0](i, j) * A[6][j];
+    double left = 0.0, all = 0.0;
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < 6; ++j)
+        for (int k = 0; k < 6; ++k) {
+          const double both = C[6 * i + j] * C[6 * i + k] / (sigma(i) * sigma(i));
+          left += both * unexplained[j][k];
+          all += both * centred[j][k];
+        }
+    return left < constants::delay_left * all;
+  }
+
+  // What a delay of 1 s adds to the gain row (6) and offset of a channel that imitate it: C A and C a; and C A A, C A a.
+  void imitate(const double* C_row, double (&gain)[2][6], double (&offset)[2]) const {
+    double A[features][6];
+    std::fill_n(&gain[0][0], 12, 0.0);
+    offset[0] = offset[1] = 0.0;
+    if (!rates(A)) return;
+    for (int order = 0; order < 2; ++order) {
+      const double* from = order == 0 ? C_row : gain[0];
+      for (int j = 0; j < 6; ++j) {
+        for (int k = 0; k < 6; ++k) gain[order][k] += from[j] * A[k][j];
+        offset[order] += from[j] * A[6][j];
+      }
     }
   }
-  if (all > 0.0) out.left = left / all;
-  return out;
-}
+
+ private:
+  double ff_[features][features] = {}, fd_[features][6] = {}, dd_[6][6] = {};
+  double time_[2] = {}, w_[2][6] = {};
+  int known_ = 0;
+};
 
 }  // namespace truewrench

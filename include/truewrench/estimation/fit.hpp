@@ -369,7 +369,8 @@ class Fit {
   Eigen::MatrixXd data_, S_, P_;
   std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
-  std::vector<Imitation> delays_;  // of each log, at the begin of the run
+  std::vector<DelaySums> delays_;  // of each log, at the begin of the run
+  bool imitated_ = false;
   bool moved_ = false;
 
   template <typename Work>
@@ -416,37 +417,42 @@ class Fit {
     return S;
   }
 
-  // What the gain can imitate of each log's delay, at the motion as it stands.
+  // Sums over the unmasked samples of each log, at the motion as it stands.
   void compare_delays() {
-    delays_.clear();
-    Eigen::VectorXd found(n_);
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      for (int i = 0; i < n_; ++i) found[i] = sigma(l, i);
-      delays_.push_back(imitation(logs_[l].stretches, theta.data() + layout_.C, found));
-    }
-  }
-
-  // Whether no log tells its delay from the gain: one that does would tell the gain, and with it the others' delays.
-  bool imitated() const {
-    return !delays_.empty() && std::all_of(delays_.begin(), delays_.end(),
-                                           [](const Imitation& d) { return d.left < constants::delay_left; });
+    delays_.assign(logs_.size(), DelaySums());
+    for (std::size_t l = 0; l < logs_.size(); ++l)
+      for (const Stretch& s : logs_[l].stretches) {
+        delays_[l].cut();
+        for (Eigen::Index k = 0; k < s.raw.size(); ++k)
+          if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
+            delays_[l].add(s.raw.time[k], s.now.w.data() + 6 * k);
+          else
+            delays_[l].cut();
+      }
+    imitated_ = !delays_.empty();
+    for (std::size_t l = 0; l < logs_.size();
+         ++l)  // one that tells its delay tells the gain, and the others' delays
+      imitated_ = imitated_ &&
+                  delays_[l].imitated(theta.data() + layout_.C, n_, [this, l](int i) { return sigma(l, i); });
   }
 
   // Less d theta / ds, and d^2 theta / ds^2, of the gain and the offset that imitate the s of a log, where i is one.
   void imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& bend) const {
-    if (!imitated()) return;
+    if (!imitated_) return;
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Columns& c = layout_.log(l);
       if (c.clock.empty() || c.global[static_cast<std::size_t>(c.clock[0])] != i) continue;
       L.setZero();
       bend = Eigen::VectorXd::Zero(L.size());
       for (int r = 0; r < n_; ++r) {
+        double gain[2][6], offset[2];
+        delays_[l].imitate(theta.data() + layout_.C + 6 * r, gain, offset);
         for (int j = 0; j < 6; ++j) {
-          L[layout_.C + 6 * r + j] = -delays_[l].gain[0](r, j);
-          bend[layout_.C + 6 * r + j] = delays_[l].gain[1](r, j);
+          L[layout_.C + 6 * r + j] = -gain[0][j];
+          bend[layout_.C + 6 * r + j] = gain[1][j];
         }
-        L[c.global[static_cast<std::size_t>(c.b + r)]] = -delays_[l].offset[0][r];
-        bend[c.global[static_cast<std::size_t>(c.b + r)]] = delays_[l].offset[1][r];
+        L[c.global[static_cast<std::size_t>(c.b + r)]] = -offset[0];
+        bend[c.global[static_cast<std::size_t>(c.b + r)]] = offset[1];
       }
     }
   }
@@ -463,7 +469,7 @@ class Fit {
         const double s = theta[i] + step[i];
         const double V = 1.0 / std::max(1.0 / P(i, i) - 1.0 / prior[i], 1e-12);
         const double apart = (s - layout_.mean()[i]) * V / P(i, i);
-        prior[i] = stated_[i] + (imitated() ? 0.0 : std::max(0.0, apart * apart - V - stated_[i]));
+        prior[i] = stated_[i] + (imitated_ ? 0.0 : std::max(0.0, apart * apart - V - stated_[i]));
       }
     return true;
   }
@@ -482,7 +488,7 @@ class Fit {
     };
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Columns& c = layout_.log(l);
-      if (imitated() && !c.clock.empty()) rest(c.global[static_cast<std::size_t>(c.clock[0])]);
+      if (imitated_ && !c.clock.empty()) rest(c.global[static_cast<std::size_t>(c.clock[0])]);
       for (const int at : c.clock) judge(c.global[static_cast<std::size_t>(at + 1)]);
       if (c.gamma >= 0) judge(c.global[static_cast<std::size_t>(c.gamma)]);
     }

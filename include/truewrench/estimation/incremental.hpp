@@ -172,6 +172,7 @@ class Incremental {
   Lag lag_;
   LagStart start_;
   MomentSums moments_;
+  DelaySums past_delays_, delays_;  // of the log that runs: what left the lag, and with what is in it
   PoseSums pose_;
   Ring<RawSample> raw_;
   std::array<Ring<MotionSample>, kMostStreams> motion_;
@@ -181,6 +182,7 @@ class Incremental {
   std::array<long, kMostStreams> motion_at_{};
   double period_ = 0.0, motion_period_ = 0.0;  // [s] as the stretch began with
   double limit_ = 0.0;                         // [s] end of a stretch that is over
+  bool imitated_ = false, told_ = false;       // this log, an earlier one: see DelaySums
   bool standing_ = false, ready_ = false, unresolved_ = false, first_stretch_ = true, first_log_ = true,
        chosen_ = false;
   double h_ = 0.0, coarsest_ = constants::knot_spacing;
@@ -322,6 +324,8 @@ class Incremental {
   bool invert(bool all);
   void gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S);
   bool solve(bool judge);
+  void add_delays(DelaySums& sums, long block) const noexcept;
+  void imitate(int order) noexcept;
   double resize(const SizeSums& sums);
   void part(const Eigen::MatrixXd& S);
   Eigen::MatrixXd without_own(const Eigen::MatrixXd& S) const;

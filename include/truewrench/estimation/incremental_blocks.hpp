@@ -347,6 +347,7 @@ inline void Incremental::depart(long leaving) {
 inline void Incremental::count(long from, long to) {
   for (long g = from; g < to; ++g) {
     lag_.predict(g);
+    add_delays(past_delays_, g);
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
       const Lag::Interval& v = lag_.interval(i);
       double size = 0.0, masked = 0.0;

@@ -76,6 +76,13 @@ inline void Incremental::gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen:
 inline bool Incremental::solve(bool judge) {
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
+  if (judge) {  // a log that told the gain tells the delays of those after it
+    delays_ = past_delays_;
+    for (long g = lag_.first(); g < lag_.end(); ++g) add_delays(delays_, g);
+    imitated_ = !told_ && lag_.streams() > 0 &&
+                delays_.imitated(lag_.theta.data() + lag_.gain_at(), lag_.channels(),
+                                 [this](int i) { return lag_.noise(i); });
+  }
   for (int round = 0; round < (judge ? 2 : 1); ++round) {
     gather(Z_, 0, S_);
     if (judge) {
@@ -88,7 +95,7 @@ inline bool Incremental::solve(bool judge) {
         for (int j = 0; j < nt; ++j) s += P_(at, j) * (S_(nt, j) + mean[j] / prior_[j]);
         const double V = 1.0 / std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 1e-12);
         const double apart = (s - mean[at]) * V / P_(at, at);
-        column_[at] = stated_[at] + std::max(0.0, apart * apart - V - stated_[at]);
+        column_[at] = stated_[at] + (imitated_ ? 0.0 : std::max(0.0, apart * apart - V - stated_[at]));
       }
       for (std::size_t i = 0; i < lag_.streams(); ++i) prior_[lag_.clock_at(i)] = column_[lag_.clock_at(i)];
       // kappa and gamma are held unless the data's own variance is below 1/16
@@ -101,6 +108,7 @@ inline bool Incremental::solve(bool judge) {
       };
       for (std::size_t i = 0; i < lag_.streams(); ++i) hold(lag_.clock_at(i) + 1);
       hold(lag_.gamma_at());
+      if (imitated_) active_[static_cast<std::size_t>(lag_.clock_at(0))] = 0;  // of the log's first stream
     }
     if (!factor(false, 1)) return false;
     const int k = static_cast<int>(use_.size()), half = dense::padded(k), ld = half + 8;
@@ -182,6 +190,32 @@ inline void Incremental::part(const Eigen::MatrixXd& S) {
   part_ = 1 - part_;
 }
 
+// The rows of a block that count, to sums of w'.
+inline void Incremental::add_delays(DelaySums& sums, long g) const noexcept {
+  for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
+    const Lag::Interval& v = lag_.interval(i);
+    for (int r = 0; r < v.rows; ++r) {
+      const RawRow& row = v.row[static_cast<std::size_t>(r)];
+      if (row.masked)
+        sums.cut();
+      else
+        sums.add(row.time, row.w.data());
+    }
+  }
+}
+
+// column_: what the gain and the offset do by the delay that they imitate, to this order.
+inline void Incremental::imitate(int order) noexcept {
+  column_.setZero();
+  if (order == 0) column_[lag_.clock_at(0)] = 1.0;
+  for (int r = 0; r < lag_.channels(); ++r) {
+    double gain[2][6], offset[2];
+    delays_.imitate(lag_.theta.data() + lag_.gain_at() + 6 * r, gain, offset);
+    for (int j = 0; j < 6; ++j) column_[lag_.gain_at() + 6 * r + j] = gain[order][j];
+    column_[lag_.offset_at() + r] = offset[order];
+  }
+}
+
 inline const Eigen::MatrixXd& Incremental::theta_covariance() noexcept {
   const int nt = lag_.parameters();
   gather(Z_, 0, S_);
@@ -194,8 +228,15 @@ inline const Eigen::MatrixXd& Incremental::theta_covariance() noexcept {
       for (int j = 0; j < nt; ++j) sum -= P_(i, j) * S_(std::max(h, j), std::min(h, j));
       column_[i] = sum;
     }
+    const bool delay = imitated_ && h == lag_.clock_at(0);
+    if (delay) imitate(0);
     for (int j = 0; j < nt; ++j)
       for (int i = 0; i < nt; ++i) covariance_(i, j) += prior_[h] * column_[i] * column_[j];
+    if (!delay) continue;
+    imitate(1);  // and what bends: E s^4 / 4
+    for (int j = 0; j < nt; ++j)
+      for (int i = 0; i < nt; ++i)
+        covariance_(i, j) += 0.75 * prior_[h] * prior_[h] * column_[i] * column_[j];
   }
   return covariance_;
 }
@@ -340,6 +381,9 @@ inline void Incremental::begin_log() {
   chosen_ = false;
   hops_ = 0;
   moments_.clear();
+  past_delays_.clear();
+  told_ = told_ || (!first_log_ && !imitated_);
+  imitated_ = false;
   log_samples_ = 0.0;
 }
 

@@ -2,6 +2,7 @@
 // look at the rows, and those of (10.10).
 #pragma once
 
+#include "truewrench/estimation/delay.hpp"
 #include "truewrench/estimation/discrepancy.hpp"
 #include "truewrench/estimation/lag.hpp"
 
