@@ -299,9 +299,7 @@ def test_command_prints_its_summary_and_exits_with_its_verdict(
     path.write_text(yaml.safe_dump(SETTINGS))
 
     def run(*words: str) -> int:
-        with pytest.raises(SystemExit) as end:
-            main(["campaign", str(path), "-o", str(tmp_path / "out"), *words])
-        return int(end.value.code or 0)
+        return main(["campaign", str(path), "-o", str(tmp_path / "out"), *words])
 
     assert run("--trials", "2", "--json") == 0
     document = json.loads(capsys.readouterr().out)

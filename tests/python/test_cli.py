@@ -30,14 +30,20 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
     def call(*words: object) -> tuple[int, str, str]:
         capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            main([str(word) for word in words])
+        status = main([str(word) for word in words])
         captured = capsys.readouterr()
-        status = left.value.code
-        assert isinstance(status, int)
         return status, captured.out, captured.err
 
     return call
+
+
+def test_main_returns_the_status_and_the_process_exits_with_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert main(["calibrat"]) == 2
+    capsys.readouterr()
+    for words, status in ((["--version"], 0), (["inspect", "nowhere.csv"], 2)):
+        done = subprocess.run([sys.executable, "-m", "truewrench", *words], capture_output=True, check=False)
+        assert done.returncode == status
 
 
 @pytest.fixture

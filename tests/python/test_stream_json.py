@@ -203,9 +203,8 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         (tmp_path / "input").write_bytes(text)
         with monkeypatch.context() as patch, (tmp_path / "input").open() as file:
             patch.setattr(sys, "stdin", file)
-            with pytest.raises(SystemExit) as left:
-                main(["stream", *map(str, words)])
-        return left.value.code, *capsys.readouterr()
+            status = main(["stream", *map(str, words)])
+        return status, *capsys.readouterr()
 
     return call
 

@@ -25,9 +25,7 @@ def files(tmp_path: Path) -> Path:
 
 
 def run(*arguments: str | Path) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return int(ended.value.code or 0)
+    return main([str(argument) for argument in arguments])
 
 
 def test_from_poses_to_a_tool_its_page_and_its_exports(

@@ -61,17 +61,17 @@ def _root(
     pass
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command and exit with its status."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command, by default that of the process, and return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     as_json, debug = "--json" in words, "--debug" in words
     try:
         outcome = typer.main.get_command(app).main(words, prog_name="truewrench", standalone_mode=False)
         if outcome == _INTERRUPTED:
             one_file = words[0] in ("calibrate", "validate", "apply", "tool")
-            sys.exit(fail([f"interrupted{': nothing was written' * one_file}"], _INTERRUPTED, as_json, None))
+            return fail([f"interrupted{': nothing was written' * one_file}"], _INTERRUPTED, as_json, None)
         if not isinstance(outcome, Outcome):  # --help, --version
-            sys.exit(outcome)
+            return int(outcome or 0)
         show_outcome(outcome, as_json)
         status = outcome.status
     except (InputError, typer.TyperException) as error:
@@ -86,4 +86,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         hint = "" if debug else " (--debug shows where)"
         reason = f"internal fault: {type(error).__name__}: {error}{hint}"
         status = fail([reason], 1, as_json, error if debug else None)
-    sys.exit(status)
+    return status
