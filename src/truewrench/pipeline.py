@@ -96,6 +96,7 @@ def calibrate(
     records = uncompensated(rig, records)
     if wrench_is_known(rig, records, estimator):
         return _from_known_wrench(rig, records, held_out, report, show)
+    rig.check_motion("or reference wrenches in the log")
     _check_motion(rig, estimator)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":

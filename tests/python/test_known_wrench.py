@@ -269,3 +269,58 @@ def test_weights_to_validate_with_need_their_noise_and_some_rows(
     settings = {key: value for key, value in SETTINGS.items() if key != "reference_noise"}
     with pytest.raises(InputError, match="reference_noise: found nothing"):
         tw.validate(calibration, Rig.from_mapping(settings), weights(truth, 100, 3))
+
+
+def without(*keys: str) -> dict[str, Any]:
+    return {key: value for key, value in SETTINGS.items() if key not in keys}
+
+
+def test_known_wrenches_need_neither_motion_nor_payload(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array]
+) -> None:
+    _, same = through_command(capsys, tmp_path, weights(truth), SETTINGS)
+    status, said = through_command(capsys, tmp_path, weights(truth), without("motion", "payloads"))
+    assert status == 0
+    assert said["figures"]["gain"] == same["figures"]["gain"]
+    calibration = load_calibration(tmp_path / "out" / "calibration.yaml")
+    assert not calibration.rig.states_motion
+    assert main(["apply", *(str(tmp_path / name) for name in ("out/calibration.yaml", "weights.csv")),
+                 "-o", str(tmp_path / "applied.csv")]) == 0  # fmt: skip
+    assert calibration.wrench(weights(truth).raw).shape == (40, 6)
+
+
+@pytest.mark.parametrize("key", ["motion", "payloads"])
+def test_logs_without_known_wrenches_need_motion_and_payload(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array], key: str
+) -> None:
+    log = replace(weights(truth), reference=None)
+    status, said = through_command(capsys, tmp_path, log, without(key))
+    assert status == 2
+    assert (
+        f"rig.yaml: {key}: found nothing, expected `{key}`, or ref_* columns in"
+        in said["verdict"]["reasons"][0]
+    )
+    assert not (tmp_path / "out").exists()
+    status, said = through_command(capsys, tmp_path, log, without(key, "reference_noise"))
+    assert status == 2
+    assert f"{key}: missing required key, which only `reference_noise`" in said["verdict"]["reasons"][0]
+    with pytest.raises(InputError, match=f"{key}: found nothing, expected `{key}`, or reference wrenches"):
+        tw.calibrate(Rig.from_mapping(without(key)), log)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["simulate", "-o", "out.csv"], ["plan", "-o", "out.csv"], ["campaign", "--trials", "1", "-o", "out"],
+     ["stream", "--calibrate", "-o", "out"]],
+)  # fmt: skip
+@pytest.mark.parametrize("key", ["motion", "payloads"])
+def test_commands_say_what_such_a_rig_lacks(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], key: str
+) -> None:
+    rig, out = tmp_path / "rig.yaml", tmp_path / words[-1]
+    rig.write_text(yaml.safe_dump(without(key)), encoding="utf-8")
+    command = [words[0], *words[1:-1], str(out)]
+    at = 2 if "--calibrate" in command else 1
+    assert main([*command[:at], str(rig), *command[at:]]) == 2
+    assert f"rig.yaml: {key}: found nothing, expected `{key}`, which" in capsys.readouterr().err
+    assert not out.exists()

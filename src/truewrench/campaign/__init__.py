@@ -75,6 +75,7 @@ def campaign(
         InputError: the folder holds another campaign.
         UnsupportedError: this rig cannot be simulated, or not calibrated by this estimator.
     """
+    rig.check_motion("which a simulation needs")
     if trials < 1:
         raise InputError.at(None, "trials", str(trials), "at least 1")
     if estimator not in get_args(EstimatorName):

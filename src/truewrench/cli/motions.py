@@ -47,6 +47,7 @@ def plan(
     from truewrench.rig import load_rig
 
     settings = load_rig(rig)
+    settings.check_motion("which a plan is made for")
     with progress_bar() as update:
         planned = run(settings, method, criterion=criterion, payload=payload, progress=update)
     figures = planned.to_mapping()
@@ -79,7 +80,9 @@ def follow(
     from truewrench.planning.follow import follow_plan
     from truewrench.rig import load_rig
 
-    done = follow_plan(load_rig(rig), plan, of=of, payload=payload, rate=rate)
+    settings = load_rig(rig)
+    settings.check_motion("which is to follow the plan")
+    done = follow_plan(settings, plan, of=of, payload=payload, rate=rate)
     reasons = done.reasons
     return Outcome(
         outputs=done.write(output),

@@ -98,7 +98,7 @@ def split_payload(source: str | Path, rig: Rig) -> tuple[Path, str]:
     if "@" in path.name and not path.exists():
         name = path.name.rpartition("@")[2]
         raise InputError.at(text, "", f"no such file, and no payload `{name}` in the rig", f"one of: {known}")
-    if "default" in rig.payloads:
+    if "default" in rig.payloads or not rig.payloads:  # which known wrenches do not need
         return path, "default"
     if len(rig.payloads) == 1:
         return path, next(iter(rig.payloads))
@@ -170,6 +170,8 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         InputError: naming file, row and column, what was found and what was expected.
     """
     path, payload = split_payload(source, rig)
+    if path.exists() and is_recording(path):
+        rig.check_motion("which a recording is read by")
     table = open_table(path, rig)
     groups = _groups(table, rig)
     columns = [name for names in groups.values() for name in names]
@@ -220,6 +222,8 @@ def read_log(source: str | Path, rig: Rig) -> Log:
 def _groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
     """The columns of a log that this rig can use, by field of `Log`, all of them present."""
     referenced = any(name in table.names for name in REFERENCE)  # which makes up for motion
+    if not referenced:
+        rig.check_motion(f"or ref_* columns in {table.path}")
     groups = {"raw": raw_columns(table, rig.sensor.n)}
     optional = {
         "acceleration": ACCELERATION,

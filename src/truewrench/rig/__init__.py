@@ -11,7 +11,8 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from truewrench.errors import InputError
 from truewrench.files import read_yaml
@@ -63,12 +64,23 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 
 
+_NO_MOTION = MotionSpec(of="sensor", noise=(1e-3,) * 6)  # stands for one that is not stated
+_MISSING = object()
+
+
+def _stated(value: Any) -> Any:
+    if value is _MISSING:
+        raise PydanticCustomError("missing", "missing")
+    return value
+
+
 class Rig(Section):
     """Sensor, payloads and motion of a calibration, with the settings of everything built on them."""
 
     sensor: SensorSpec
-    payloads: Annotated[dict[Text, AnyPayload], Field(min_length=1)]
-    motion: MotionSpec
+    # both may be absent where `reference_noise` is stated: logs with ref_* need neither
+    payloads: Annotated[dict[Text, AnyPayload], Field(min_length=1), BeforeValidator(_stated)] = Field({})
+    motion: Annotated[MotionSpec, BeforeValidator(_stated)] = _NO_MOTION
     gravity: ThreeNumbers = (0.0, 0.0, 0.0)
     gravity_tilt_prior: NonNegative = 3.5e-3  # [rad] 1 sigma of gravity's direction about two axes
     reference_noise: SixPositives | None = None
@@ -95,6 +107,14 @@ class Rig(Section):
         rig._path = None if path is None else Path(path)
         return rig
 
+    @model_validator(mode="before")
+    @classmethod
+    def _motion_or_reference(cls, data: Any) -> Any:
+        """Require motion and payloads where no wrenches are known from elsewhere."""
+        if not isinstance(data, Mapping) or data.get("reference_noise") is not None:
+            return data
+        return {"payloads": _MISSING, "motion": _MISSING, **data}
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         n, gain, offset = self.sensor.n, self.simulate.gain, self.simulate.offset
@@ -118,6 +138,24 @@ class Rig(Section):
                 what = "one per joint" if motion.source == "joints" else "one per axis of the twist"
                 raise refuse(f"limits.{key}", f"{len(values)} entries", f"{axes}: {what}")
         return self
+
+    @property
+    def states_motion(self) -> bool:
+        """Whether `motion` is there; without it only logs with ref_* can be used."""
+        return "motion" in self.model_fields_set
+
+    def check_motion(self, what: str) -> None:
+        """Refuse a rig without motion or payloads where both are needed.
+
+        Args:
+            what: they are needed for, as in "which a simulation needs", or what would make up for them.
+
+        Raises:
+            InputError: naming the key that is absent.
+        """
+        for key, told in (("motion", self.states_motion), ("payloads", bool(self.payloads))):
+            if not told:
+                raise InputError.at(self.path, key, "nothing", f"`{key}`, {what}")
 
     @property
     def required_array(self) -> FloatArray:
@@ -149,8 +187,14 @@ class Rig(Section):
 
     def to_mapping(self) -> dict[str, Any]:
         """The settings, defaults filled in, as `from_mapping` and a rig file take them."""
-        implied = {} if self.motion.source == "twist" else {"motion": {"of"}}  # a key of twists alone
-        return self.model_dump(mode="json", exclude_none=True, exclude=implied)
+        out: dict[str, Any] = self.model_dump(mode="json", exclude_none=True)
+        if self.motion.source != "twist":
+            del out["motion"]["of"]  # a key of twists alone
+        if not self.states_motion:
+            del out["motion"]
+        if not self.payloads:
+            del out["payloads"]
+        return out
 
 
 def _context(path: str | Path | None) -> dict[str, Path]:

@@ -203,7 +203,8 @@ def _problem(
     file = "" if path is None else f"{path}:{line}" if line else f"{path}"
     where = ": ".join(part for part in (file, place) if part)
     if kind == "missing":
-        return f"{where}: missing required key"
+        without = ", which only `reference_noise` makes up for (logs with ref_*)"
+        return f"{where}: missing required key{without if place in ('motion', 'payloads') else ''}"
     if kind == "extra_forbidden":
         known = list(_fields_at(model, details["loc"][:-1]))
         near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.0)[0]

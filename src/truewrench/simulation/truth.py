@@ -147,6 +147,7 @@ def begin(rig: Rig, payload: str | None, seed: int | None) -> tuple[str, Truth]:
     if rig.sensor.subtracted is not None:
         expected = "false: a driver that subtracts a weight is not simulated"
         raise UnsupportedError.at(rig.path, "sensor.compensated", "a weight", expected)
+    rig.check_motion("which a simulation needs")
     name = next(iter(rig.payloads)) if payload is None else payload
     if name not in rig.payloads:
         raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))

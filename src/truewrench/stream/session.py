@@ -50,6 +50,7 @@ def payload_of(rig: Rig, named: str | None) -> str:
     Raises:
         InputError: there is no such payload, or none is named of several.
     """
+    rig.check_motion("which a live calibration needs")
     known = ", ".join(rig.payloads)
     if named is not None and named not in rig.payloads:
         raise InputError.at(rig.path, "--payload", f"`{named}`", f"a payload of the rig, one of: {known}")

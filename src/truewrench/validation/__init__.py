@@ -160,6 +160,7 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     _check_same_sensor(calibration, rig)
+    rig.check_motion("by which a calibration is validated")
     records = uncompensated(rig, tracked(rig, records))
     parts = [residuals(calibration, rig, log) for log in records]
     tared = is_tared(rig)
