@@ -6,6 +6,8 @@
 #include "truewrench/math/dense.hpp"
 
 #include <algorithm>
+#include <limits>
+#include <numbers>
 
 namespace truewrench {
 
@@ -190,8 +192,26 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
   return deviance;
 }
 
+// q of the roughest motion that its own measurements cannot deny: at half of the knots' rate it is as large as their noise,
+// sigma^2 (pi / h)^2(p - d) h with p the order of (10.2) and d that of the stream; noise as stated. (10.7) has an optimum where
+// what the motion's noise covers counts as noise of the sensor, and another where the sensor tells it: 20 Hz ripple, 0.7 sigma
+// of the velocities, was 15 to 30 x the noise of the forces in the first.
+inline void roughen(Fit& fit) {
+  for (LogFit& log : fit.logs()) {
+    const double rate = std::numbers::pi / log.h;
+    for (auto& f : log.sizes.motion_factor) f.setOnes();
+    for (int j = 0; j < log.log->components(); ++j) {
+      const int p = smoothness_order(log.log->source, j);
+      double least = std::numeric_limits<double>::infinity();
+      for (const MotionStream& m : log.log->motion)
+        least = std::min(least, m.sigma[j] * std::pow(rate, p - m.derivative));
+      log.sizes.q[j] = least * least * log.h;
+    }
+  }
+}
+
 // Gain and offsets by regression of raw on w, with the prior: Cauchy weights (1 + n) / (1 + chi^2_n), scale 1.48 median and at
-// least the stated sigma; or plain (`cauchy` false, the second start of finer levels).
+// least the stated sigma; or plain (`cauchy` false).
 inline void regress(Fit& fit, bool cauchy) {
   const int n = fit.channels();
   const Layout& layout = fit.layout();
