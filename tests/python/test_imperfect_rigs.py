@@ -219,6 +219,6 @@ def test_command_says_on_which_hardware_it_simulated(
 
 
 def test_plan_promises_what_perfect_hardware_would_give() -> None:
-    from truewrench.planning.prediction import _ideal
+    from truewrench.planning.prediction import ideal
 
-    assert _ideal(rig_of(EVERYTHING, gravity=GROUND)).simulate.imperfections is None
+    assert ideal(rig_of(EVERYTHING, gravity=GROUND)).simulate.imperfections is None

@@ -15,6 +15,7 @@ from truewrench.cli.common import (
     RigArgument,
     progress_bar,
 )
+from truewrench.errors import InputError
 
 if TYPE_CHECKING:
     from truewrench.simulation.arm import ArmRun
@@ -38,10 +39,34 @@ def plan(
     pictures: Annotated[
         bool, typer.Option("--pictures/--no-pictures", help="Motion, limits, promise and path as PNG.")
     ] = True,
+    tool: Annotated[bool, typer.Option("--tool", help="What determines an unknown tool: poses.")] = False,
+    motion: Annotated[
+        bool, typer.Option("--motion", help="With --tool: a motion, which tells inertia.")
+    ] = False,
+    poses: Annotated[int | None, typer.Option(help="With --tool: how many; 12 unless stated.")] = None,
+    dwell: Annotated[float | None, typer.Option(help="With --tool: at each pose [s]; 3.")] = None,
+    cone: Annotated[
+        float | None, typer.Option(help="With --tool: largest tilt of gravity from the start [deg]; 180.")
+    ] = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
-    """Plan a motion that calibrates well within the rig's limits, and say what it promises."""
+    """Plan a motion that calibrates well within the rig's limits, and say what it promises.
+
+    With --tool: poses, or a motion, that determine an unknown tool.
+    """
+    options = {"--motion": motion or None, "--poses": poses, "--dwell": dwell, "--cone": cone}
+    if tool:
+        if method != "optimal" or criterion != "A":
+            raise InputError.at(
+                None, "--tool", "--method or --criterion", "neither: poses are not searched for"
+            )
+        from truewrench.cli.tools import plan_for_tool
+
+        return plan_for_tool(rig, output, payload, motion, poses, dwell, cone, pictures)
+    for option, value in options.items():
+        if value is not None:
+            raise InputError.at(None, option, "it without --tool", "--tool, which it belongs to")
     from truewrench.planning.planner import plan as run
     from truewrench.planning.words import plan_words
     from truewrench.rig import load_rig

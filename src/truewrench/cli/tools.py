@@ -1,4 +1,4 @@
-"""The command about a tool: identify one."""
+"""The commands about a tool: plan what determines one, identify one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from truewrench.rig import Rig
     from truewrench.tool.identify import Evidence
 
-__all__ = ["tool"]
+__all__ = ["plan_for_tool", "tool"]
 
 
 def tool(
@@ -116,6 +116,44 @@ def tool(
     return Outcome(
         outputs=outputs, verdict=verdict, figures=figures, words=lambda: iter([tool_summary(found_tool)])
     )
+
+
+def plan_for_tool(
+    source: Path,
+    output: Path,
+    payload: str | None,
+    motion: bool,
+    poses: int | None,
+    dwell: float | None,
+    cone: float | None,
+    pictures: bool,
+) -> Outcome:
+    """`plan --tool`."""
+    from truewrench.files import read_yaml
+    from truewrench.planning.tool.plan import DWELL_DEFAULT, POSES, plan_tool
+    from truewrench.planning.tool.words import tool_plan_words
+    from truewrench.rig import load_rig
+
+    data, _ = read_yaml(source)
+    stated = isinstance(data, dict) and "format" not in data and data.get("payloads")
+    with progress_bar() as update:
+        planned = plan_tool(
+            load_rig(source) if stated else _read(source),
+            motion=motion,
+            poses=POSES if poses is None else poses,
+            dwell=DWELL_DEFAULT if dwell is None else dwell,
+            cone=float(np.radians(180.0 if cone is None else cone)),
+            payload=payload,
+            progress=update,
+        )
+    figures = planned.to_mapping()
+    outputs = planned.write(output)
+    if pictures:
+        from truewrench.planning.tool.pictures import draw_tool_plan
+
+        outputs += draw_tool_plan(planned, output)
+    verdict = figures.pop("verdict")
+    return Outcome(outputs=outputs, verdict=verdict, figures=figures, words=lambda: tool_plan_words(planned))
 
 
 def _read(source: Path) -> Calibration | Rig:

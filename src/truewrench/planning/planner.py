@@ -10,8 +10,8 @@ import numpy as np
 
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.log import Log
-from truewrench.motion.trajectory import SplineTwist
-from truewrench.motion.trajectory_joint import SplineJoints
+from truewrench.motion.trajectory import SplineTwist, Trajectory
+from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.period import check_harmonics
 from truewrench.planning.prediction import Prediction, predict
 from truewrench.planning.result import Design, Plan
@@ -21,7 +21,7 @@ from truewrench.planning.wrench_plan import design_wrench
 from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
 
-__all__ = ["plan"]
+__all__ = ["check_limits", "plan", "simulated_log"]
 
 _BOUNDS = ("position", "velocity", "acceleration", "jerk", "workspace")
 _SIMULATED = 60.0  # [s] of a motion that repeats itself: the rest is more of the same
@@ -57,7 +57,7 @@ def plan(
     if rig.motion.source == "imu":
         expected = "`twist` or `joints`: a motion is planned in these"
         raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
-    _check_limits(rig)
+    check_limits(rig)
     if method == "optimal":
         check_harmonics(rig)
     design = _design(rig, name, method, criterion, tell)
@@ -67,7 +67,7 @@ def plan(
     return Plan(rig, name, method, criterion, design, prediction, time.perf_counter() - started)
 
 
-def _check_limits(rig: Rig) -> None:
+def check_limits(rig: Rig) -> None:
     """Refuse a twist that nothing bounds: the sensor's range alone would let it go through any wall.
 
     A URDF states the range and speed of its joints.
@@ -106,11 +106,16 @@ def _predict(rig: Rig, payload: str, design: Design) -> Prediction:
     motion = design.motion
 
     def simulated(nominal: Rig) -> Log:
-        if isinstance(motion, SplineTwist):
-            return simulate(nominal, replace(motion, duration=span), payload=payload).log
-        from truewrench.planning.joint_plan import simulated_joints
-
-        assert isinstance(motion, SplineJoints)
-        return simulated_joints(nominal, payload, replace(motion, duration=span))
+        return simulated_log(nominal, payload, motion, span)
 
     return predict(rig, payload, motion, design.preview, simulated, span / duration)
+
+
+def simulated_log(rig: Rig, payload: str, motion: Trajectory | JointTrajectory, span: float) -> Log:
+    """The log of the first `span` seconds of a planned motion, as the rig's `simulate` says."""
+    if isinstance(motion, SplineTwist):
+        return simulate(rig, replace(motion, duration=span), payload=payload).log
+    from truewrench.planning.joint_plan import simulated_joints
+
+    assert isinstance(motion, SplineJoints)
+    return simulated_joints(rig, payload, replace(motion, duration=span))

@@ -34,7 +34,7 @@ from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.planning.check import Preview
 from truewrench.rig import PayloadSpec, Rig, SimulateSpec
 
-__all__ = ["HEAVIER", "LONGER", "POSE", "Prediction", "figures", "hidden", "predict"]
+__all__ = ["HEAVIER", "LONGER", "POSE", "Prediction", "figures", "hidden", "ideal", "predict"]
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def hidden(rig: Rig, motion: Trajectory | JointTrajectory, preview: Preview) -> 
     return pose, delay_share(preview.time, wrench)
 
 
-def _ideal(rig: Rig) -> Rig:
+def ideal(rig: Rig) -> Rig:
     """The rig whose simulated hardware is perfect and as nominal: gain, offset, clocks, payload as stated."""
     options = rig.simulate.model_dump() | {"gain": "nominal", "offset": "none", "time_offset": 0.0}
     options |= {"payload": "nominal", "imperfections": None}
@@ -132,7 +132,7 @@ def predict(
         simulated: log of an ideal rig that moves as planned.
         share: of the whole motion that the log holds; the rest repeats it.
     """
-    nominal, sensor = _ideal(rig), rig.sensor
+    nominal, sensor = ideal(rig), rig.sensor
     pose, delay = hidden(rig, motion, preview)
     known, wrenches = _told(nominal, simulated)
     stated = 0.0 if sensor.discrepancy == "auto" else sensor.discrepancy

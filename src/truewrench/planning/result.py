@@ -22,11 +22,13 @@ from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures
 from truewrench.rig import Rig
 
-__all__ = ["Design", "Plan"]
+__all__ = ["FORMAT", "Design", "Plan", "alpha_of", "write_design"]
 
 Array = NDArray[np.float64]
 
 FORMAT = "truewrench-plan/1"
+"""What a plan's file says it is."""
+
 _UNITS = {  # of forces' and moments' axes; joints turn, or their unit is not told
     "position": ("m", "rad"),
     "velocity": ("m/s", "rad/s"),
@@ -116,13 +118,7 @@ class Plan:
     @property
     def alpha(self) -> dict[str, float]:
         """Smallest eigenvalue of the integral of w w^T ([A00] 12): of w over range [s], and of w in SI."""
-        preview = self.design.preview
-        times = self.design.motion.duration / preview.time[-1]
-        return {
-            "normalised": times
-            * excitation_alpha(preview.time, preview.wrench / self.rig.sensor.range_array),
-            "published": times * excitation_alpha(preview.time, preview.wrench),
-        }
+        return alpha_of(self.rig, self.design)
 
     @property
     def verdict(self) -> Verdict:
@@ -233,16 +229,31 @@ class Plan:
         PATH.plan.yaml holds the verdict and the promise; PATH.trajectory.yaml, of joints, is one
         `trajectory_msgs/msg/JointTrajectory`.
         """
-        target, design = Path(path), self.design
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_table(target, dict(design.columns))
-        written = [target, target.with_name(target.name + ".plan.yaml")]
-        write_yaml(written[1], self.to_mapping())
-        if design.joints:
-            written.append(target.with_name(target.name + ".trajectory.yaml"))
-            blocks = [
-                np.column_stack([design.columns[name] for name in names])
-                for names in joint_columns(design.joints)
-            ]
-            write_joint_trajectory(written[-1], design.joints, design.columns["time_s"], *blocks)
-        return written
+        return write_design(self.design, self.to_mapping(), path)
+
+
+def write_design(design: Design, facts: Mapping[str, Any], path: str | Path) -> list[Path]:
+    """Write the table of a motion, and beside it `facts` as PATH.plan.yaml and the joints' trajectory."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_table(target, dict(design.columns))
+    written = [target, target.with_name(target.name + ".plan.yaml")]
+    write_yaml(written[1], dict(facts))
+    if design.joints:
+        written.append(target.with_name(target.name + ".trajectory.yaml"))
+        blocks = [
+            np.column_stack([design.columns[name] for name in names])
+            for names in joint_columns(design.joints)
+        ]
+        write_joint_trajectory(written[-1], design.joints, design.columns["time_s"], *blocks)
+    return written
+
+
+def alpha_of(rig: Rig, design: Design) -> dict[str, float]:
+    """Smallest eigenvalue of the integral of w w^T ([A00] 12): of w over range [s], and of w in SI."""
+    preview = design.preview
+    times = design.motion.duration / preview.time[-1]
+    return {
+        "normalised": times * excitation_alpha(preview.time, preview.wrench / rig.sensor.range_array),
+        "published": times * excitation_alpha(preview.time, preview.wrench),
+    }
