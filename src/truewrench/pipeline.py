@@ -34,6 +34,13 @@ from truewrench.known_wrench import (
 )
 from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.unknown_bodies import (
+    known_logs,
+    known_payload,
+    notes_on_bodies,
+    scale_unknown,
+    with_first_guess,
+)
 from truewrench.validation.comparison import Comparison, compare_held_out, compare_in_sample
 
 __all__ = ["calibrate"]
@@ -98,6 +105,7 @@ def calibrate(
         return _from_known_wrench(rig, records, held_out, report, show)
     rig.check_motion("or reference wrenches in the log")
     _check_motion(rig, estimator)
+    _check_bodies(rig, records, estimator)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
         return _from_motion(rig, records, estimator, threads, held_out, report, show)
@@ -115,31 +123,40 @@ def _from_motion(
 ) -> Calibration:
     clock = [time.perf_counter()]
     online = estimator == "online"
+    stated, rig = rig, with_first_guess(rig, logs)
+    known = known_logs(rig, logs)
     estimate = estimate_motion(rig, logs, threads=threads or 0, online=online)
     clock.append(time.perf_counter())
     provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
+        kept = [*kept, *(log for log in logs if not known_payload(rig, log))]
         again = estimate_motion(rig, kept, threads=threads or 0, online=online)
         return assemble_motion(rig, kept, estimator, again, Verdict(True)) if again.solved else None
 
     compared: Comparison | str = "not asked for"
     if not estimate.solved:
         compared = "nothing of the record could be fitted"
+    elif held_out and not known:
+        compared = "no payload is known, by which the gains could be compared"
     elif held_out:
         report("comparing", None)
-        undisturbed = [_undisturbed(log, estimate, k) for k, log in enumerate(logs)]
+        undisturbed = [
+            _undisturbed(log, estimate, k) for k, log in enumerate(logs) if known_payload(rig, log)
+        ]
         compared = compare_held_out(rig, undisturbed, without_the_part)
     if isinstance(compared, str):
         compared = compare_in_sample(rig, logs, estimate, provisional.inverse, compared)
     clock.append(time.perf_counter())
     report("judging", None)
-    judgement = judge(estimate, _comparisons(estimate, compared, rig, logs), rig, logs)
+    comparisons = _comparisons(estimate, compared, rig, logs, known)
+    judgement = judge(estimate, comparisons, rig, logs)
     assumed = findings(estimate, rig, logs)
     clock.append(time.perf_counter())
     show(Evidence(tuple(logs), estimate))
     return replace(
         provisional,
+        rig=stated,
         verdict=judgement.verdict,
         axes=judgement.axes,
         assumed=assumed,
@@ -147,19 +164,29 @@ def _from_motion(
         figures={
             **motion_figures(rig, estimate),
             "held_out": compared.figures,
-            "notes": [*_log_notes(logs), *still_motion(logs), *judgement.notes],
+            "notes": [
+                *_log_notes(logs),
+                *still_motion(logs),
+                *judgement.notes,
+                *notes_on_bodies(rig, logs, estimate.payloads),
+            ],
         },
         timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
     )
 
 
-def _comparisons(estimate: Estimate, compared: Comparison, rig: Rig, logs: Sequence[Log]) -> Comparisons:
+def _comparisons(
+    estimate: Estimate, compared: Comparison, rig: Rig, logs: Sequence[Log], known: Sequence[Log]
+) -> Comparisons:
     held_out = any(axis.held_out for axis in compared.improvement.values())
     return Comparisons(
         improvement=compared.improvement if held_out else {},
-        worse=compared.reasons,
+        worse=(*compared.reasons, *scale_unknown(rig, logs)),
         not_held_out="" if held_out else str(compared.figures.get("none_because", "nothing was compared")),
-        setup=setup_errors(estimate, rig, logs, partial(_plain, rig, logs)) if estimate.solved else (),
+        # of bodies that nobody knows, nothing tells a wrong unit from a wrong mass
+        setup=setup_errors(estimate, rig, known, partial(_plain, rig, known))
+        if estimate.solved and known
+        else (),
     )
 
 
@@ -293,6 +320,16 @@ def _check_motion(rig: Rig, estimator: EstimatorName) -> None:
     if rig.motion.source == "imu" and estimator in ("ekf", "ls"):
         expected = f"`twist` or `joints`: `{estimator}` knows no motion of an IMU"
         raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
+
+
+def _check_bodies(rig: Rig, logs: Sequence[Log], estimator: EstimatorName) -> None:
+    """Refuse bodies that an estimator cannot find."""
+    if estimator == "map" or estimator == "online":
+        return
+    for log in logs:
+        if not known_payload(rig, log):
+            expected = f"a known payload: `{estimator}` takes it as exact"
+            raise UnsupportedError.at(rig.path, f"payloads.{log.payload}", "an unknown body", expected)
 
 
 def _check_options(estimator: EstimatorName, **options: Any) -> None:

@@ -23,7 +23,7 @@ FLOORS = [
     {"compensation", "estimation", "exports", "inertial", "io"},
     {"apply", "inspection", "judging"},
     {"assembly", "evidence", "simulation", "tool", "validation"},
-    {"contact", "known_wrench", "planning", "summary"},
+    {"contact", "known_wrench", "planning", "summary", "unknown_bodies"},
     {"pipeline", "report"},
     {"campaign", "stream"},
     {"demo"},

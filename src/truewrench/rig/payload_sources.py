@@ -7,14 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, AliasChoices, Discriminator, Field, Tag, ValidationError, ValidationInfo
 
-from truewrench.rig.sections import PayloadSpec, UncertaintySpec
+from truewrench.rig.sections import (
+    UNKNOWN_GYRATION,
+    UNKNOWN_UNCERTAINTY,
+    InertiaSpec,
+    PayloadSpec,
+    UncertaintySpec,
+)
 from truewrench.rig.strict import (
     Numbers,
     Positive,
@@ -22,6 +28,7 @@ from truewrench.rig.strict import (
     SixNumbers,
     Text,
     ThreeNumbers,
+    Word,
     of_length,
     refuse,
     shown,
@@ -31,6 +38,9 @@ from truewrench.rig.urdf import nearest, read_urdf
 __all__ = ["AnyPayload", "FrankaPayload", "UrPayload", "UrdfPayload"]
 
 Array = npt.NDArray[np.float64]
+
+UNKNOWN_MASS_GUESS = 1.5
+"""[kg] of a payload stated as `unknown`: the middle of its prior."""
 
 _SYMMETRIC = 1e-6  # of the largest element: what the digits of a table may leave
 
@@ -172,17 +182,27 @@ _TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def _source(value: Any) -> str:
-    """Which of the four ways of stating a payload a value is meant to be."""
+    """Which of the five ways of stating a payload a value is meant to be."""
+    if isinstance(value, str):
+        return "<word>"
     if isinstance(value, Mapping):
         return next((f"<{key}>" for key in ("urdf", "franka", "ur") if key in value), "<body>")
     return "<body>"
 
 
 def _at_sensor(
-    value: PayloadSpec | UrdfPayload | FrankaPayload | UrPayload, info: ValidationInfo
+    value: PayloadSpec | UrdfPayload | FrankaPayload | UrPayload | str, info: ValidationInfo
 ) -> PayloadSpec:
     if isinstance(value, PayloadSpec):
         return value
+    if isinstance(value, str):
+        moment = UNKNOWN_MASS_GUESS * UNKNOWN_GYRATION
+        return PayloadSpec(
+            mass=UNKNOWN_MASS_GUESS,
+            center_of_mass=(0.0, 0.0, 0.0),
+            inertia=InertiaSpec(xx=moment, yy=moment, zz=moment),
+            uncertainty=UNKNOWN_UNCERTAINTY,
+        )
     body = value.body((info.context or {}).get("folder", Path()))
     try:
         return PayloadSpec.model_validate({**body, "uncertainty": value.uncertainty})
@@ -203,7 +223,8 @@ else:
         Annotated[PayloadSpec, Tag("<body>")]
         | Annotated[UrdfPayload, Tag("<urdf>")]
         | Annotated[FrankaPayload, Tag("<franka>")]
-        | Annotated[UrPayload, Tag("<ur>")],
+        | Annotated[UrPayload, Tag("<ur>")]
+        | Annotated[Literal["unknown"], Word],
         Discriminator(_source),
         AfterValidator(_at_sensor),
     ]

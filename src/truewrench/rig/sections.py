@@ -225,6 +225,16 @@ class UncertaintySpec(Section):
     inertia: NonNegative = 1.0e-2  # of I_ij, relative to sqrt(I_ii I_jj)
 
 
+UNKNOWN_MASS = 0.5
+"""1 sigma of a payload's mass, relative, from which on it is not known."""
+
+UNKNOWN_GYRATION = 0.005
+"""[m^2] inertia per mass of a body that nobody knows, about each axis (docs/tool.md)."""
+
+UNKNOWN_UNCERTAINTY = UncertaintySpec(mass=1.5, center_of_mass=0.15, inertia=1.13)
+"""1 sigma of log mass; [m]; of two second moments per mass, 0.004 m^2 each, over `UNKNOWN_GYRATION`."""
+
+
 class PayloadSpec(Section):
     """Everything beyond the sensing element, as one rigid body."""
 
@@ -258,6 +268,11 @@ class PayloadSpec(Section):
         """(3, 3) inertia about the centre of mass, sensor axes [kg m^2]."""
         i = self.inertia
         return np.array([[i.xx, i.xy, i.xz], [i.xy, i.yy, i.yz], [i.xz, i.yz, i.zz]])
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the mass is so uncertain that the data are to tell the body."""
+        return self.uncertainty.mass >= UNKNOWN_MASS
 
     @property
     def exact(self) -> bool:

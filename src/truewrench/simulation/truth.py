@@ -151,6 +151,8 @@ def begin(rig: Rig, payload: str | None, seed: int | None) -> tuple[str, Truth]:
     name = next(iter(rig.payloads)) if payload is None else payload
     if name not in rig.payloads:
         raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
+    if rig.payloads[name].unknown:
+        raise InputError.at(rig.path, f"payloads.{name}", "an unknown body", "one that is known, to simulate")
     return name, draw_truth(rig, rig.simulate.seed if seed is None else seed)
 
 
@@ -246,7 +248,8 @@ def draw_truth(rig: Rig, seed: int) -> Truth:
         offset = np.zeros(sensor.n)
     draw = options.payload == "random"
     payloads = {
-        name: _draw_payload(spec, rng) if draw else stated(spec) for name, spec in rig.payloads.items()
+        name: _draw_payload(spec, rng) if draw and not spec.unknown else stated(spec)
+        for name, spec in rig.payloads.items()
     }
     time_offset = options.time_offset
     if time_offset == "random":

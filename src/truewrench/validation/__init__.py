@@ -161,6 +161,10 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
         raise InputError.at(None, "", "no log", "at least one")
     _check_same_sensor(calibration, rig)
     rig.check_motion("by which a calibration is validated")
+    for log in records:
+        if rig.payloads[log.payload].unknown:
+            expected = "a known payload, by which the gains are compared"
+            raise InputError.at(rig.path, f"payloads.{log.payload}", "an unknown body", expected)
     records = uncompensated(rig, tracked(rig, records))
     parts = [residuals(calibration, rig, log) for log in records]
     tared = is_tared(rig)
