@@ -6,7 +6,10 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -149,20 +152,84 @@ def test_every_exported_inertia_is_physical(target: str, tmp_path: Path) -> None
     assert principal[0] + principal[1] >= principal[2] * (1.0 - 1e-6)
 
 
-def test_ros_files_hold_what_the_sensor_feels(tmp_path: Path) -> None:
-    tool = a_mounted_tool(housing=False)
-    files = {
-        path.name: yaml.safe_load(path.read_text()) for path in write_tool_exports(tool, ["ros"], tmp_path)
-    }
-    admittance = files["admittance_controller.yaml"]["admittance_controller"]["ros__parameters"]
-    assert admittance["gravity_compensation"]["CoG"]["force"] == pytest.approx(tool.mass * 9.81)
-    assert admittance["gravity_compensation"]["CoG"]["pos"] == pytest.approx(tool.center_of_mass.tolist())
-    toolbox = files["gravity_compensation_filter.yaml"]["filter"]["params"]["tool"]
-    field = [toolbox["gravity_field"][axis] for axis in "xyz"]
+def ros_files(tool: Tool, folder: Path) -> dict[str, Any]:
+    return {path.name: yaml.safe_load(path.read_text()) for path in write_tool_exports(tool, ["ros"], folder)}
+
+
+@pytest.mark.parametrize("housing", [False, True])
+def test_ros_files_hold_the_same_body_at_the_flange(housing: bool, tmp_path: Path) -> None:
+    tool = a_mounted_tool(housing=housing)
+    files = ros_files(tool, tmp_path)
+    mass = sum(part[0] for part in stated(tool))
+    center = sum(part[0] * part[1] for part in stated(tool)) / mass
+    gravity = files["admittance_controller.yaml"]["admittance_controller"]["ros__parameters"]
+    gravity = gravity["gravity_compensation"]
+    toolbox = files["gravity_compensation_filter.yaml"]["filter"]["params"]
+    simple, ft = files["ft_tools.yaml"], files["force_torque_tools.yaml"]
+    assert gravity["frame"]["id"] == toolbox["sensor_frame"] == ft["gripper_com_frame_id"] == "flange"
+    for found in (
+        gravity["CoG"]["pos"],
+        [toolbox["tool"]["CoG"][axis] for axis in "xyz"],
+        simple["sensor_frame_to_com"],
+        ft["gripper_com_pose"][:3],
+    ):
+        np.testing.assert_allclose(found, center, rtol=1e-9)
+    assert gravity["CoG"]["force"] == pytest.approx(mass * 9.81)
+    field = [toolbox["tool"]["gravity_field"][axis] for axis in "xyz"]
     np.testing.assert_allclose(field, tool.gravity)
-    assert toolbox["mass"] == pytest.approx(tool.mass)
-    assert files["ft_tools.yaml"]["force_offset"] == pytest.approx(tool.offset[:3].tolist())
-    assert files["force_torque_tools.yaml"]["gripper_mass"] == pytest.approx(tool.mass)
+    assert toolbox["tool"]["mass"] == simple["mass"] == ft["gripper_mass"] == pytest.approx(mass)
+    assert ft["bias"] == pytest.approx(tool.offset.tolist())
+    text = (tmp_path / "tool_ros" / "ft_tools.yaml").read_text()
+    assert ("does not feel its housing" in text) == housing
+
+
+def test_nothing_is_left_of_weight_and_offset_at_the_flange(
+    tmp_path: Path,
+) -> None:
+    """A reading at rest, moved to the flange by SciPy and the moment of its force, less what ft_tools says."""
+    tool = a_mounted_tool(housing=False)
+    found = ros_files(tool, tmp_path)["ft_tools.yaml"]
+    R = Rotation.from_euler("xyz", FLANGE[3:])
+    for fall in 9.81 * Rotation.random(5, random_state=0).as_matrix()[:, 2]:
+        own = (
+            np.concatenate([tool.mass * fall, np.cross(tool.center_of_mass, tool.mass * fall)]) + tool.offset
+        )
+        force = R.apply(own[:3])
+        moment = R.apply(own[3:]) + np.cross(FLANGE[:3], force)
+        weight = found["mass"] * R.apply(fall)
+        left = force - found["force_offset"] - weight
+        turned = moment - found["torque_offset"] - np.cross(found["sensor_frame_to_com"], weight)
+        np.testing.assert_allclose(np.concatenate([left, turned]), 0.0, atol=1e-9)
+
+
+def test_without_a_flange_ros_files_are_in_the_sensors_frame(tmp_path: Path) -> None:
+    tool = replace(a_mounted_tool(housing=False), flange=np.zeros(6))
+    files = ros_files(tool, tmp_path)
+    gravity = files["admittance_controller.yaml"]["admittance_controller"]["ros__parameters"]
+    assert (
+        gravity["gravity_compensation"]["frame"]["id"] == gravity["ft_sensor"]["frame"]["id"] == "ft_sensor"
+    )
+    assert files["ft_tools.yaml"]["sensor_frame_to_com"] == pytest.approx(tool.center_of_mass.tolist())
+    assert files["ft_tools.yaml"]["torque_offset"] == pytest.approx(tool.offset[3:].tolist())
+
+
+def test_mujoco_reads_the_body_that_pinocchio_reads(tmp_path: Path) -> None:
+    """On a joint of a mount: MuJoCo welds a link without one to the world, and forgets its mass."""
+    tool = a_mounted_tool()
+    write_tool_exports(tool, ["urdf"], tmp_path)
+    mass, center, inertia = read_urdf(tmp_path)
+    robot = ElementTree.fromstring((tmp_path / "tool.urdf").read_text())
+    ElementTree.SubElement(robot, "link", name="mount")
+    joint = ElementTree.SubElement(robot, "joint", name="turn", type="continuous")
+    ElementTree.SubElement(joint, "parent", link="mount")
+    ElementTree.SubElement(joint, "child", link="tool")
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(robot, encoding="unicode"))
+    assert model.nbody == 2
+    x, y, z, w = np.roll(model.body_iquat[1], -1)
+    R = Rotation.from_quat([x, y, z, w]).as_matrix()
+    assert model.body_mass[1] == pytest.approx(mass, rel=1e-9)
+    np.testing.assert_allclose(model.body_ipos[1], center, atol=1e-9)
+    np.testing.assert_allclose(R @ np.diag(model.body_inertia[1]) @ R.T, inertia, atol=1e-9)
 
 
 def test_an_unknown_target_is_refused_before_anything_is_written(tmp_path: Path) -> None:

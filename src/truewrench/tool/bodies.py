@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from truewrench.motion.spatial import cross_matrix
-from truewrench.tool.parameters import symmetric
+from truewrench.tool.parameters import channel_turn, symmetric
 
-__all__ = ["flange_body", "joined", "nearest_physical", "total_body", "weight"]
+__all__ = ["flange_body", "flange_wrench", "joined", "nearest_physical", "total_body", "weight"]
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,12 @@ def flange_body(center: Array, inertia: Array, flange: Array) -> tuple[Array, Ar
         inertia: (3, 3) about it [kg m^2].
         flange: (6,) x, y, z, roll, pitch, yaw of the sensor frame on the flange [m, rad]; fixed axes.
     """
-    from truewrench.tool.parameters import channel_turn
-
     R = channel_turn(flange[3:])[0].T
     return flange[:3] + R @ center, R @ inertia @ R.T
+
+
+def flange_wrench(wrench: Array, flange: Array) -> Array:
+    """(6,) at the flange's origin, along its axes, of a wrench (6,) at the sensor's; `flange` as above."""
+    R = channel_turn(flange[3:])[0].T
+    force, moment = R @ wrench[:3], R @ wrench[3:]
+    return np.concatenate([force, moment + np.cross(flange[:3], force)])

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from truewrench.errors import InputError
 from truewrench.files import atomic_output
-from truewrench.tool.bodies import flange_body
+from truewrench.tool.bodies import flange_body, flange_wrench
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import roll_pitch_yaw
 
@@ -27,6 +27,7 @@ __all__ = ["TARGETS", "write_tool_exports"]
 FloatArray = npt.NDArray[np.float64]
 
 _ASSUMED = "inertia: not determined"
+_FLANGE = "flange"  # name of its frame, where it is not the sensor's
 _UR_LARGEST = 133.0  # kg m^2: what the controller takes of any element
 
 
@@ -185,18 +186,21 @@ def _kuka(tool: Tool, held: _Held) -> list[tuple[str, str]]:
 
 
 def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
-    """What compensates gravity on the wrench: the body that the sensor feels, sensor axes, no housing."""
+    """What compensates gravity on a wrench at the flange, along its axes: the same body as everywhere."""
     robot = tool.rig.motion.robot
-    frame = robot.sensor_frame if robot else "ft_sensor"
+    sensor = robot.sensor_frame if robot else "ft_sensor"
+    frame = _FLANGE if np.any(tool.flange) else sensor
     size = float(np.linalg.norm(tool.gravity))
-    mass, center = tool.mass, tool.center_of_mass.tolist()
-    if tool.housing[0] == 0.0:
-        mass, center = tool.exported.mass, tool.exported.center_of_mass.tolist()
+    mass, center = held.mass, held.center.tolist()
     feels = tool.rig.sensor.feels
-    head = [
-        *(word for word in held.words if not word.startswith(("Flange", "With"))),
-        "Sensor axes, without the sensor's housing: what the sensor feels.",
-    ]
+    head = [*held.words]
+    if frame == _FLANGE:
+        head.append(
+            f"For a wrench at the flange, along its axes (frame `{_FLANGE}`: rename it to yours); without "
+            "--flange this file is for the sensor's own."
+        )
+    if tool.housing[0] > 0.0:
+        head.append("The sensor does not feel its housing: for its own wrench leave --housing out.")
 
     def document(content: object, *more: str) -> str:
         comment = "".join(f"# {line}\n" for line in (*head, *more))
@@ -205,7 +209,7 @@ def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
     admittance = {
         "admittance_controller": {
             "ros__parameters": {
-                "ft_sensor": {"frame": {"id": frame}},
+                "ft_sensor": {"frame": {"id": sensor}},
                 "fixed_world_frame": {"frame": {"id": "world"}},
                 "gravity_compensation": {
                     "frame": {"id": frame},
@@ -229,12 +233,8 @@ def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
         }
     }
     offset = [float(value) for value in tool.offset]
-    ft_tools = {
-        "mass": mass,
-        "sensor_frame_to_com": center,
-        "force_offset": offset[:3],
-        "torque_offset": offset[3:6],
-    }
+    force, torque = flange_wrench(tool.offset[:6], tool.flange).reshape(2, 3).tolist()
+    ft_tools = {"mass": mass, "sensor_frame_to_com": center, "force_offset": force, "torque_offset": torque}
     ft_calib = {
         "bias": offset[:6],
         "gripper_com_child_frame_id": "gripper_com",
@@ -257,7 +257,7 @@ def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
         ),
         ("gravity_compensation_filter.yaml", document(toolbox, "Knows neither offset nor inertia.")),
     ]
-    if tool.n == 6:  # an offset in units of the wrench is all that these know
+    if tool.n == 6:  # an offset in units of the wrench is all that these know; `bias` is the sensor's own
         weight = "Subtracts offset and [m g; c x m g]: for payload_on_sensor."
         files += [
             ("ft_tools.yaml", document(ft_tools, weight, f"This sensor: {feels}.")),
