@@ -186,7 +186,7 @@ def test_ros_files_hold_the_same_body_at_the_flange(housing: bool, tmp_path: Pat
 def test_nothing_is_left_of_weight_and_offset_at_the_flange(
     tmp_path: Path,
 ) -> None:
-    """A reading at rest, moved to the flange by SciPy and the moment of its force, less what ft_tools says."""
+    """A reading at rest, moved to the flange by SciPy, less what ft_tools says."""
     tool = a_mounted_tool(housing=False)
     found = ros_files(tool, tmp_path)["ft_tools.yaml"]
     R = Rotation.from_euler("xyz", FLANGE[3:])

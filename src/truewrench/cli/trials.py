@@ -16,6 +16,7 @@ from truewrench.cli.common import (
     check_folder,
     progress_bar,
 )
+from truewrench.errors import InputError
 
 __all__ = ["campaign", "demo"]
 
@@ -25,14 +26,23 @@ def demo(
     arm: Annotated[
         str | None, typer.Option(metavar="ROBOT", help="A packaged arm, or a rig: plan, MuJoCo, calibrate.")
     ] = None,
+    tool: Annotated[
+        bool, typer.Option("--tool", help="An unknown gripper: poses, identification, a press.")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of gain and noise.")] = 0,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
-    """Run the case of the paper, or a whole arm, from motion to pictures."""
+    """Run the case of the paper, a whole arm, or an unknown gripper, from motion to pictures."""
     check_folder(output)
+    if tool and arm is not None:
+        raise InputError.at(None, "--tool", "--arm beside it", "one of them: the gripper is on a Panda")
     with progress_bar() as update:
-        if arm is not None:
+        if tool:
+            from truewrench.demo.tool import run_tool
+
+            result = run_tool(output, seed=seed, progress=update)
+        elif arm is not None:
             from truewrench.demo.arm import run_arm
 
             result = run_arm(arm, output, seed=seed, progress=update)
