@@ -23,9 +23,11 @@ from truewrench.validation.comparison import Comparison
 
 __all__ = [
     "compare_known_wrench",
+    "improvement_by_axis",
     "judge_known_wrench",
     "known_wrench_figures",
     "known_wrench_reports",
+    "worse_on_rows",
     "wrench_is_known",
 ]
 
@@ -172,14 +174,18 @@ def compare_known_wrench(
     squares = np.concatenate(old) ** 2, np.concatenate(new) ** 2
     if not np.isfinite(squares).all():
         return Comparison({}, (), figures)
-    improvement = _by_axis(*squares, np.concatenate(block_of), held_out)
-    worse = [
+    improvement = improvement_by_axis(*squares, np.concatenate(block_of), held_out)
+    return Comparison(improvement, worse_on_rows(improvement) if held_out else (), figures)
+
+
+def worse_on_rows(improvement: Mapping[str, AxisImprovement]) -> tuple[str, ...]:
+    """Axes on which rows that were held out speak for the nominal gain, in words."""
+    return tuple(
         f"on rows that were held out, {name} is worse than with the nominal gain: an error of {axis.new:.3g} "
         f"instead of {axis.nominal:.3g}"
         for name, axis in improvement.items()
-        if held_out and axis.better is False
-    ]
-    return Comparison(improvement, tuple(worse), figures)
+        if axis.better is False
+    )
 
 
 def known_wrench_figures(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate) -> dict[str, Any]:
@@ -277,7 +283,7 @@ def _errors(
     return before[out], (raw - fitted.offsets[k]) @ inverse.T - log.reference[out]
 
 
-def _by_axis(
+def improvement_by_axis(
     old: Array, new: Array, blocks: NDArray[np.int64], held_out: bool
 ) -> Mapping[str, AxisImprovement]:
     """Squared errors (M, 6) compared per axis; the scatter between blocks says what chance alone does."""

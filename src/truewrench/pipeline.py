@@ -34,6 +34,7 @@ from truewrench.known_wrench import (
 )
 from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.still_poses import compare_still, estimate_still, judge_still, only_still, still_reports
 from truewrench.unknown_bodies import (
     known_logs,
     known_payload,
@@ -106,6 +107,8 @@ def calibrate(
     rig.check_motion("or reference wrenches in the log")
     _check_motion(rig, estimator)
     _check_bodies(rig, records, estimator)
+    if estimator == "map" and only_still(rig, records):
+        return _from_still_poses(rig, records, held_out, report, show)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
         return _from_motion(rig, records, estimator, threads, held_out, report, show)
@@ -246,6 +249,43 @@ def _from_known_wrench(
             **figures,
             "held_out": compared.figures,
             "notes": notes,
+        },
+        timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
+    )
+
+
+def _from_still_poses(
+    rig: Rig, logs: Sequence[Log], held_out: bool, report: Progress, show: Show
+) -> Calibration:
+    report("estimating (static poses)", None)
+    clock = [time.perf_counter()]
+    found = estimate_still(rig, logs)
+    estimate = found.estimate
+    clock.append(time.perf_counter())
+    report("comparing", None)
+    compared = compare_still(rig, logs, found, held_out)
+    clock.append(time.perf_counter())
+    judgement = judge_still(rig, logs, found, compared)
+    clock.append(time.perf_counter())
+    show(Evidence(tuple(logs), estimate))
+    provisional = assemble_motion(rig, logs, "map", estimate, judgement.verdict)
+    return replace(
+        provisional,
+        logs=tuple(still_reports(logs, found)),
+        time_offset_std=rig.sensor.time_offset_prior,  # at rest nothing tells it
+        axes=judgement.axes,
+        improvement=compared.improvement,
+        figures={
+            "poses": len(found.poses),
+            "chi_square": {name: s.chi_square for name, s in found.solutions.items()},
+            "offset_walk": {name: s.rate for name, s in found.solutions.items()},
+            "pose_repeatability": {name: s.repeatability for name, s in found.solutions.items()},
+            "held_out": compared.figures,
+            "notes": [
+                *_log_notes(logs),
+                *judgement.notes,
+                *notes_on_bodies(rig, logs, estimate.payloads),
+            ],
         },
         timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
     )

@@ -24,6 +24,7 @@ FLOORS = [
     {"apply", "inspection", "judging"},
     {"assembly", "evidence", "simulation", "tool", "validation"},
     {"contact", "known_wrench", "planning", "summary", "unknown_bodies"},
+    {"still_poses"},
     {"pipeline", "report"},
     {"campaign", "stream"},
     {"demo"},

@@ -20,7 +20,7 @@ from truewrench.tool.parts import ToolVerdict, Unknown
 from truewrench.tool.setup import mistakes, mistakes_of_motion
 from truewrench.tool.solve import REPEATABILITY, WALK, Solution
 
-__all__ = ["Judged", "judge"]
+__all__ = ["WORST_WALK", "Judged", "judge", "misfit_of_poses"]
 
 Array = NDArray[np.float64]
 
@@ -149,7 +149,7 @@ def _reasons(
             f"The gains would have to be {figures['gain_worst']:.0f} of their stated sigma away: sign, "
             "axes or units of the log are not as stated."
         )
-    reasons += [*_of_poses(solution, figures), *_of_motion(motion)]
+    reasons += [*misfit_of_poses(solution, figures), *_of_motion(motion)]
     if reasons or figures["offset_walk_over_start"] > SUSPECT_WALK:
         named = mistakes(rig, poses, solution.problem.prior.gain_std)
         if not named and motion is not None:
@@ -194,7 +194,7 @@ def _of_motion(motion: MotionFit | None) -> list[str]:
     return out
 
 
-def _of_poses(solution: Solution, figures: Mapping[str, Any]) -> list[str]:
+def misfit_of_poses(solution: Solution, figures: Mapping[str, Any]) -> list[str]:
     """Whether the poses fit the model: all of them, or all but one or two that something touched."""
     poses, n = solution.problem.poses, solution.problem.vector.n
     if not len(poses):

@@ -15,7 +15,7 @@ from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.temperature import temperature_at
 
-__all__ = ["Poses", "Split", "split_poses"]
+__all__ = ["Poses", "Split", "split_poses", "stands_still"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -23,6 +23,7 @@ Rows = NDArray[np.int64]
 APART = 0.3  # [s] from both neighbours: a row by itself
 SETTLE = 1.0  # [s] of a dwell that is left out: what the motion before it leaves
 DWELL = 1.5  # [s] at least, settling included
+SHORT = 0.5  # [s] of a dwell that begins with the log or after a gap, at least
 STILL = 5.0  # sigma of the motion's noise, and
 CREEP = 1e-3  # [m/s, rad/s] that is no motion; tolerance
 MOVING = 2.0  # [s] of motion that are worth an estimate of their own
@@ -95,18 +96,29 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     return Split(joined, tuple(moving), tuple(int(log.time_ns[-1]) for log in logs))
 
 
-def _split(rig: Rig, k: int, log: Log) -> tuple[Poses, Log | None]:
+def stands_still(rig: Rig, log: Log) -> bool:
+    """Whether a log is static poses, `FEWEST` and more, and no motion."""
+    alone, dwells, _, seconds = _pieces(rig, log)
+    return seconds < MOVING and len(alone) + len(dwells) >= FEWEST
+
+
+def _pieces(rig: Rig, log: Log) -> tuple[list[Rows], list[Rows], NDArray[np.bool_], float]:
+    """Poses that are rows, dwells, rows that are read and not alone, and seconds of motion."""
     time, sensed = log.time, np.isfinite(log.raw).all(axis=1)
     gap = np.diff(time[sensed])
     alone = np.zeros(len(time), dtype=bool)
     alone[sensed] = np.append(np.inf, gap) >= APART
     alone[sensed] &= np.append(gap, np.inf) >= APART
     still = _still(rig, log)
-    pieces = [np.array([row]) for row in np.flatnonzero(alone & still)]
-    dwells = _dwells(time, sensed & ~alone & still, sensed & ~alone)
     rest = sensed & ~alone
     moves = rest & ~still
     seconds = float(np.sum(np.minimum(np.diff(time), APART)[moves[1:]])) if len(time) > 1 else 0.0
+    pieces = [np.array([row]) for row in np.flatnonzero(alone & still)]
+    return pieces, _dwells(time, rest & still, rest), rest, seconds
+
+
+def _split(rig: Rig, k: int, log: Log) -> tuple[Poses, Log | None]:
+    pieces, dwells, rest, seconds = _pieces(rig, log)
     if seconds < MOVING or len(dwells) >= FEWEST:
         pieces += dwells
     else:
@@ -160,10 +172,16 @@ def _dwells(time: Array, still: NDArray[np.bool_], known: NDArray[np.bool_]) -> 
     quiet = still[rows]
     cut = (np.diff(time[rows]) >= APART) | (quiet[1:] != quiet[:-1])
     pieces = np.split(rows, np.flatnonzero(cut) + 1)
+    begins = {int(rows[0]), *rows[1:][np.diff(time[rows]) >= APART].tolist()}  # after nothing, or a gap
     out = []
     for piece in pieces:
-        if still[piece[0]] and time[piece[-1]] - time[piece[0]] >= DWELL - 1e-9:
+        if not still[piece[0]]:
+            continue
+        lasts = time[piece[-1]] - time[piece[0]]
+        if lasts >= DWELL - 1e-9:
             out.append(piece[time[piece] >= time[piece[0]] + SETTLE])
+        elif lasts >= SHORT and piece[0] in begins:  # logged at rest alone: nothing settles in it
+            out.append(piece)
     return out
 
 

@@ -16,7 +16,7 @@ from truewrench.rig.tool_rig import TILT_PRIOR, UNKNOWN, tool_rig
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import Layout
 
-__all__ = ["MOUNTING_PRIOR", "Prior", "make_prior", "settings_of", "widening", "with_known_wrenches"]
+__all__ = ["MOUNTING_PRIOR", "S_STD", "Prior", "make_prior", "settings_of", "widening", "with_known_wrenches"]
 
 Array = NDArray[np.float64]
 
