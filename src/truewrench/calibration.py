@@ -26,6 +26,7 @@ from truewrench.errors import InputError
 from truewrench.files import read_yaml, write_yaml
 from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.rig.elsewhere import within
 from truewrench.rig.fields import Fields
 
 __all__ = [
@@ -167,7 +168,8 @@ class Calibration:
 
     def write_yaml(self, path: str | Path) -> None:
         """Write `calibration.yaml`, every number to its last bit; the file appears whole or not at all."""
-        write_yaml(path, self.to_mapping())
+        mapping = self.to_mapping()
+        write_yaml(path, mapping | {"rig": within(mapping["rig"], self.rig, path)})
 
     def to_mapping(self) -> dict[str, Any]:
         """Numbers, arrays and texts by the keys of `calibration.yaml`."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from truewrench.errors import InputError
 from truewrench.files import read_yaml, write_yaml
 from truewrench.rig import Rig
+from truewrench.rig.elsewhere import within
 from truewrench.rig.fields import Fields
 from truewrench.rig.tool_rig import tool_rig
 from truewrench.tool.parameters import (
@@ -155,7 +156,8 @@ class Tool:
 
     def write_yaml(self, path: str | Path) -> None:
         """Write `tool.yaml`, every number to its last bit; the file appears whole or not at all."""
-        write_yaml(path, self.to_mapping())
+        mapping = self.to_mapping()
+        write_yaml(path, mapping | {"rig": within(mapping["rig"], self.rig, path)})
 
     def to_mapping(self) -> dict[str, Any]:
         """Numbers, arrays and texts by the keys of `tool.yaml`."""
