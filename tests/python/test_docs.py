@@ -71,6 +71,8 @@ def test_rig_shown_in_the_readme_is_the_example() -> None:
 # Benchmarks take hours, and the tools of docs/results.md are recordings that are not part of the repository.
 NOT_RUN = re.compile(r"python benchmarks/|truewrench calibrate (tools|static)/")
 
+TUTORIALS = ("tutorial.md", "tool_tutorial.md")  # each runs by itself, below
+
 # The plan of an arm for 20 s at 500 Hz takes a minute: here the same commands get a short motion.
 SHORT = {
     "plan": {"duration": 3, "rate": 15, "harmonics": 2},
@@ -101,7 +103,7 @@ def test_commands_of_the_readme_run_in_order_and_those_of_pages_go_on_from_there
     assert {"fx", "mz", "fx_std", "mz_std"} <= set(header)
     for page in sorted((ROOT / "docs").glob("*.md")):
         for block in fenced(page, "sh"):
-            if page.name != "tutorial.md" and not NOT_RUN.match(block):
+            if page.name not in TUTORIALS and not NOT_RUN.match(block):
                 assert run(block, tmp_path) == 0, f"{page.name}: {block}"
 
 
@@ -116,6 +118,20 @@ def test_commands_of_the_tutorial_run_in_order_with_a_short_motion(tmp_path: Pat
     for block in rest:
         run(block, tmp_path)  # status 3 does, too: a short motion tells less, and the verdict says so
     assert len((tmp_path / "corrected.csv").read_text().splitlines()) > 100
+
+
+def test_commands_of_the_tutorial_of_a_tool_run_in_order_and_end_as_it_says(tmp_path: Path) -> None:
+    page = ROOT / "docs" / "tool_tutorial.md"
+    for block in fenced(page, "sh"):
+        assert run(block.replace("--poses 8", "--poses 6 --dwell 2"), tmp_path) == 0, block
+    tool = yaml.safe_load((tmp_path / "tool" / "tool.yaml").read_text())
+    assert tool["mass"] == pytest.approx(1.37, abs=0.01)
+    assert (
+        f"set_target_payload({tool['exported']['mass']:.9g}, "
+        in (tmp_path / "tool/tool_ur.script").read_text()
+    )
+    assert (tmp_path / "contact.png").stat().st_size > 10_000
+    assert len(page.read_text().split()) < 900
 
 
 def test_commands_of_benchmarks_are_understood_by_their_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
