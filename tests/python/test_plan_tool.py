@@ -27,6 +27,7 @@ from truewrench.planning.tool.collisions import collisions_of
 from truewrench.planning.tool.directions import abba, spread, spread_among
 from truewrench.planning.tool.plan import ToolPlan, plan_tool
 from truewrench.rig import Rig, load_rig
+from truewrench.rig.tool_rig import tool_rig
 from truewrench.simulation.arm import simulate_plan
 from truewrench.tool.identify import identify_tool
 from truewrench.tool.parameters import ELEMENTS, channel_turn
@@ -346,6 +347,39 @@ def test_an_imu_is_refused() -> None:
 def test_a_home_that_is_not_allowed_is_named() -> None:
     with pytest.raises(InputError, match=r"motion\.initial_position: .*nothing touches"):
         plan_tool(an_arm(limits={"workspace": [[0.2, 0.75], [0.3, 0.5], [0.2, 0.9]]}))
+
+
+TWO_JOINTS = """<robot name="r"><link name="base"/><link name="a"/><link name="b"/><link name="ft"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="a"/>
+<origin xyz="0 0 0.4"/><axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="50"/></joint>
+<joint name="j2" type="continuous"><parent link="a"/><child link="b"/>
+<origin xyz="0.3 0 0"/><axis xyz="{}"/></joint>
+<joint name="j3" type="fixed"><parent link="b"/><child link="ft"/><origin xyz="0.3 0 0"/></joint></robot>"""
+
+
+def two_joints(folder: Path, second_axis: str) -> Rig:
+    (folder / "arm.urdf").write_text(TWO_JOINTS.format(second_axis))
+    robot = {"urdf": "arm.urdf", "sensor_frame": "ft"}
+    motion = {"source": "joints", "noise": [1e-3] * 2, "position_noise": [1e-4] * 2, "robot": robot}
+    return tool_rig(a_rig(motion=motion), folder / "rig.yaml")
+
+
+def test_what_is_reached_may_be_a_circle_and_no_cone(tmp_path: Path) -> None:
+    """A wrist that only rolls: gravity goes around in one plane, and poses are spread over the circle."""
+    plan = plan_tool(two_joints(tmp_path, "1 0 0"))
+    assert plan.half_angle == 0.0
+    assert len(plan.fall) == 12
+    np.testing.assert_allclose(plan.fall[:, 0], 0.0, atol=1e-9)
+    turn = np.sort(np.arctan2(plan.fall[:, 2], plan.fall[:, 1]))
+    assert np.degrees(np.diff(np.append(turn, turn[0] + 2.0 * np.pi)).max()) < 65.0
+    assert plan.feasible, plan.violations
+
+
+def test_an_arm_that_cannot_tilt_is_told_so(tmp_path: Path) -> None:
+    plan = plan_tool(two_joints(tmp_path, "0 0 1"))
+    assert not plan.feasible
+    assert "show 1 directions of gravity" in plan.violations[0]
+    assert "stays within 0 deg of one direction" in " ".join(plan.notes)
 
 
 # A box for the last link, and one on the root in the way of a pose.

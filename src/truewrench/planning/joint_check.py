@@ -44,13 +44,16 @@ def check_joints(
     origins = _origins(robot, q)
     distance = np.column_stack(
         [
-            np.linalg.norm(
-                (moved.p_root_sensor if outer == "sensor" else mass_at)
-                - (1.0 - share) * origins[:, link]
-                - share * origins[:, link + 1],
-                axis=1,
-            )
-            for outer, _, link, share in near_pairs(robot)
+            np.empty((time.size, 0)),  # an arm of four joints has no pair
+            *(
+                np.linalg.norm(
+                    (moved.p_root_sensor if outer == "sensor" else mass_at)
+                    - (1.0 - share) * origins[:, link]
+                    - share * origins[:, link + 1],
+                    axis=1,
+                )
+                for outer, _, link, share in near_pairs(robot)
+            ),
         ]
     )
     usage = [

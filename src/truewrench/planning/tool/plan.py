@@ -135,9 +135,15 @@ class ToolPlan:
         notes = list(self.design.notes)
         if self.kind == "poses":
             notes.append("poses do not tell the inertia: `--motion` plans what does")
-            if 0.0 < self.half_angle < NARROW:
+            middle = self.fall.mean(axis=0) if len(self.fall) else np.zeros(3)
+            cone = float(
+                np.arccos(np.clip(self.fall @ middle / max(np.linalg.norm(middle), 1e-9), -1, 1)).max(
+                    initial=0.0
+                )
+            )
+            if cone < NARROW:
                 notes.append(
-                    f"gravity stays within {np.degrees(self.half_angle):.0f} deg of one direction: weight "
+                    f"gravity stays within {np.degrees(cone):.0f} deg of one direction: weight "
                     "and offset along it are hardly separated"
                 )
         return tuple(notes)

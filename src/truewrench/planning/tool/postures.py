@@ -27,6 +27,7 @@ _WITHIN = np.radians(12.0)  # of a direction: a sample there says that it can be
 _GRID = 24  # directions of a ring that is looked at
 _COVERED = 0.95  # of a ring that is reached
 _RING = np.radians(2.5)  # between rings
+_FIRST_RING = np.radians(10.0)  # what is narrower is filled from the farthest on
 _ALIGNED = np.radians(2.0)  # of a direction: a posture that shows it
 _STEPS = 30
 _KEPT = 8  # postures of one direction
@@ -61,8 +62,9 @@ class Stand:
         limits = joint_limits(rig, robot)
         stated = rig.motion.initial_position
         if stated is None:
-            middle = 0.5 * (limits.lower + limits.upper)
-            home = np.where(np.isfinite(middle), middle, 0.0)
+            home = np.zeros(robot.n)
+            bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper)
+            home[bounded] = 0.5 * (limits.lower[bounded] + limits.upper[bounded])
         else:
             home = np.array(stated)
         assert rig.urdf_path is not None  # robot_of has read it
@@ -146,16 +148,17 @@ def reach_of(stand: Stand, widest: float, seed: int) -> Reach:
 
 
 def _widest_ring(fall: Array, axis: Array, widest: float) -> float:
-    """Half angle of the widest cone whose rim, all around, is near samples."""
-    best, near = 0.0, np.cos(_WITHIN)
-    for angle in np.arange(_RING, min(widest, np.pi) + 1e-9, _RING):
+    """Half angle of the widest cone that is reached all around at every angle up to its own."""
+    best, away = 0.0, np.arccos(np.clip(fall @ axis, -1.0, 1.0))
+    for angle in np.arange(_FIRST_RING, min(widest, np.pi) + 1e-9, _RING):
+        near = min(_WITHIN, 0.5 * float(angle))
         count = max(4, round(_GRID * float(np.sin(angle)))) if angle > 0.5 * np.pi else _GRID
-        turn = 2.0 * np.pi * np.arange(count) / count
-        rim = _rim(axis, float(angle), turn)
-        # samples on the near side of a narrow ring do not tell that it is reached
-        outside = np.arccos(np.clip(fall @ axis, -1.0, 1.0)) >= angle - _RING
-        if outside.any() and np.mean((rim @ fall[outside].T).max(axis=1) >= near) >= _COVERED:
-            best = float(angle)
+        rim = _rim(axis, float(angle), 2.0 * np.pi * np.arange(count) / count)
+        # samples on the near side of a ring do not tell that it is reached
+        outside = away >= angle - _RING
+        if not outside.any() or np.mean((rim @ fall[outside].T).max(axis=1) >= np.cos(near)) < _COVERED:
+            break
+        best = float(angle)
     return best
 
 
