@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from tool_cases import a_rig
 
 from truewrench import robots
 from truewrench.arm.robot import robot_of
+from truewrench.calibration import Calibration
 from truewrench.cli import main
 from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.plans import read_joint_plan, read_plan
@@ -336,6 +337,20 @@ def test_bad_options_are_2_and_write_nothing(
     assert run("plan", tmp_path / "rig.yaml", *options, "-o", tmp_path / "plan.csv") == 2
     assert words in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
+
+
+def test_a_calibration_in_place_of_its_rig_promises_what_its_covariance_allows(
+    calibration: Calibration,
+) -> None:
+    rig = twists()
+    covariance = calibration.covariance.copy()
+    covariance[:36, :36] *= 0.01
+    calibrated = replace(calibration, rig=rig, covariance=covariance)
+    better, plain = plan_tool(calibrated, poses=6).prediction, plan_tool(rig, poses=6).prediction
+    assert better is not None
+    assert plain is not None
+    assert better.mass_std < 0.5 * plain.mass_std
+    assert better.contact_std[0] < 1.5 * plain.contact_std[0]
 
 
 def test_an_imu_is_refused() -> None:
