@@ -30,6 +30,7 @@ SMALLEST: dict[str, str] = {
     "setup_sweep.py": "--healthy 4 --end-to-end 1",
     "speed.py": "--duration 5 --repeat 1",
     "static_poses.py": "",
+    "tool_setup.py": "--seeds 1 --healthy 1",
     "tools.py": "--draws 2",
     "unknown_tools.py": "--trials 2",
     "wrench_accuracy.py": "--draws 20",

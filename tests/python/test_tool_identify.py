@@ -233,6 +233,33 @@ def test_degrees_are_bad_input() -> None:
         tw.identify_tool(RIG, replace(swing, twist=np.degrees(swing.twist)))
 
 
+def test_degrees_of_a_slow_motion_are_told_by_the_attitude() -> None:
+    """d/dt g = -Omega x g holds whatever the sensor, and at speeds that radians could have."""
+    swing = swing_log(RIG, MASS, CENTER, INERTIA, seconds=4.0)
+    assert swing.twist is not None
+    slow = replace(swing, time_ns=10 * swing.time_ns, twist=0.1 * swing.twist)
+    turned_by = np.hstack([slow.twist[:, :3], np.degrees(slow.twist[:, 3:])])  # type: ignore[index]
+    with pytest.raises(InputError, match=r"wx wy wz: found 57\.\d times the attitude's rate"):
+        tw.identify_tool(RIG, replace(slow, twist=turned_by))
+
+
+def test_an_attitude_that_stays_while_the_tool_turns_is_bad_input() -> None:
+    swing = swing_log(RIG, MASS, CENTER, INERTIA, seconds=3.0)
+    assert swing.attitude is not None
+    frozen = turned(swing, np.repeat(swing.attitude[:1], len(swing.raw), axis=0))
+    with pytest.raises(InputError, match="a direction of gravity that stays while wx wy wz turn by"):
+        tw.identify_tool(RIG, frozen)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_push_that_a_walk_could_swallow_is_a_contact(seed: int) -> None:
+    log, _ = pose_log(RIG, MASS, CENTER, poses=12, seed=seed)
+    raw = log.raw.copy()
+    raw[5] += [4.0, -5.0, 8.0, 0.3, 0.2, -0.1]
+    tool = tw.identify_tool(RIG, replace(log, raw=raw))
+    assert "A contact during the poses, or a pose logged wrongly: 40 s" in " ".join(tool.verdict.reasons)
+
+
 @pytest.mark.parametrize(
     ("known", "words"),
     [

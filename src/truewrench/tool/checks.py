@@ -19,6 +19,12 @@ KNOWN = ("mass", *(f"center_of_mass.{axis}" for axis in "xyz"), *(f"inertia.{nam
 _OTHER_GRAVITY = 0.02  # of its size: no drift of an accelerometer, but another planet or unit
 _TURNS = 4.0 * np.pi  # [rad] no joint of an arm is beyond
 _FASTEST = 40.0  # [rad/s]
+_NEXT = 0.3  # [s] between rows whose attitudes are compared
+_CLEARLY = 20.0  # times the noise: a turn that differences of rows show
+_FAR = 1.0  # [rad] that gravity's direction should have gone
+_FROZEN = 5e-3  # of the way that its direction should have gone; tolerance
+_DEGREES = np.radians([0.8, 1.25])  # share of -Omega x g that is found where Omega is in degrees; tolerance
+_LIKE = 0.2  # of the squares of the change of g that another unit leaves unexplained; tolerance
 
 
 def check_known(known: Mapping[str, tuple[float, float]]) -> None:
@@ -52,3 +58,33 @@ def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
         fastest = 0.0 if omega is None else float(np.nanmax(np.abs(omega), initial=0.0))
         if fastest > _FASTEST:
             raise InputError.at(log.path, "wx wy wz", f"a turn of {fastest:.4g}", "rad/s (degrees?)")
+        _check_turns(rig, log)
+
+
+def _check_turns(rig: Rig, log: Log) -> None:
+    """Refuse a direction of gravity that does not turn as the logged rate of turn says: d/dt g = -Omega x g.
+
+    The share of -Omega x g that is found in the change of g is 1 whatever the sensor; 0 where the attitude is
+    frozen, 1/57.3 where Omega is in degrees.
+    """
+    if log.twist is None or log.gravity is None or rig.motion.source != "twist":
+        return
+    omega, g, dt = log.twist[:-1, 3:], log.gravity, np.diff(log.time)
+    expected = -np.cross(0.5 * (omega + log.twist[1:, 3:]), 0.5 * (g[1:] + g[:-1])) * dt[:, None]
+    known = np.isfinite(expected).all(axis=1) & (dt < _NEXT)
+    noise = float(np.max(rig.motion.noise_array[3:]))
+    if not known.any() or np.sqrt(np.mean(omega[known] ** 2)) < _CLEARLY * noise:
+        return
+    size = max(float(np.linalg.norm(rig.gravity_array)), 1e-9)
+    change, expected = np.diff(g, axis=0)[known] / size, expected[known] / size
+    path = float(np.linalg.norm(expected, axis=1).sum())
+    if path < _FAR:
+        return
+    if float(np.linalg.norm(change, axis=1).sum()) < _FROZEN * path:
+        found = f"a direction of gravity that stays while wx wy wz turn by {path:.3g} rad"
+        raise InputError.at(log.path, "attitude", found, "the attitude of every row (frozen?)")
+    share = float(np.sum(change * expected) / np.sum(expected**2))
+    left = float(np.sum((change - share * expected) ** 2) / np.sum(change**2))
+    if _DEGREES[0] < share < _DEGREES[1] and left < _LIKE:
+        found = f"{1.0 / share:.3g} times the attitude's rate of turn"
+        raise InputError.at(log.path, "wx wy wz", found, "rad/s (degrees?)")

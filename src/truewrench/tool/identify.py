@@ -20,13 +20,14 @@ from truewrench.rig import Rig
 from truewrench.tool.bodies import joined, nearest_physical, total_body
 from truewrench.tool.checks import check_known, check_logs
 from truewrench.tool.held_out import held_out
-from truewrench.tool.judge import Judged, judge
+from truewrench.tool.judge import Judged, judge, misfit_of_motion
 from truewrench.tool.model import Body, Tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.motion import MotionFit, body_start, motion_information
 from truewrench.tool.parameters import ELEMENTS, channel_turn, inertia_of
 from truewrench.tool.poses import split_poses
 from truewrench.tool.prior import make_prior, settings_of, widening, with_known_wrenches
+from truewrench.tool.setup import mistakes_of_motion
 from truewrench.tool.solve import Solution, solve
 
 __all__ = ["Evidence", "identify_tool"]
@@ -161,6 +162,8 @@ def _solved(
         gain = x[layout.gain].reshape(-1, 6) @ np.kron(np.eye(2), channel_turn(x[layout.mounting])[0])
         sigma = np.sqrt(np.diag(solution.covariance))[: layout.log_mass + 1]
         by = np.abs(moved / sigma)
+        if turn == 0 and misfit_of_motion(motion) and mistakes_of_motion(rig, logs, problem.prior.gain_std):
+            break  # refused by that name: further rounds would take half a minute to fit what cannot be
         if turn > 0 and max(float(np.sqrt(np.mean(by**2))), by[-1]) < _SETTLED:
             break
     if solution is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +17,11 @@ from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit
 from truewrench.tool.parameters import inertia_of, symmetric
 from truewrench.tool.parts import ToolVerdict, Unknown
+from truewrench.tool.poses import Poses
 from truewrench.tool.setup import mistakes, mistakes_of_motion
-from truewrench.tool.solve import REPEATABILITY, WALK, Solution
+from truewrench.tool.solve import REPEATABILITY, WALK, Solution, solve
 
-__all__ = ["WORST_WALK", "Judged", "judge", "misfit_of_poses"]
+__all__ = ["WORST_WALK", "Judged", "judge", "misfit_of_motion", "misfit_of_poses"]
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,9 @@ MASKED = 0.2
 NOISE = 4.0  # found over stated, which people misstate by two
 SLOW = 0.015  # fraction of range: worse than any cable that is guided
 PARTS = 5e-4
+SUSPECTS = 4  # poses, the least likely first, of which one may have been touched
+FEWEST = 8  # poses, of which one can be spared
+CALMER = 0.2  # of the walk's rate: what is left of it without that pose
 OWN = 0.5  # of a variance: what the gain explains of it
 HELD_OUT = 3.0  # squared errors over what was predicted
 
@@ -149,7 +153,7 @@ def _reasons(
             f"The gains would have to be {figures['gain_worst']:.0f} of their stated sigma away: sign, "
             "axes or units of the log are not as stated."
         )
-    reasons += [*misfit_of_poses(solution, figures), *_of_motion(motion)]
+    reasons += [*misfit_of_poses(solution, figures), *misfit_of_motion(motion)]
     if reasons or figures["offset_walk_over_start"] > SUSPECT_WALK:
         named = mistakes(rig, poses, solution.problem.prior.gain_std)
         if not named and motion is not None:
@@ -160,7 +164,9 @@ def _reasons(
             f"No physical body is near what was found (squared distance {figures['physical_distance']:.0f}): "
             "sign, axes, units or the tool's rigidity are not as stated."
         )
-    if figures["offset_walk_over_start"] > WORST_WALK:
+    if figures["offset_walk_over_start"] > WORST_WALK and (alone := _jump(solution)) is not None:
+        reasons.append(_touched(poses, np.array([alone])))
+    elif figures["offset_walk_over_start"] > WORST_WALK:
         reasons.append(
             f"The offset wanders {figures['offset_walk_over_start']:.0f} times as fast as sensors do: drift, "
             "a cable that pulls, or a contact."
@@ -174,7 +180,7 @@ def _reasons(
     return reasons, needed
 
 
-def _of_motion(motion: MotionFit | None) -> list[str]:
+def misfit_of_motion(motion: MotionFit | None) -> list[str]:
     """Whether the motion fits a rigid body: its noise, what is slow in it, and its parts."""
     if motion is None:
         return []
@@ -203,15 +209,31 @@ def misfit_of_poses(solution: Solution, figures: Mapping[str, Any]) -> list[str]
     touched = np.flatnonzero(chi2.sf(solution.pose_chi_square, n) * len(poses) < CHANCE)
     bad = chi2.sf(total, freedom) < CHANCE and figures["chi_square"] > 1.5
     if touched.size and touched.size <= max(1, len(poses) // 6):
-        t0 = poses.time_ns[0]
-        when = ", ".join(f"{(poses.time_ns[k] - t0) * 1e-9:.4g} s" for k in touched)
-        return [f"A contact during the poses, or a pose logged wrongly: {when} after the first."]
+        return [_touched(poses, touched)]
     if bad:
         return [
             f"The poses do not fit a weight (chi-square {figures['chi_square']:.3g} per reading): attitude, "
             "sign, axes or units of the log are not as stated."
         ]
     return []
+
+
+def _touched(poses: Poses, which: NDArray[np.int64]) -> str:
+    when = ", ".join(f"{(poses.time_ns[k] - poses.time_ns[0]) * 1e-9:.4g} s" for k in which)
+    return f"A contact during the poses, or a pose logged wrongly: {when} after the first."
+
+
+def _jump(solution: Solution) -> int | None:
+    """The pose without which the offset hardly walks, None where there is none: a walk swallows one touch."""
+    poses = solution.problem.poses
+    if len(poses) < FEWEST:
+        return None
+    for k in np.argsort(-solution.pose_chi_square)[:SUSPECTS]:
+        kept = poses.of(np.arange(len(poses)) != k)
+        others = solve(replace(solution.problem, poses=kept), solution.x)
+        if others.rate < CALMER * solution.rate:
+            return int(k)
+    return None
 
 
 def _undetermined(
