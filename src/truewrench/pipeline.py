@@ -196,11 +196,13 @@ def _comparisons(
 def _plain(rig: Rig, logs: Sequence[Log]) -> tuple[Array, Array] | None:
     """Gain and its covariance by least squares, which takes no departure for noise; None where it cannot."""
     try:
-        found = least_squares(rig, tracked(rig, logs))
+        # differences of noisy velocities would shrink the gain, which looks like a wrong unit
+        found = least_squares(rig, tracked(rig, logs), "spline")
     except InputError:
         return None
     n = rig.sensor.n
-    return found.gain, found.covariance[: 6 * n, : 6 * n]
+    scatter = np.repeat(np.sqrt(np.maximum(found.chi_square, 1.0)), 6)
+    return found.gain, found.covariance[: 6 * n, : 6 * n] * np.outer(scatter, scatter)
 
 
 def _undisturbed(log: Log, estimate: Estimate, k: int) -> Log:

@@ -374,7 +374,9 @@ def test_least_squares_name_the_units_where_the_estimate_is_lost() -> None:
     exact = 1e-6 * np.eye(36) * np.outer(np.outer(SPAN, 1 / SPAN).ravel(), np.outer(SPAN, 1 / SPAN).ravel())
     plain = 1e3 * departed(11) * SPAN[:, None] / SPAN, exact
     assert setup_errors(estimate, rig, [log], lambda: plain) == ()  # which describes its record
-    lost = replace(estimate, noise=((FoundNoise("force", 300.0),),))
+    noisy = replace(estimate, noise=((FoundNoise("force", 300.0),),))
+    assert setup_errors(noisy, rig, [log], lambda: plain) == ()  # vibration: its gain is known all the same
+    lost = replace(noisy, before_pose=np.diag(estimate.gain_prior**2))
     assert "1000 times too large" in setup_errors(lost, rig, [log], lambda: plain)[0].words
     assert setup_errors(replace(estimate, solved=False), rig, [log], lambda: None) == ()
 

@@ -242,6 +242,7 @@ class Estimator {
       }
       return lower;
     };
+    std::size_t now = 0;
     const auto noisy = [&](std::size_t i) {
       return fits[i] && fits[i]->logs()[0].sizes.raw_factor.maxCoeff() > constants::noise_told;
     };
@@ -250,14 +251,30 @@ class Estimator {
       return fit ? fit->deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
                  : std::numeric_limits<double>::infinity();
     };
-    std::size_t now = 0;
+    // -2 log L of the motion's own rows, noise as found, beside what they have alone at the same knots
+    const auto motion_cost = [&](std::size_t i) {
+      const LogFit &joint = fits[i]->logs()[0], &own = starts[i].logs()[0];
+      double sum = 0.0;
+      for (const Stretch& s : joint.stretches)
+        for (std::size_t m = 0; m < s.motion.size(); ++m)
+          for (int j = 0; j < s.components(); ++j) {
+            const int group = recorded_[l]->motion[m].group[j];
+            sum += 2.0 * std::log(joint.sizes.motion_factor[m][group] / own.sizes.motion_factor[m][group]) *
+                   static_cast<double>(s.motion[m].value.col(j).array().isFinite().count());
+          }
+      return sum;
+    };
+    // finer knots follow what moves: the motion alone asks for them, or its rows agree better with them than before
+    const auto moves = [&](std::size_t i) {
+      return alone[i] < alone[now] || motion_cost(i) < motion_cost(now);
+    };
     fits[0] = fitted(0, false);
     for (;;) {
       for (const std::size_t i : {now + 1, noisy(now) ? now + 2 : now + 1, best_alone})
         if (i > now && i < ladder.size() && fits.find(i) == fits.end()) fits[i] = fitted(i, true);
       std::size_t best = now;
       for (const auto& [i, fit] : fits)
-        if (cost(i) < cost(best)) best = i;
+        if (cost(i) < cost(best) && (i <= now || moves(i))) best = i;
       if (best <= now) break;
       now = best;
     }

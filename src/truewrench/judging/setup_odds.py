@@ -35,6 +35,7 @@ from truewrench.judging.setup_mistakes import (
     scales,
     turns,
 )
+from truewrench.judging.undetermined import undetermined_directions
 from truewrench.log import Log
 from truewrench.rig import Rig
 
@@ -105,19 +106,19 @@ def setup_errors(
     """
     n = rig.sensor.n
     names = [name for name in dict.fromkeys(log.payload for log in logs) if name in rig.payloads]
-    found: tuple[Suspicion, ...] = ()
-    if not _lost(estimate):
+    if not _lost(estimate, rig):
         P = estimate.normalised_covariance[: 6 * n, : 6 * n]
-        found += _of_gain(estimate.gain, P, estimate.before_pose, estimate, rig, names)
+        found = _of_gain(estimate.gain, P, estimate.before_pose, estimate, rig, names)
         for name, departure in estimate.payloads.items():
             if name in rig.payloads:
                 found += payload_errors(name, departure.mean, _stated(rig, name))
-    elif plain is not None and (known := plain()) is not None:
-        gain, covariance = known
-        unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel()
-        P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit) + _payload_unknown(gain, rig, names)
-        found += _of_gain(gain, P, None, estimate, rig, names)
-    return found
+        return found
+    if plain is None or (known := plain()) is None:
+        return ()
+    gain, covariance = known
+    unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel()
+    P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit) + _payload_unknown(gain, rig, names)
+    return _of_gain(gain, P, None, estimate, rig, names)
 
 
 def _of_gain(
@@ -138,10 +139,15 @@ def _of_gain(
     )
 
 
-def _lost(estimate: Estimate) -> bool:
-    """Whether the estimate does not describe the record at all."""
+def _lost(estimate: Estimate, rig: Rig) -> bool:
+    """Whether the record is noise to the estimate, and says nothing of the gain."""
+    if not estimate.solved or estimate.unresolved.any():
+        return True
     factors = [f.factor for of in estimate.noise for f in of if f.what in ("force", "moment", "channels")]
-    return not estimate.solved or bool(estimate.unresolved.any()) or max(factors, default=1.0) > LOST
+    if max(factors, default=1.0) <= LOST:
+        return False
+    unknown = undetermined_directions(estimate.before_pose, estimate.gain_prior, rig.sensor.channels)
+    return len(unknown) == estimate.gain_prior.size
 
 
 def _stated(rig: Rig, name: str) -> Array:
