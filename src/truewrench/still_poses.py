@@ -30,6 +30,7 @@ from truewrench.tool.parameters import Layout, second_moments
 from truewrench.tool.poses import Poses, split_poses, stands_still
 from truewrench.tool.prior import S_STD, Prior
 from truewrench.tool.solve import WALK, Solution, solve
+from truewrench.unknown_bodies import known_logs, scale_unknown
 from truewrench.validation.comparison import Comparison
 
 __all__ = ["StillEstimate", "compare_still", "estimate_still", "judge_still", "only_still", "still_reports"]
@@ -100,7 +101,7 @@ def _solved(
         chosen = np.flatnonzero(np.isin(poses.log, own))
         part = replace(poses.of(chosen), log=np.searchsorted(own, poses.log[chosen]))
         problem = Problem(rig, prior, part, [end_ns[k] for k in own])
-        start = problem.prior_of_all()[0]
+        start = None if rig.payloads[name].unknown else problem.prior_of_all()[0]
         found = solve(problem, start, None if sizes is None else sizes[name])
         found = replace(found, covariance=_bent(found))
         mean, P = found.x[shared], found.covariance[np.ix_(shared, shared)]
@@ -233,7 +234,7 @@ def _updated(found: Solution, at: slice, gain: slice, mean: Array, P_gain: Array
 
 def judge_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: Comparison) -> Judgement:
     """The verdict on what static poses say of the gain: of the one function that decides."""
-    reasons = []
+    known, reasons = known_logs(rig, logs), scale_unknown(rig, logs)
     for name, solution in found.solutions.items():
         figures = {"freedom": solution.freedom, "chi_square": solution.chi_square}
         of = f"payload `{name}`: " if len(found.solutions) > 1 else ""
@@ -255,7 +256,7 @@ def judge_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: C
             improvement=compared.improvement if held_out else {},
             worse=(*reasons, *compared.reasons),
             not_held_out="" if held_out else str(compared.figures.get("none_because", "")),
-            setup=setup_errors(found.estimate, rig, logs),
+            setup=setup_errors(found.estimate, rig, known) if known else (),
         ),
         rig,
         logs,
@@ -298,7 +299,11 @@ def compare_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, held_out:
     for name in found.solutions:
         spec, own = rig.payloads[name], np.array([logs[k].payload == name for k in poses.log])
         fall = poses.R_sensor_root[own] @ rig.gravity_array
-        w[own] = rig.sensor.sign * weight(spec.mass, spec.center_of_mass_array, fall)
+        mass, center = spec.mass, spec.center_of_mass_array
+        if spec.unknown:  # the one that was found, whoever's gain it is held against
+            layout, x = Layout(rig.sensor.n), found.solutions[name].x
+            mass, center = float(np.exp(x[layout.log_mass])), x[layout.center_of_mass]
+        w[own] = rig.sensor.sign * weight(mass, center, fall)
     old = poses.raw @ np.linalg.pinv(rig.sensor.nominal_gain_array).T - w
     new = np.full_like(old, np.nan)
     ends = [int(log.time_ns[-1]) for log in logs]

@@ -176,3 +176,25 @@ def test_a_motion_is_no_pose_and_free_fall_weighs_nothing() -> None:
     settings = deepcopy(settings_of(ONE))
     settings["gravity"] = [0, 0, 0]
     assert not only_still(Rig.from_mapping(settings), logs)
+
+
+def test_an_unknown_body_is_found_beside_known_ones() -> None:
+    truth = Rig.from_mapping(settings_of(SEVERAL))
+    settings = settings_of(SEVERAL)
+    settings["payloads"]["b"] = "unknown"
+    rig = Rig.from_mapping(settings)
+    squares, masses = [], []
+    for seed in range(6):
+        logs, gain = poses(truth, seed)
+        found = estimate_still(rig, logs).estimate
+        d = (found.gain - gain).ravel()
+        squares.append(d @ np.linalg.solve(found.covariance[:36, :36], d))
+        body = found.payloads["b"]
+        masses.append((1.5 * (1.0 + body.mean[0]) - SEVERAL["b"][0]) / (1.5 * body.std[0]))
+    assert sum(squares) < chi2.ppf(1.0 - 1e-4, 36 * 6)
+    assert np.abs(masses).max() < 4.0
+    calibration = tw.calibrate(rig, logs)
+    assert calibration.verdict.usable
+    assert any("unknown payload `b`" in note for note in calibration.figures["notes"])
+    alone = tw.calibrate(rig, logs[1])
+    assert "no log carries a known payload" in alone.verdict.reasons[0]

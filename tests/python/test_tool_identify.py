@@ -147,6 +147,12 @@ def _swapped(log: Log) -> Log:
     return replace(log, raw=log.raw[:, [1, 0, 2, 4, 3, 5]])
 
 
+def _quarter(log: Log) -> Log:
+    """Channels turned by 90 deg about z, which a turn of the mounting explains and no gain shows."""
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return replace(log, raw=log.raw @ np.kron(np.eye(2), turn).T)
+
+
 def _inverse(log: Log) -> Log:
     assert log.attitude is not None
     return turned(log, log.attitude * [1.0, -1.0, -1.0, -1.0])
@@ -278,6 +284,7 @@ def test_statements_that_cannot_be_right_are_bad_input(known: Any, words: str) -
     [
         (_sign, "sign, axes or units of the log are not as stated"),
         (_swapped, "sign, axes or units of the log are not as stated"),
+        (_quarter, "axes"),
         (_subtracted, "a weight already subtracted"),
         (_inverse, "attitudes fit when taken the other way round"),
     ],

@@ -36,6 +36,7 @@ MASKED = 0.2
 NOISE = 4.0  # found over stated, which people misstate by two
 SLOW = 0.015  # fraction of range: worse than any cable that is guided
 PARTS = 5e-4
+HELD = 1e-6  # [rad] 1 sigma of an angle that was held
 SUSPECTS = 4  # poses, the least likely first, of which one may have been touched
 FEWEST = 8  # poses, of which one can be spared
 CALMER = 0.2  # of the walk's rate: what is left of it without that pose
@@ -153,6 +154,7 @@ def _reasons(
             f"The gains would have to be {figures['gain_worst']:.0f} of their stated sigma away: sign, "
             "axes or units of the log are not as stated."
         )
+    reasons += _turns(solution)
     reasons += [*misfit_of_poses(solution, figures), *misfit_of_motion(motion)]
     if reasons or figures["offset_walk_over_start"] > SUSPECT_WALK:
         named = mistakes(rig, poses, solution.problem.prior.gain_std)
@@ -216,6 +218,25 @@ def misfit_of_poses(solution: Solution, figures: Mapping[str, Any]) -> list[str]
             "sign, axes or units of the log are not as stated."
         ]
     return []
+
+
+def _turns(solution: Solution) -> list[str]:
+    """Turns stated as small that came out large: of the channels, whose gains then fit, and of gravity."""
+    layout, out = solution.problem.vector.layout, []
+    for place, words in (
+        (layout.mounting, "The channels would have to be turned by {} deg against the sensor frame: axes"),
+        (layout.tilt, "Gravity would have to be {} deg off its stated direction: attitude, axes"),
+    ):
+        sigma = np.sqrt(np.diag(solution.prior_covariance)[place])
+        if sigma.min() < HELD:
+            continue
+        turn = (solution.x - solution.prior_mean)[place]
+        if chi2.sf(float(np.sum((turn / sigma) ** 2)), turn.size) < CHANCE:
+            said = words.format(f"{np.degrees(np.linalg.norm(turn)):.0f}")
+            out.append(
+                f"{said} or sign of the log are not as stated ({np.abs(turn / sigma).max():.0f} sigma)."
+            )
+    return out
 
 
 def _touched(poses: Poses, which: NDArray[np.int64]) -> str:
