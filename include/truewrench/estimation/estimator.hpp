@@ -255,7 +255,7 @@ class Estimator {
     // more than the one sigma to which it is known. (10.7) alone follows a force that shakes the sensor with a motion that the
     // velocities deny (12 to 40 Hz: NEES 16).
     const auto moves = [&](std::size_t i) {
-      if (alone[i] < alone[now]) return true;
+      if (!fits[now] || alone[i] < alone[now]) return true;
       const LogFit &fine = fits[i]->logs()[0], &coarse = fits[now]->logs()[0];
       double sum = 0.0;
       for (std::size_t m = 0; m < recorded_[l]->motion.size(); ++m)

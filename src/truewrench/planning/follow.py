@@ -98,6 +98,7 @@ def follow_plan(
     if rig.motion.initial_position is None:
         expected = "the joint positions that the motion starts from"
         raise InputError.at(rig.path, "motion.initial_position", "nothing", expected)
+    rig.check_motion("which a motion needs")
     name = next(iter(rig.payloads)) if payload is None else payload
     if name not in rig.payloads:
         raise InputError.at(

@@ -50,6 +50,7 @@ def plan(
         UnsupportedError: for a combination that is not supported.
     """
     started = time.perf_counter()
+    rig.check_motion("which a plan needs")
     name = next(iter(rig.payloads)) if payload is None else payload
     if name not in rig.payloads:
         raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
