@@ -306,6 +306,7 @@ class Incremental {
   bool sweep(long leaving, bool last);
   bool run(int most, bool last);
   Status hop() noexcept;
+  void abandon(Status status) noexcept;
   Status close() noexcept;
   void set_mask(long leaving);
   void depart(long leaving);

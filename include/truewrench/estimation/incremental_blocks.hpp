@@ -22,7 +22,7 @@ inline Status Incremental::advance() noexcept {
   if (!open()) return Status::ok;
   if (standing_) {
     Status out = Status::ok;
-    while (covered() >= lag_.start_of(lag_.end() + 1)) out = worse(out, arrive(false));
+    while (standing_ && covered() >= lag_.start_of(lag_.end() + 1)) out = worse(out, arrive(false));
     return out;
   }
   coarsest_ = settings_.spacing > 0.0
@@ -159,11 +159,26 @@ inline Status Incremental::start(bool partial) noexcept {
   return Status::ok;
 }
 
+// The stretch ends; what is known of theta goes on, and where the lag is lost, what left it before.
+inline void Incremental::abandon(Status status) noexcept {
+  if (status != Status::ok) Z_ = Zl_;
+  gather(Z_, 0, S_);
+  lag_.set_front(past_, Z_);
+  pose_.end_stretch();
+  run_ = {-1e300, -1e300};
+  standing_ = false;
+  raw_.clear();
+  for (auto& m : motion_) m.clear();
+}
+
 // A block has come: its motion as expected, weights against its own scale,
 // eliminated behind the others; theta from all.
 inline Status Incremental::arrive(bool last) noexcept {
   Status status = Status::ok;
-  if (lag_.end() - lag_.first() >= 2 * lag_blocks(h_)) status = hop();
+  if (lag_.end() - lag_.first() >= 2 * lag_blocks(h_) && (status = hop()) != Status::ok) {
+    abandon(status);  // a lag that cannot leave must not grow: its memory is fixed
+    return status_ = status;
+  }
   const long g = lag_.end();
   take_block(g, last);
   raw_.drop_before(raw_at_);
@@ -463,14 +478,7 @@ inline Status Incremental::close() noexcept {
       status = Status::not_factorizable;
     }
   }
-  // what is known of theta goes on
-  if (status != Status::ok) Z_ = Zl_;
-  gather(Z_, 0, S_);
-  lag_.set_front(past_, Z_);
-  pose_.end_stretch();
-  run_ = {-1e300, -1e300};
-  standing_ = false;
-  clear();
+  abandon(status);
   return status_ = worse(status, status_);
 }
 
