@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.calibration import AXES, AxisImprovement, LogReport
 from truewrench.errors import InputError, UnsupportedError
-from truewrench.estimation.estimate import Estimate, no_rows
+from truewrench.estimation.estimate import Estimate, without_motion
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.log import Log
@@ -99,7 +99,9 @@ def judge_known_wrench(
 def _as_estimate(rig: Rig, found: KnownWrenchEstimate) -> Estimate:
     """What is judged of it: gain and covariance; there is no motion, and nothing follows a pose."""
     n, count = rig.sensor.n, len(found.offsets)
-    return Estimate(
+    return without_motion(
+        n,
+        count,
         solved=True,
         gain=found.gain,
         covariance=found.covariance,
@@ -108,33 +110,10 @@ def _as_estimate(rig: Rig, found: KnownWrenchEstimate) -> Estimate:
         gain_prior=np.full(6 * n, rig.sensor.gain_prior),
         offsets=found.offsets,
         offsets_std=found.offsets_std,
-        clocks=((),) * count,
-        payloads={},
-        tilt=None,
-        tilt_std=None,
         offset_temperature=found.offset_temperature,
-        quadratic=np.zeros(n),
-        quadratic_std=np.zeros(n),
-        discrepancy=np.zeros(n),
-        noise=((),) * count,
-        slow=((),) * count,
-        events=((),) * count,
-        steps=((),) * count,
-        spacing=np.full(count, np.nan),
-        unresolved=np.zeros(count, dtype=bool),
-        dropped=np.zeros(count, dtype=np.int64),
-        rows=(no_rows(n),) * count,
-        sources={},
-        A=0.0,
-        ww=np.zeros((6, 6)),
-        p_halves=1.0,
-        p_quarters=1.0,
         converged=True,
         iterations=found.iterations,
         fits=1,
-        history_time=np.zeros(0),
-        history_log=np.zeros(0, np.int64),
-        history_gain=np.zeros((0, n, 6)),
     )
 
 

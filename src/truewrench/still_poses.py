@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from truewrench.calibration import BlindTo, LogReport
 from truewrench.errors import UnsupportedError
-from truewrench.estimation.estimate import Estimate, PayloadDeparture, no_rows
+from truewrench.estimation.estimate import Estimate, PayloadDeparture, without_motion
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.known_wrench import BLOCKS, FOLDS, FREEDOM, improvement_by_axis, worse_on_rows
 from truewrench.log import Log
@@ -92,7 +92,7 @@ def _solved(
     """Payload by payload, that of the last log at the end."""
     layout = Layout(rig.sensor.n)
     names = list(dict.fromkeys(log.payload for log in reversed(logs)))[::-1]
-    shared = np.r_[np.arange(layout.gain.stop), np.arange(layout.tilt.start, layout.tilt.stop)]
+    shared = _shared(layout)
     mean, P = _shared_prior(rig)
     out = {}
     for name in names:
@@ -127,6 +127,12 @@ def _bent(found: Solution) -> Array:
     return 0.5 * (P + P.T)
 
 
+def _shared(layout: Layout) -> NDArray[np.int64]:
+    """Places of the gain and of gravity's tilt."""
+    gain, tilt = np.arange(layout.gain.stop), np.arange(layout.tilt.start, layout.tilt.stop)
+    return np.concatenate([gain, tilt])
+
+
 def _shared_prior(rig: Rig) -> tuple[Array, Array]:
     """Of the gain and of gravity's tilt: what all payloads share."""
     sensor = rig.sensor
@@ -138,7 +144,7 @@ def _shared_prior(rig: Rig) -> tuple[Array, Array]:
 def _prior(rig: Rig, name: str, shared: Array, P: Array) -> Prior:
     layout, spec = Layout(rig.sensor.n), rig.payloads[name]
     mean, covariance = np.zeros(layout.size), np.zeros((layout.size, layout.size))
-    at = np.r_[np.arange(layout.gain.stop), np.arange(layout.tilt.start, layout.tilt.stop)]
+    at = _shared(layout)
     mean[at], covariance[np.ix_(at, at)] = shared, P
     mean[layout.log_mass] = np.log(spec.mass)
     mean[layout.center_of_mass] = spec.center_of_mass
@@ -176,14 +182,14 @@ def _as_estimate(rig: Rig, logs: Sequence[Log], solutions: dict[str, Solution]) 
             mean[1:4] = body[1:4] - spec.center_of_mass_array
             std[:4] = np.sqrt(variance[:4])
             payloads[name] = PayloadDeparture(mean, std)
-    k = next(k for k in range(count - 1, -1, -1) if logs[k].payload == list(solutions)[-1])
-    assert k == count - 1
     v = last.problem.vector
     pick = np.r_[np.arange(6 * n), np.arange(v.layout.offset.start, v.layout.offset.stop)]
     P = last.covariance[np.ix_(pick, pick)]
     normalised = P / np.outer(units, units)
     poses = sum(len(found.problem.poses) for found in solutions.values())
-    return Estimate(
+    return without_motion(
+        n,
+        count,
         solved=True,
         gain=gain.reshape(n, 6).copy(),
         covariance=P,
@@ -192,33 +198,13 @@ def _as_estimate(rig: Rig, logs: Sequence[Log], solutions: dict[str, Solution]) 
         gain_prior=np.full(6 * n, sensor.gain_prior),
         offsets=offsets,
         offsets_std=offsets_std,
-        clocks=((),) * count,
         payloads=payloads,
         tilt=last.x[layout.tilt].copy(),
         tilt_std=np.sqrt(np.diag(last.covariance)[layout.tilt]),
         offset_temperature=last.x[v.slope].copy() if v.warm else None,
-        quadratic=np.zeros(n),
-        quadratic_std=np.zeros(n),
-        discrepancy=np.zeros(n),
-        noise=((),) * count,
-        slow=((),) * count,
-        events=((),) * count,
-        steps=((),) * count,
-        spacing=np.full(count, np.nan),
-        unresolved=np.zeros(count, dtype=bool),
-        dropped=np.zeros(count, dtype=np.int64),
-        rows=(no_rows(n),) * count,
-        sources={},
-        A=0.0,
-        ww=np.zeros((6, 6)),
-        p_halves=1.0,
-        p_quarters=1.0,
         converged=True,
         iterations=max(found.steps for found in solutions.values()),
         fits=poses,
-        history_time=np.zeros(0),
-        history_log=np.zeros(0, np.int64),
-        history_gain=np.zeros((0, n, 6)),
     )
 
 

@@ -39,7 +39,8 @@ inline constexpr double step_gain = 12.0;          // of (10.7) for a step where
 inline constexpr double scan_level = 1e-3;         // p * intervals of (10.8)
 inline constexpr double scan_longest = 30.0;       // [s]
 inline constexpr double agreement_level = 5e-4;    // p of (10.11) each: clean records refused 0 of 104
-inline constexpr double noise_told = 2.0;          // factor on the stated sigma that is told
-inline constexpr double undetermined = 0.5;        // share of the prior's sigma: words only (METHOD 6)
+inline constexpr double noise_told =
+    2.0;  // factor on the stated sigma that is told, and from which on h / 4 is tried
+inline constexpr double undetermined = 0.5;  // share of the prior's sigma: words only (METHOD 6)
 
 }  // namespace truewrench::constants

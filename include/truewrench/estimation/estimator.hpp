@@ -207,6 +207,26 @@ class Estimator {
     return fit;
   }
 
+  // Whether finer knots follow what moves, where the motion alone does not ask for them: its noise is found smaller, in no group
+  // of it larger by more than the one sigma to which it is known. (10.7) alone follows a force that shakes the sensor with a
+  // motion that the velocities deny (12 to 40 Hz: NEES 16).
+  static bool moves(const LogFit& fine, const LogFit& coarse) {
+    double sum = 0.0;
+    for (std::size_t m = 0; m < fine.log->motion.size(); ++m)
+      for (Eigen::Index g = 0; g < fine.sizes.motion_factor[m].size(); ++g) {
+        double rows = 0.0;
+        for (const Stretch& s : fine.stretches)
+          for (int j = 0; j < s.components(); ++j)
+            if (fine.log->motion[m].group[j] == g)
+              rows += static_cast<double>(s.motion[m].value.col(j).array().isFinite().count());
+        const double change =
+            rows * std::log(fine.sizes.motion_factor[m][g] / coarse.sizes.motion_factor[m][g]);
+        if (change > std::sqrt(0.5 * rows)) return false;
+        sum += change;
+      }
+    return sum < 0.0;
+  }
+
   // h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving; again from there (10.2). And h / 4, where the
   // sensor's noise seems larger than stated: what h / 2 does not follow either it does not show (20 Hz from 0.05 s, 3 of 10).
   std::shared_ptr<Fit> choose_spacing(std::size_t l, std::vector<double>& chosen, bool& unresolved,
@@ -251,34 +271,15 @@ class Estimator {
       return fit ? fit->deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
                  : std::numeric_limits<double>::infinity();
     };
-    // Finer knots follow what moves: the motion alone asks for them, or its noise is found smaller, in no group of it larger by
-    // more than the one sigma to which it is known. (10.7) alone follows a force that shakes the sensor with a motion that the
-    // velocities deny (12 to 40 Hz: NEES 16).
-    const auto moves = [&](std::size_t i) {
-      if (!fits[now] || alone[i] < alone[now]) return true;
-      const LogFit &fine = fits[i]->logs()[0], &coarse = fits[now]->logs()[0];
-      double sum = 0.0;
-      for (std::size_t m = 0; m < recorded_[l]->motion.size(); ++m)
-        for (Eigen::Index g = 0; g < fine.sizes.motion_factor[m].size(); ++g) {
-          double rows = 0.0;
-          for (const Stretch& s : fine.stretches)
-            for (int j = 0; j < s.components(); ++j)
-              if (recorded_[l]->motion[m].group[j] == g)
-                rows += static_cast<double>(s.motion[m].value.col(j).array().isFinite().count());
-          const double change =
-              rows * std::log(fine.sizes.motion_factor[m][g] / coarse.sizes.motion_factor[m][g]);
-          if (change > std::sqrt(0.5 * rows)) return false;
-          sum += change;
-        }
-      return sum < 0.0;
-    };
     fits[0] = fitted(0, false);
     for (;;) {
       for (const std::size_t i : {now + 1, noisy(now) ? now + 2 : now + 1, best_alone})
         if (i > now && i < ladder.size() && fits.find(i) == fits.end()) fits[i] = fitted(i, true);
       std::size_t best = now;
       for (const auto& [i, fit] : fits)
-        if (cost(i) < cost(best) && (i <= now || moves(i))) best = i;
+        if (cost(i) < cost(best) && (i <= now || !fits[now] || alone[i] < alone[now] ||
+                                     moves(fits[i]->logs()[0], fits[now]->logs()[0])))
+          best = i;
       if (best <= now) break;
       now = best;
     }

@@ -307,6 +307,10 @@ class Incremental {
   bool run(int most, bool last);
   Status hop() noexcept;
   void abandon(Status status) noexcept;
+  void drop_samples() noexcept {  // that wait
+    raw_.clear();
+    for (auto& m : motion_) m.clear();
+  }
   Status close() noexcept;
   void set_mask(long leaving);
   void depart(long leaving);

@@ -146,8 +146,7 @@ inline Status Incremental::start(bool partial) noexcept {
       motion_[i].drop_before(motion_[i].begin() + 1);
   if (!chosen_) choose_spacing(origin, partial);
   if (!std::isfinite(fit_first(origin, h_, partial))) {
-    raw_.clear();
-    for (auto& m : motion_) m.clear();
+    drop_samples();
     return status_ = Status::not_factorizable;
   }
   raw_.drop_before(raw_at_);
@@ -167,8 +166,7 @@ inline void Incremental::abandon(Status status) noexcept {
   pose_.end_stretch();
   run_ = {-1e300, -1e300};
   standing_ = false;
-  raw_.clear();
-  for (auto& m : motion_) m.clear();
+  drop_samples();
 }
 
 // A block has come: its motion as expected, weights against its own scale,
@@ -445,12 +443,8 @@ inline void Incremental::set_mask(long leaving) {
 
 // The stretch is over: what waits becomes its last block, and all blocks leave.
 inline Status Incremental::close() noexcept {
-  const auto clear = [this] {
-    raw_.clear();
-    for (auto& m : motion_) m.clear();
-  };
   if (!open()) {
-    clear();
+    drop_samples();
     return Status::ok;
   }
   limit_ = std::min(raw_last_, motion_last()) + 0.5 * raw_period() + 1e-9;
@@ -458,7 +452,7 @@ inline Status Incremental::close() noexcept {
   if (!standing_) {
     if (!(limit_ - common_begin() >= 12.0 * coarsest_)) {
       ++dropped_;
-      clear();
+      drop_samples();
       return Status::ok;
     }
     hops_ = left_.knots > 0.0 ? hops_ : 0;

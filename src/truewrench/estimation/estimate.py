@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -262,3 +263,40 @@ class Estimate:
         """Share of the sensor's samples that were left out."""
         total = sum(r.masked.size for r in self.rows)
         return float(sum(r.masked.sum() for r in self.rows)) / max(total, 1)
+
+
+def without_motion(n: int, count: int, **found: Any) -> Estimate:
+    """An estimate in which nothing of a motion is: no rows, clocks, sizes or events.
+
+    Args:
+        n: channels.
+        count: logs.
+        found: all that was found all the same, by attribute.
+    """
+    nothing: dict[str, Any] = {
+        "clocks": ((),) * count,
+        "payloads": {},
+        "tilt": None,
+        "tilt_std": None,
+        "offset_temperature": None,
+        "quadratic": np.zeros(n),
+        "quadratic_std": np.zeros(n),
+        "discrepancy": np.zeros(n),
+        "noise": ((),) * count,
+        "slow": ((),) * count,
+        "events": ((),) * count,
+        "steps": ((),) * count,
+        "spacing": np.full(count, np.nan),
+        "unresolved": np.zeros(count, dtype=bool),
+        "dropped": np.zeros(count, dtype=np.int64),
+        "rows": (no_rows(n),) * count,
+        "sources": {},
+        "A": 0.0,
+        "ww": np.zeros((6, 6)),
+        "p_halves": 1.0,
+        "p_quarters": 1.0,
+        "history_time": np.zeros(0),
+        "history_log": np.zeros(0, np.int64),
+        "history_gain": np.zeros((0, n, 6)),
+    }
+    return Estimate(**(nothing | found))

@@ -19,7 +19,7 @@ from truewrench.estimation.estimate import (
     PayloadDeparture,
     Slow,
     Step,
-    no_rows,
+    without_motion,
 )
 from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
@@ -148,7 +148,9 @@ def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -
     unresolved[: len(found.unresolved)] = found.unresolved
     dropped = np.zeros(count, dtype=np.int64)
     dropped[: len(found.dropped)] = found.dropped
-    return Estimate(
+    return without_motion(
+        n,
+        count,
         solved=False,
         gain=np.array(rig.sensor.nominal_gain_array),
         covariance=normalised * units[:, None] * units,
@@ -157,33 +159,11 @@ def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -
         gain_prior=prior[: 6 * n],
         offsets=np.zeros((count, n)),
         offsets_std=offset_std,
-        clocks=((),) * count,
-        payloads={},
-        tilt=None,
-        tilt_std=None,
-        offset_temperature=None,
-        quadratic=np.zeros(n),
-        quadratic_std=np.zeros(n),
-        discrepancy=np.zeros(n),
-        noise=((),) * count,
-        slow=((),) * count,
-        events=((),) * count,
-        steps=((),) * count,
-        spacing=np.full(count, np.nan),
         unresolved=unresolved,
         dropped=dropped,
-        rows=(no_rows(n),) * count,
-        sources={},
-        A=0.0,
-        ww=np.zeros((6, 6)),
-        p_halves=1.0,
-        p_quarters=1.0,
         converged=False,
         iterations=0,
         fits=int(found.fits),
-        history_time=_NOTHING,
-        history_log=np.zeros(0, np.int64),
-        history_gain=np.zeros((0, n, 6)),
     )
 
 

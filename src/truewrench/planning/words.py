@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from rich import box
@@ -12,7 +12,7 @@ from rich.text import Text
 
 from truewrench.planning.result import Plan
 
-__all__ = ["plan_words"]
+__all__ = ["plan_words", "verdict_words"]
 
 _AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 _SHOWN = 8  # limits, the ones that are used most
@@ -20,17 +20,9 @@ _SHOWN = 8  # limits, the ones that are used most
 
 def plan_words(plan: Plan) -> Iterator[RenderableType]:
     """The verdict first, then what the motion promises and what it uses of the limits."""
-    verdict, text = plan.verdict, Text()
-    if verdict.usable:
-        text.append("FEASIBLE", style="bold green")
-        text.append(f": {plan.trajectory.duration:g} s within all limits.")
-    else:
-        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
-    for reason in verdict.reasons:
-        text.append(f"\n  - {reason}")
-    for note in plan.notes:
-        text.append(f"\nNote: {note}")
-    yield text
+    verdict = plan.verdict
+    within = f"{plan.trajectory.duration:g} s within all limits."
+    yield verdict_words(verdict.usable, within, verdict.reasons, plan.notes)
     if plan.prediction is not None:
         yield Text(_promise(plan))
         yield Text(_hidden(plan))
@@ -38,6 +30,21 @@ def plan_words(plan: Plan) -> Iterator[RenderableType]:
     if plan.usage:
         yield _limits(plan)
     yield Text(f"Time: {plan.seconds:.1f} s")
+
+
+def verdict_words(feasible: bool, within: str, reasons: Iterable[str], notes: Iterable[str]) -> Text:
+    """What every plan says first: `within` where it is feasible, why not where it is not, and its notes."""
+    text = Text()
+    if feasible:
+        text.append("FEASIBLE", style="bold green")
+        text.append(f": {within}")
+    else:
+        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
+    for reason in reasons:
+        text.append(f"\n  - {reason}")
+    for note in notes:
+        text.append(f"\nNote: {note}")
+    return text
 
 
 def _promise(plan: Plan) -> str:

@@ -9,6 +9,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from truewrench.planning.tool.plan import ToolPlan
+from truewrench.planning.words import verdict_words
 from truewrench.tool.parameters import ELEMENTS
 
 __all__ = ["tool_plan_words"]
@@ -16,22 +17,11 @@ __all__ = ["tool_plan_words"]
 
 def tool_plan_words(plan: ToolPlan) -> Iterator[RenderableType]:
     """The verdict first, then what the poses or the motion promise."""
-    text, seconds = Text(), plan.design.motion.duration
-    if plan.feasible:
-        what = (
-            f"{len(plan.fall)} poses in {seconds:.3g} s"
-            if plan.kind == "poses"
-            else f"{seconds:g} s of motion"
-        )
-        text.append("FEASIBLE", style="bold green")
-        text.append(f": {what}, within all limits.")
-    else:
-        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
-    for reason in plan.violations:
-        text.append(f"\n  - {reason}")
-    for note in plan.notes:
-        text.append(f"\nNote: {note}")
-    yield text
+    seconds = plan.design.motion.duration
+    what = (
+        f"{len(plan.fall)} poses in {seconds:.3g} s" if plan.kind == "poses" else f"{seconds:g} s of motion"
+    )
+    yield verdict_words(plan.feasible, f"{what}, within all limits.", plan.violations, plan.notes)
     if plan.prediction is not None:
         yield Text(_promise(plan))
     yield Text(f"Time: {plan.seconds:.1f} s")
