@@ -18,16 +18,15 @@ namespace {
 nb::dict rows_of(const Fit& fit, std::size_t l) {
   const LogFit& log = fit.logs().at(l);
   Eigen::Index count = 0;
-  for (const Stretch& s : log.stretches) count += s.raw.size();
+  for (const Stretch& s : log.stretches) count += fit.samples(l, s);
   const int n = fit.channels();
   Eigen::VectorXi source(count), stretch(count);
   Eigen::VectorXd time(count), weight(count), masked(count);
   RowMatrix residual(count, n), w(count, 6), cw(count, n), nu(count, 6), a(count, 6), g(count, 3),
       d = RowMatrix::Zero(count, n);
   Eigen::Index at = 0;
-  for (std::size_t i = 0; i < log.stretches.size(); ++i) {
-    const Stretch& s = log.stretches[i];
-    for (Eigen::Index k = 0; k < s.raw.size(); ++k, ++at) {
+  fit.each_sample(l, [&](const Stretch& s, std::size_t i) {
+    for (Eigen::Index k = 0; k < s.raw.rows(); ++k, ++at) {
       source[at] = static_cast<int>(s.raw.source[static_cast<std::size_t>(k)]);
       stretch[at] = static_cast<int>(i);
       time[at] = s.raw.time[k];
@@ -41,7 +40,7 @@ nb::dict rows_of(const Fit& fit, std::size_t l) {
       g.row(at) = s.now.g.row(k);
       if (log.sizes.form != Form::none) d.row(at) = s.value_at(k, 0, s.e);
     }
-  }
+  });
   nb::dict out;
   out["source"] = source;
   out["stretch"] = stretch;
@@ -62,13 +61,13 @@ RowMatrix motion_residual(const Fit& fit, std::size_t l, std::size_t stream) {
   const LogFit& log = fit.logs().at(l);
   std::vector<RowMatrix> parts;
   Eigen::Index count = 0;
-  for (const Stretch& s : log.stretches) count += s.motion.at(stream).size();
+  for (const Stretch& s : log.stretches) count += s.motion.at(stream).rows();
   RowMatrix out(count, log.log->components());
   Eigen::Index at = 0;
   for (const Stretch& s : log.stretches) {
     const MotionRows& m = s.motion[stream];
-    out.middleRows(at, m.size()) = (m.value.array().isFinite()).select(m.residual, std::nan(""));
-    at += m.size();
+    out.middleRows(at, m.rows()) = (m.value.array().isFinite()).select(m.residual, std::nan(""));
+    at += m.rows();
   }
   return out;
 }

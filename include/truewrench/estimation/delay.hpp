@@ -20,11 +20,11 @@ class DelaySums {
 
   void add(double time, const double* w) {
     if (known_ == 2) {
-      const double span = time - time_[0];
+      const double before = time_[1] - time_[0], after = time - time_[1];
       double f[features], d[6];
-      for (int j = 0; j < 6; ++j) {
+      for (int j = 0; j < 6; ++j) {  // of the parabola through the three
         f[j] = w_[1][j];
-        d[j] = (w[j] - w_[0][j]) / span;
+        d[j] = ((w[j] - f[j]) * before / after + (f[j] - w_[0][j]) * after / before) / (before + after);
       }
       f[6] = 1.0;
       for (int i = 0; i < features; ++i) {

@@ -25,20 +25,24 @@ inline Keep unmasked(const Fit& fit) {
   };
 }
 
-// The Matern-3/2 correlation (1 + t / tau) exp(-t / tau) on increasing times: from each to the next, t / tau and exp(-t / tau).
+// The Matern-3/2 correlation (1 + t / tau) exp(-t / tau) on increasing times, of rows by the root of the samples they stand for:
+// from each to the next, t / tau and exp(-t / tau).
 struct Correlation {
-  Correlation(const Eigen::VectorXd& time, double tau) {
+  Correlation(const Eigen::VectorXd& time, const Eigen::VectorXd& roots, double tau) : root(roots) {
     for (Eigen::Index i = 1; i < time.size(); ++i) {
       x.push_back((time[i] - time[i - 1]) / tau);
       e.push_back(std::exp(-x.back()));
     }
   }
+  Eigen::VectorXd root;
   std::vector<double> x, e;
 
   // K X: two recursions a column, there and back.
   RowMatrix times(const RowMatrix& X) const {
-    RowMatrix out = X;
     const Eigen::Index n = X.rows(), columns = X.cols();
+    RowMatrix out(n, columns);
+    for (Eigen::Index k = 0; k < n; ++k)
+      for (Eigen::Index c = 0; c < columns; ++c) out(k, c) = root[k] * root[k] * X(k, c);
     std::vector<double> a(static_cast<std::size_t>(columns)), b(a.size());
     for (const int direction : {1, -1}) {
       std::fill(a.begin(), a.end(), 0.0);
@@ -46,13 +50,14 @@ struct Correlation {
       for (Eigen::Index i = 1; i < n; ++i) {
         const Eigen::Index to = direction > 0 ? i : n - 1 - i, from = to - direction;
         const auto step = static_cast<std::size_t>(std::min(to, from));
-        const double xs = x[step], es = e[step], *row = X.data() + from * columns;
+        const double xs = x[step], es = e[step], here = root[from], there = root[to],
+                     *row = X.data() + from * columns;
         double *sum = out.data() + to * columns, *pa = a.data(), *pb = b.data();
         for (Eigen::Index c = 0; c < columns; ++c) {
-          const double ac = pa[c] + row[c];
+          const double ac = pa[c] + here * row[c];
           pb[c] = es * (pb[c] + xs * ac);
           pa[c] = es * ac;
-          sum[c] += pa[c] + pb[c];
+          sum[c] += there * (pa[c] + pb[c]);
         }
       }
     }
@@ -61,16 +66,18 @@ struct Correlation {
 
   // sum over all pairs of K_ij^2.
   double squares() const {
-    double a = 0.0, b = 0.0, c = 0.0, sum = 0.0;
+    double a = 0.0, b = 0.0, c = 0.0, sum = 0.0, own = 0.0;
+    const auto size = [this](std::size_t i) { return std::pow(root[static_cast<Eigen::Index>(i)], 2); };
     for (std::size_t i = 0; i < x.size(); ++i) {
       const double es = e[i] * e[i];
-      a += 1.0;
+      own += size(i) * size(i);
+      a += size(i);
       c = es * (c + 2.0 * x[i] * b + x[i] * x[i] * a);
       b = es * (b + x[i] * a);
       a *= es;
-      sum += a + 2.0 * b + c;
+      sum += size(i + 1) * (a + 2.0 * b + c);
     }
-    return static_cast<double>(x.size() + 1) + 2.0 * sum;
+    return own + size(x.size()) * size(x.size()) + 2.0 * sum;
   }
 };
 
@@ -85,9 +92,9 @@ inline Eigen::MatrixXd tall_product(const RowMatrix& A, const RowMatrix& B) {
   return out;
 }
 
-// Times, X_i = [w, 1, (C w)_i^2] and residuals of the samples of one channel.
+// Times, X_i = [w, 1, (C w)_i^2] and residuals of the rows of one channel, both times the root of the samples they stand for.
 struct ChannelRows {
-  Eigen::VectorXd time, residual;
+  Eigen::VectorXd time, root, residual;
   RowMatrix X;  // (K, 8)
 };
 
@@ -95,22 +102,24 @@ inline ChannelRows channel_rows(const Fit& fit, std::size_t l, int channel, cons
   std::vector<std::pair<std::size_t, Eigen::Index>> at;
   const auto& stretches = fit.logs()[l].stretches;
   for (std::size_t s = 0; s < stretches.size(); ++s)
-    for (Eigen::Index k = 0; k < stretches[s].raw.size(); ++k)
+    for (Eigen::Index k = 0; k < stretches[s].raw.rows(); ++k)
       if (std::isfinite(stretches[s].raw.value(k, channel)) && keep(l, s, k)) at.emplace_back(s, k);
   ChannelRows out;
   const auto rows = static_cast<Eigen::Index>(at.size());
   out.time.resize(rows);
+  out.root.resize(rows);
   out.residual.resize(rows);
   out.X.resize(rows, 8);
   for (Eigen::Index i = 0; i < rows; ++i) {
     const auto [s, k] = at[static_cast<std::size_t>(i)];
     const Stretch& stretch = stretches[s];
     out.time[i] = stretch.raw.time[k];
-    out.residual[i] = stretch.now.residual(k, channel);
+    const double root = out.root[i] = std::sqrt(stretch.raw.size[k]);
+    out.residual[i] = root * stretch.now.residual(k, channel);
     double* x = out.X.data() + 8 * i;
-    std::copy_n(stretch.now.w.data() + 6 * k, 6, x);
-    x[6] = 1.0;
-    x[7] = stretch.now.cw(k, channel) * stretch.now.cw(k, channel);
+    for (int c = 0; c < 6; ++c) x[c] = root * stretch.now.w(k, c);
+    x[6] = root;
+    x[7] = root * stretch.now.cw(k, channel) * stretch.now.cw(k, channel);
   }
   return out;
 }
@@ -137,7 +146,7 @@ inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
       if (!same_times(rows.time, time)) {
         time = rows.time;
         K.clear();
-        for (const double tau : constants::taus) K.emplace_back(time, tau);
+        for (const double tau : constants::taus) K.emplace_back(time, rows.root, tau);
       }
       // [Q, r]: an orthonormal basis of X, and the residuals less what lies in it
       Eigen::MatrixXd XX = tall_product(rows.X, rows.X);
@@ -177,7 +186,7 @@ inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
           outside += KK(q, q);
           for (Eigen::Index p = 0; p < rank; ++p) norm += S(p, q) * S(p, q);
         }
-        t1[t] += n - trace;                              // tr M K
+        t1[t] += rows.root.squaredNorm() - trace;        // tr M K
         t2[t] += K[t].squares() - 2.0 * outside + norm;  // tr M K M K
       }
       nu += n - static_cast<double>(rank);
@@ -238,7 +247,7 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
         return k.tau == moment.tau && same_times(k.time, rows.time);
       });
       if (at == known.end()) {
-        known.push_back({rows.time, moment.tau, Correlation(rows.time, moment.tau)});
+        known.push_back({rows.time, moment.tau, Correlation(rows.time, rows.root, moment.tau)});
         at = known.end() - 1;
       }
       add(B, v * v * moment.delta2, tall_product(rows.X, at->K.times(rows.X)));
@@ -304,7 +313,7 @@ inline Matrix3 nearest_rotation(const Matrix3& B) {
 // The pose (K, 6) of one stretch: the integral of the twist, component by component; where the body turns by more than 1 rad,
 // and for joints, its position in the axes of the mean attitude and the rotation vector from it.
 inline RowMatrix pose_of(const Stretch& s) {
-  const Eigen::Index n = s.raw.size();
+  const Eigen::Index n = s.raw.rows();
   RowMatrix pose = RowMatrix::Zero(n, 6);
   double turned = 0.0;
   for (int c = 0; c < 6; ++c) {
@@ -356,28 +365,29 @@ inline PoseShare pose_share(const Fit& fit) {
       double w_mean[6] = {}, p_mean[6] = {}, rows = 0.0;
       for (const bool sum : {true, false}) {  // means, then products
         if (!sum && rows == 0.0) break;
-        for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
+        for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
           if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
+          const double samples = s.raw.size[k];
           if (sum) {
             for (int i = 0; i < 6; ++i) {
-              w_mean[i] += s.now.w(k, i);
-              p_mean[i] += pose(k, i);
+              w_mean[i] += samples * s.now.w(k, i);
+              p_mean[i] += samples * pose(k, i);
             }
-            rows += 1.0;
+            rows += samples;
             continue;
           }
           const double dt = k > 0 ? std::max(s.raw.time[k] - s.raw.time[k - 1], 1e-12) : 1.0;
           for (int i = 0; i < 6; ++i) {
             const double w = s.now.w(k, i), d = w - w_mean[i] / rows;
             for (int j = 0; j < 6; ++j) {
-              ww[i][j] += w * s.now.w(k, j);
-              centred[i][j] += d * (s.now.w(k, j) - w_mean[j] / rows);
-              wp[i][j] += d * (pose(k, j) - p_mean[j] / rows);
+              ww[i][j] += samples * w * s.now.w(k, j);
+              centred[i][j] += samples * d * (s.now.w(k, j) - w_mean[j] / rows);
+              wp[i][j] += samples * d * (pose(k, j) - p_mean[j] / rows);
             }
             const double p = pose(k, i) - p_mean[i] / rows,
                          change = k > 0 ? (w - s.now.w(k - 1, i)) / dt : 0.0;
-            pp[i] += p * p;
-            rate[i] += change * change;
+            pp[i] += samples * p * p;
+            rate[i] += samples * change * change;
           }
         }
       }

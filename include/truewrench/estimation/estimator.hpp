@@ -2,6 +2,7 @@
 // returns the estimate, what it left out, the sizes it found and the findings that a judgement needs; it decides nothing.
 #pragma once
 
+#include "truewrench/estimation/gather.hpp"
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/score.hpp"
 #include "truewrench/estimation/start.hpp"
@@ -38,15 +39,6 @@ struct Estimate {
 struct Piece {
   double begin = 0.0, end = 0.0;
 };
-
-inline double median_period(const Eigen::VectorXd& time) {
-  if (time.size() < 2) return 0.0;
-  std::vector<double> d(static_cast<std::size_t>(time.size() - 1));
-  for (Eigen::Index k = 0; k + 1 < time.size(); ++k) d[static_cast<std::size_t>(k)] = time[k + 1] - time[k];
-  const auto middle = d.begin() + static_cast<std::ptrdiff_t>(d.size() / 2);
-  std::nth_element(d.begin(), middle, d.end());
-  return *middle;
-}
 
 // Stamps at which the sensor has a sample.
 inline Eigen::VectorXd sensor_times(const RecordedLog& log) {
@@ -112,7 +104,12 @@ inline std::vector<double> spacings(const RecordedLog& log) {
 class Estimator {
  public:
   Estimator(std::shared_ptr<const Statement> rig, std::vector<const RecordedLog*> logs, Settings settings)
-      : rig_(std::move(rig)), recorded_(std::move(logs)), settings_(settings) {}
+      : rig_(std::move(rig)), whole_(std::move(logs)), settings_(settings) {
+    for (const RecordedLog* log : whole_) {
+      gathered_.push_back(gathered(*log, rig_->noise));
+      recorded_.push_back(gathered_.back() ? gathered_.back().get() : log);
+    }
+  }
 
   Estimate run() {
     Estimate out;
@@ -122,7 +119,7 @@ class Estimator {
     for (std::size_t l = 0; l < count; ++l) {
       const double coarsest =
           std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*recorded_[l]));
-      pieces_.push_back(pieces_of(*recorded_[l], coarsest, out.dropped[l]));
+      pieces_.push_back(pieces_of(*whole_[l], coarsest, out.dropped[l]));
       if (pieces_.back().empty()) {
         out.status = Status::wrong_size;
         return out;
@@ -169,17 +166,21 @@ class Estimator {
   };
 
   std::shared_ptr<const Statement> rig_;
-  std::vector<const RecordedLog*> recorded_;
+  std::vector<const RecordedLog*> whole_, recorded_;  // as given; as fitted
+  std::vector<std::shared_ptr<const RecordedLog>> gathered_;
   Settings settings_;
   std::vector<std::vector<Piece>> pieces_;
 
   LogFit log_fit(std::size_t l, double h) const {
     LogFit out;
     out.log = recorded_[l];
+    out.whole = gathered_[l] ? whole_[l] : nullptr;
+    out.gathered = gathered_[l];
     out.h = h;
     out.period = median_period(sensor_times(*recorded_[l]));
+    const double period = median_period(sensor_times(*whole_[l]));
     for (const Piece& p : pieces_[l])
-      out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, out.period, h);
+      out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, period, h);
     return out;
   }
 
@@ -189,6 +190,8 @@ class Estimator {
     for (const LogFit& l : fit.logs()) {
       LogFit copy;
       copy.log = l.log;
+      copy.whole = l.whole;
+      copy.gathered = l.gathered;
       copy.h = l.h;
       copy.period = l.period;
       copy.stretches = l.stretches;
@@ -217,8 +220,7 @@ class Estimator {
         double rows = 0.0;
         for (const Stretch& s : fine.stretches)
           for (int j = 0; j < s.components(); ++j)
-            if (fine.log->motion[m].group[j] == g)
-              rows += static_cast<double>(s.motion[m].value.col(j).array().isFinite().count());
+            if (fine.log->motion[m].group[j] == g) rows += s.motion[m].samples[j];
         const double change =
             rows * std::log(fine.sizes.motion_factor[m][g] / coarse.sizes.motion_factor[m][g]);
         if (change > std::sqrt(0.5 * rows)) return false;
@@ -233,13 +235,19 @@ class Estimator {
                                       Estimate& out) {
     const std::vector<double> ladder = spacings(*recorded_[l]);
     std::vector<double> alone;
-    std::vector<Fit> starts;  // the motion alone, at each spacing
+    struct Start {  // the motion alone, at a spacing
+      std::vector<RowMatrix> c;
+      Sizes sizes;
+    };
+    std::vector<Start> starts;
     for (std::size_t i = 0; i < ladder.size(); ++i) {
       std::vector<LogFit> one;
       one.push_back(log_fit(l, ladder[i]));
-      Fit& fit =
-          starts.emplace_back(rig_, std::move(one), std::vector<std::vector<double>>{}, settings_.threads);
+      Fit fit(rig_, std::move(one), std::vector<std::vector<double>>{}, settings_.threads);
       const double deviance = motion_alone(fit.logs()[0], fit.layout(), 0);
+      Start& start = starts.emplace_back();
+      start.sizes = fit.logs()[0].sizes;
+      for (Stretch& s : fit.logs()[0].stretches) start.c.push_back(std::move(s.c));
       alone.push_back(std::isfinite(deviance)
                           ? deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
                           : std::numeric_limits<double>::infinity());
@@ -251,11 +259,17 @@ class Estimator {
       std::shared_ptr<Fit> lower;
       for (const bool cauchy : {true, false}) {
         if (!cauchy && !finer) break;
-        auto fit = std::make_shared<Fit>(starts[i]);
+        std::vector<LogFit> one;
+        one.push_back(log_fit(l, ladder[i]));
+        auto fit = std::make_shared<Fit>(rig_, std::move(one), std::vector<std::vector<double>>{},
+                                         settings_.threads);
+        fit->logs()[0].sizes = starts[i].sizes;
+        for (std::size_t s = 0; s < starts[i].c.size(); ++s) fit->logs()[0].stretches[s].c = starts[i].c[s];
         fit->robust = true;
         regress(*fit, cauchy);
         if (!cauchy) roughen(*fit);
         fit->run(lower.get());
+        fit->release();
         ++out.fits;
         if (!fit->failed && std::isfinite(fit->deviance) && (!lower || fit->deviance < lower->deviance))
           lower = fit;
@@ -292,10 +306,10 @@ class Estimator {
   static void set_mask(Fit& fit) {
     for (LogFit& log : fit.logs())
       for (Stretch& s : log.stretches) {
-        const Eigen::Index n = s.raw.size();
+        const Eigen::Index n = s.raw.rows();
         std::vector<char> low(static_cast<std::size_t>(n), 0);
         for (Eigen::Index k = 0; k < n; ++k)
-          low[static_cast<std::size_t>(k)] = s.raw.weight[k] < constants::mask_weight;
+          low[static_cast<std::size_t>(k)] = s.raw.weight[k] < constants::mask_weight * s.raw.size[k];
         Eigen::Index last = -1;
         for (Eigen::Index k = 0; k < n; ++k) {
           if (low[static_cast<std::size_t>(k)] == 0) continue;
@@ -325,8 +339,9 @@ class Estimator {
   static double masked_share(const Fit& fit, std::size_t l) {
     double masked = 0.0, all = 0.0;
     for (const Stretch& s : fit.logs()[l].stretches) {
-      masked += static_cast<double>(std::count(s.raw.masked.begin(), s.raw.masked.end(), char{1}));
-      all += static_cast<double>(s.raw.size());
+      for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
+        masked += s.raw.masked[static_cast<std::size_t>(k)] != 0 ? s.raw.size[k] : 0.0;
+      all += s.raw.size.sum();
     }
     return masked / std::max(all, 1.0);
   }
@@ -343,6 +358,7 @@ class Estimator {
     auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
     fit->robust = true;
     fit->start_from(like).run();
+    fit->release();
     ++out.fits;
     return fit;
   }
@@ -378,6 +394,7 @@ class Estimator {
     if (plain->failed) return rows;
     for (std::size_t l = 0; l < plain->logs().size(); ++l) rows.moments.push_back(moments(*plain, l));
     rows.added = spread(*plain, rows.moments, unmasked(*plain));
+    plain->release();
     const Eigen::MatrixXd P = plain->covariance();
     out.share = 0.0;
     for (int i = 0; i < 6 * n; ++i) out.share = std::max(out.share, rows.added(i, i) / P(i, i));
@@ -402,6 +419,7 @@ class Estimator {
         }
       }
       d->run();
+      d->release();
       ++out.fits;
       const bool plain_stands = rows.fit == plain;
       if (!d->failed && std::isfinite(d->deviance) && (plain_stands || d->deviance < rows.fit->deviance))
@@ -456,7 +474,7 @@ class Estimator {
     double total = 0.0;
     for (std::size_t l = 0; l < fit.logs().size(); ++l) {
       double rows = 0.0;
-      for (const Stretch& s : fit.logs()[l].stretches) rows += static_cast<double>(s.raw.size());
+      for (const Stretch& s : fit.logs()[l].stretches) rows += s.raw.size.sum();
       const Sizes& z = fit.logs()[l].sizes;
       for (int i = 0; i < n; ++i) {
         const int r = raw_group(i, n);

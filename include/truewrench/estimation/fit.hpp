@@ -15,8 +15,10 @@ namespace truewrench {
 // One log within a fit.
 struct LogFit {
   const RecordedLog* log = nullptr;
+  const RecordedLog* whole = nullptr;           // of which `log` is gathered, else null
+  std::shared_ptr<const RecordedLog> gathered;  // owner of such a `log`
   double h = constants::knot_spacing;
-  double period = 0.01;  // [s] of the sensor
+  double period = 0.01;  // [s] of the sensor's rows
   std::vector<Stretch> stretches;
   std::vector<Sweep> sweeps;
   Sizes sizes;
@@ -102,19 +104,19 @@ class Fit {
   void reweigh() {
     for (std::size_t l = 0; l < logs_.size(); ++l)
       for (Stretch& s : logs_[l].stretches)
-        for (Eigen::Index k = 0; k < s.raw.size(); ++k)
-          s.raw.weight[k] =
-              s.raw.masked[static_cast<std::size_t>(k)] != 0 ? 0.0
-              : robust ? (constants::freedom + s.raw.channels[k]) / (constants::freedom + chi2(l, s, k))
-                       : 1.0;
+        for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
+          s.raw.weight[k] = s.raw.size[k] * (s.raw.masked[static_cast<std::size_t>(k)] != 0 ? 0.0
+                                             : robust ? (constants::freedom + s.raw.channels[k]) /
+                                                            (constants::freedom + chi2(l, s, k))
+                                                      : 1.0);
   }
 
-  // chi^2(t) of the channels of one sample.
+  // chi^2(t) of the channels of one sample; the mean over those that a row stands for.
   double chi2(std::size_t l, const Stretch& s, Eigen::Index k) const {
     double sum = 0.0;
     for (int i = 0; i < n_; ++i) {
-      const double z = s.now.residual(k, i) / sigma(l, i);
-      sum += z * z;
+      const double r = s.now.residual(k, i), v = sigma(l, i);
+      sum += (r * r + s.raw.spread(k, i)) / (v * v);
     }
     return sum;
   }
@@ -192,16 +194,17 @@ class Fit {
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Sizes& z = logs_[l].sizes;
       for (const Stretch& s : logs_[l].stretches) {
-        for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
+        for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
           if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
           const double x = chi2(l, s, k);
-          sum += robust ? (constants::freedom + s.raw.channels[k]) * std::log1p(x / constants::freedom) : x;
+          sum += s.raw.size[k] *
+                 (robust ? (constants::freedom + s.raw.channels[k]) * std::log1p(x / constants::freedom) : x);
         }
         for (std::size_t i = 0; i < s.motion.size(); ++i) {
           const MotionStream& stream = logs_[l].log->motion[i];
           for (int j = 0; j < s.components(); ++j) {
             const double sigma_j = stream.sigma[j] * z.motion_factor[i][stream.group[j]];
-            sum += s.motion[i].residual.col(j).squaredNorm() / (sigma_j * sigma_j);
+            sum += s.motion[i].squares(j) / (sigma_j * sigma_j);
           }
         }
         for (int j = 0; j < s.components(); ++j)
@@ -278,22 +281,27 @@ class Fit {
     return *this;
   }
 
+  // Gives back the memory of the factorisation; the next linearisation takes it again.
+  void release() {
+    for (LogFit& l : logs_) l.sweeps.assign(l.stretches.size(), Sweep());
+  }
+
   // -2 log L (10.7), with the Student-t sum in place of the rows' r^2 / sigma^2 where robust.
   double likelihood() const {
     double sum = objective() + log_determinant();
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Sizes& z = logs_[l].sizes;
       for (const Stretch& s : logs_[l].stretches) {
-        for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
+        for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
           if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
           for (int i = 0; i < n_; ++i)
-            if (std::isfinite(s.raw.value(k, i))) sum += 2.0 * std::log(sigma(l, i));
+            if (std::isfinite(s.raw.value(k, i))) sum += 2.0 * s.raw.size[k] * std::log(sigma(l, i));
         }
         for (std::size_t i = 0; i < s.motion.size(); ++i) {
           const MotionStream& stream = logs_[l].log->motion[i];
           for (int j = 0; j < s.components(); ++j)
             sum += 2.0 * std::log(stream.sigma[j] * z.motion_factor[i][stream.group[j]]) *
-                   static_cast<double>(s.motion[i].value.col(j).array().isFinite().count());
+                   s.motion[i].samples[j];
         }
         const auto N = static_cast<double>(s.spline.size());
         for (int j = 0; j < s.components(); ++j) {
@@ -336,6 +344,53 @@ class Fit {
       }
     }
     return *this;
+  }
+
+  // How many samples of the log a stretch holds.
+  Eigen::Index samples(std::size_t l, const Stretch& s) const {
+    const RecordedLog* whole = logs_[l].whole;
+    if (!whole) return s.raw.rows();
+    Eigen::Index count = 0;
+    for (Eigen::Index k = 0; k < whole->time.size(); ++k)
+      count += whole->time[k] >= s.spline.begin() && whole->time[k] <= s.spline.end() &&
+               finite_in(whole->raw, k) > 0;
+    return count;
+  }
+
+  // Calls take(stretch, index) for all samples of a log, as predicted, in the order of time; where rows are gathered, in parts.
+  template <typename Take>
+  void each_sample(std::size_t l, const Take& take) const {
+    constexpr double part = 20.0;  // [s]
+    const LogFit& log = logs_[l];
+    for (std::size_t i = 0; i < log.stretches.size(); ++i) {
+      const Stretch& s = log.stretches[i];
+      if (!log.whole) {
+        take(s, i);
+        continue;
+      }
+      const std::vector<Eigen::Index>& spikes = log.log->spikes;
+      Eigen::Index row = 0;
+      for (double from = s.spline.begin(); from < s.spline.end(); from += part) {
+        const double to = std::min(from + part, s.spline.end());
+        Stretch samples(*log.whole, *rig_, s.spline, from,
+                        to < s.spline.end() ? std::nextafter(to, from) : to);
+        if (samples.raw.rows() == 0) continue;
+        samples.c = s.c;
+        samples.e = s.e;
+        samples.predict(layout_.log(l), local(l), lagged, log.sizes.form != Form::none);
+        for (Eigen::Index k = 0; k < samples.raw.rows(); ++k) {  // masked as the nearest row is
+          const double t = samples.raw.time[k];
+          while (row + 1 < s.raw.rows() && std::abs(s.raw.time[row + 1] - t) <= std::abs(s.raw.time[row] - t))
+            ++row;
+          const auto ku = static_cast<std::size_t>(k);
+          const bool spike = std::binary_search(spikes.begin(), spikes.end(), samples.raw.source[ku]);
+          const bool masked = spike || s.raw.masked[static_cast<std::size_t>(row)] != 0;
+          samples.raw.masked[ku] = masked ? 1 : 0;
+          samples.raw.weight[k] = masked ? 0.0 : s.raw.weight[row] / s.raw.size[row];
+        }
+        take(samples, i);
+      }
+    }
   }
 
   std::vector<int> active_places() const {
@@ -423,7 +478,7 @@ class Fit {
     for (std::size_t l = 0; l < logs_.size(); ++l)
       for (const Stretch& s : logs_[l].stretches) {
         delays_[l].cut();
-        for (Eigen::Index k = 0; k < s.raw.size(); ++k)
+        for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
           if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
             delays_[l].add(s.raw.time[k], s.now.w.data() + 6 * k);
           else

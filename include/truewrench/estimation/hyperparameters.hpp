@@ -36,13 +36,13 @@ inline double Fit::resize() {
       const Stretch& s = log.stretches[s_];
       const Traces& t = traces[s_];
       trace += t.raw;
-      for (Eigen::Index k = 0; k < s.raw.size(); ++k) {
+      for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
         if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
         for (int i = 0; i < n_; ++i) {
           if (!std::isfinite(s.raw.value(k, i))) continue;
-          const double r = s.now.residual(k, i) / rig_->noise[i];
-          squares[raw_group(i, n_)] += s.raw.weight[k] * r * r;
-          count[raw_group(i, n_)] += 1.0;
+          const double r = s.now.residual(k, i), v = rig_->noise[i];
+          squares[raw_group(i, n_)] += s.raw.weight[k] * (r * r + s.raw.spread(k, i)) / (v * v);
+          count[raw_group(i, n_)] += s.raw.size[k];
         }
       }
       for (std::size_t i = 0; i < s.motion.size(); ++i) {
@@ -50,8 +50,8 @@ inline double Fit::resize() {
         m_trace[i] += t.motion[i];
         for (int j = 0; j < s.components(); ++j) {
           const int r = stream.group[j];
-          m_squares[i][r] += s.motion[i].residual.col(j).squaredNorm() / (stream.sigma[j] * stream.sigma[j]);
-          m_count[i][r] += static_cast<double>(s.motion[i].value.col(j).array().isFinite().count());
+          m_squares[i][r] += s.motion[i].squares(j) / (stream.sigma[j] * stream.sigma[j]);
+          m_count[i][r] += s.motion[i].samples[j];
         }
       }
       for (int j = 0; j < s.components(); ++j) {

@@ -118,7 +118,7 @@ class Intervals {
            std::vector<RawSums>& pool, std::size_t& used, const Take& take) {
     const auto& at = s.raw.interval;
     const Eigen::Index begin = next_;
-    while (next_ < s.raw.size() && at[static_cast<std::size_t>(next_)] == interval) ++next_;
+    while (next_ < s.raw.rows() && at[static_cast<std::size_t>(next_)] == interval) ++next_;
     done_.assign(static_cast<std::size_t>(next_ - begin), 0);
     for (Eigen::Index k = begin; k < next_; ++k) {
       if (done_[static_cast<std::size_t>(k - begin)] || s.raw.weight[k] <= 0.0) continue;

@@ -91,10 +91,7 @@ class Lag {
       : rig_(rig), n_(static_cast<int>(rig.noise.size())) {
     intervals_.resize(static_cast<std::size_t>(kBlock * (blocks + 1)));
     blocks_.resize(static_cast<std::size_t>(blocks + 2));
-    nodes_.reserve(most_samples);
-    picked_.resize(static_cast<std::size_t>(most_samples));
-    spikes_.resize(picked_.size());
-    sorted_.resize(picked_.size());
+    window_.reserve(most_samples);
     for (auto& m : motion_) m.reserve(static_cast<std::size_t>(kMostRows * kBlock * (blocks + 2)));
     carry(about);
     resize_work();
@@ -286,9 +283,8 @@ class Lag {
   std::vector<Interval> intervals_;
   std::vector<Block> blocks_;
   std::array<Ring<MotionRow>, kMostStreams> motion_;
-  Nodes nodes_;
-  std::vector<long> picked_;
-  std::vector<double> spikes_, sorted_, scale_;
+  Window<kNodes, kMostChannels> window_;
+  std::vector<double> scale_;
   // the model at theta
   Vector3 root_ = Vector3::Zero(),
           point_ = Vector3::Zero();  // gravity; the twist's point seen from the centre

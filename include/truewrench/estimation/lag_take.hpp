@@ -49,49 +49,25 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
     return;
   }
   int count = 0;
-  for (long k = from; k < to && count < nodes_.capacity(); ++k)
-    if (cells(samples[k]) == whole) picked_[static_cast<std::size_t>(count++)] = k;
+  for (long k = from; k < to && count < window_.nodes.capacity(); ++k)
+    if (cells(samples[k]) == whole) window_.picked[static_cast<std::size_t>(count++)] = k;
   if (count < kMostRows) return;
+  count = window_.fit(
+      count, n_, kMostRows + 1, (constants::freedom + n_) / constants::mask_weight - constants::freedom,
+      [&](long k) { return samples[k].time - v.begin; },
+      [&](long k, int c) { return samples[k].value[static_cast<std::size_t>(c)]; },
+      [&](int c) { return noise(c); }, [&](long k) { masked(samples[k].time, samples[k].time); });
+  std::copy_n(window_.remainder.begin(), n, v.remainder.begin());
   const auto sample = [&](int k) -> const RawSample& {
-    return samples[picked_[static_cast<std::size_t>(k)]];
+    return samples[window_.picked[static_cast<std::size_t>(k)]];
   };
-  std::array<std::array<double, kNodes>, kMostChannels> value{};
-  for (int round = 0; round <= kMostRows; ++round) {
-    nodes_.sample(count, [&](int k) { return sample(k).time - v.begin; });
-    double expected = 0.0;
-    for (std::size_t c = 0; c < n; ++c) {
-      v.remainder[c] = nodes_.project(count, [&](int k) { return sample(k).value[c]; }, value[c]);
-      expected += v.remainder[c] / (noise(static_cast<int>(c)) * noise(static_cast<int>(c)));
-    }
-    // spikes: what their own interval's polynomial does not take (METHOD 10.3)
-    if (round == kMostRows || count <= kMostRows + 1 || expected < 2.0 * n_ * (count - kNodes)) break;
-    for (int k = 0; k < count; ++k) {
-      double sum = 0.0;
-      for (std::size_t c = 0; c < n; ++c) {
-        const double z = (sample(k).value[c] - nodes_.back(k, value[c])) / noise(static_cast<int>(c));
-        sum += z * z;
-      }
-      spikes_[static_cast<std::size_t>(k)] = sorted_[static_cast<std::size_t>(k)] = sum;
-    }
-    std::nth_element(sorted_.begin(), sorted_.begin() + count / 2, sorted_.begin() + count);
-    const double scale = std::max(
-        1.0, sorted_[static_cast<std::size_t>(count / 2)] / n_);  // the noise may be more than stated
-    const auto worst =
-        static_cast<int>(std::max_element(spikes_.begin(), spikes_.begin() + count) - spikes_.begin());
-    if (spikes_[static_cast<std::size_t>(worst)] / scale <
-        (constants::freedom + n_) / constants::mask_weight - constants::freedom)
-      break;
-    masked(sample(worst).time, sample(worst).time);
-    std::copy(picked_.begin() + worst + 1, picked_.begin() + count, picked_.begin() + worst);
-    --count;
-  }
   v.rows = kNodes;
   v.spared = count - kNodes;
   int k = 0;
   for (std::size_t m = 0; m < kNodes; ++m) {
     RawRow& row = v.row[m];
-    row.time = v.begin + nodes_.time[m];
-    row.size = nodes_.weight[m];
+    row.time = v.begin + window_.nodes.time[m];
+    row.size = window_.nodes.weight[m];
     while (k + 2 < count && sample(k + 1).time < row.time) ++k;
     const RawSample &before = sample(k), &after = sample(k + 1);
     const double share = std::clamp((row.time - before.time) / (after.time - before.time), 0.0, 1.0);
@@ -99,7 +75,7 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
       row.R.data()[x] = (1.0 - share) * before.R.data()[x] + share * after.R.data()[x];
     row.temperature = before.temperature;
     row.cells = whole;
-    for (std::size_t c = 0; c < n; ++c) row.value[c] = value[c][m];
+    for (std::size_t c = 0; c < n; ++c) row.value[c] = window_.value[c][m];
     finish(row);
   }
 }
@@ -113,8 +89,8 @@ inline void Lag::take(std::size_t stream, const Ring<MotionSample>& samples, lon
     return true;
   };
   if (to - from > kMostRows)
-    for (long k = from; k < to && count < nodes_.capacity(); ++k)
-      if (whole(samples[k])) picked_[static_cast<std::size_t>(count++)] = k;
+    for (long k = from; k < to && count < window_.nodes.capacity(); ++k)
+      if (whole(samples[k])) window_.picked[static_cast<std::size_t>(count++)] = k;
   if (to - from <= kMostRows || count <= kMostRows) {
     for (long k = from; k < std::min(to, from + kMostRows) && !out.full(); ++k) {
       MotionRow& row = out.push();
@@ -129,18 +105,18 @@ inline void Lag::take(std::size_t stream, const Ring<MotionSample>& samples, lon
   }
   const double begin = samples[from].time;
   const auto sample = [&](int k) -> const MotionSample& {
-    return samples[picked_[static_cast<std::size_t>(k)]];
+    return samples[window_.picked[static_cast<std::size_t>(k)]];
   };
-  nodes_.sample(count, [&](int k) { return sample(k).time - begin; });
+  window_.nodes.sample(count, [&](int k) { return sample(k).time - begin; });
   std::array<std::array<double, kNodes>, 6> value{};
   std::array<double, 6> remainder{};
   for (std::size_t j = 0; j < 6; ++j)
-    remainder[j] = nodes_.project(count, [&](int k) { return sample(k).value[j]; }, value[j]);
+    remainder[j] = window_.nodes.project(count, [&](int k) { return sample(k).value[j]; }, value[j]);
   for (std::size_t m = 0; m < kNodes && !out.full(); ++m) {
     MotionRow& row = out.push();
     row = MotionRow();
-    row.time = begin + nodes_.time[m];
-    row.size = nodes_.weight[m];
+    row.time = begin + window_.nodes.time[m];
+    row.size = window_.nodes.weight[m];
     row.have.fill(1.0);
     for (std::size_t j = 0; j < 6; ++j) row.value[j] = value[j][m];
     if (m > 0) continue;

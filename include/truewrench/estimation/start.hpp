@@ -57,25 +57,25 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
       Rows& r = w.rows[i];
       r.A = Bands(s.spline.size(), M);
       r.b.assign(w.x.size(), 0.0);
-      r.interval.resize(static_cast<std::size_t>(m.size()));
+      r.interval.resize(static_cast<std::size_t>(m.rows()));
       r.basis.resize(r.interval.size());
       double v[max_components] = {}, y[max_components] = {};
-      for (Eigen::Index k = 0; k < m.size(); ++k) {
+      for (Eigen::Index k = 0; k < m.rows(); ++k) {
         double u = 0.0;
         const auto ku = static_cast<std::size_t>(k);
         const Eigen::Index at = r.interval[ku] = s.spline.locate(m.time[k] + late, u);
         const Basis& b = r.basis[ku] = s.spline.basis(u, stream.derivative);
         for (int j = 0; j < M; ++j) {
           const bool here = std::isfinite(m.value(k, j));
-          v[j] = here ? 1.0 / (stream.sigma[j] * stream.sigma[j]) : 0.0;
+          v[j] = here ? m.size[k] / (stream.sigma[j] * stream.sigma[j]) : 0.0;
           y[j] = here ? v[j] * m.value(k, j) : 0.0;
-          count[i][stream.group[j]] += here ? 1.0 : 0.0;
         }
         for (int h = 0; h < kLocal; ++h) {
           dense::add(r.b.data() + (at + h) * lanes, b[h], y, lanes);
           for (int g = h; g < kLocal; ++g) dense::add(r.A.at(at + h, g - h), b[h] * b[g], v, lanes);
         }
       }
+      for (int j = 0; j < M; ++j) count[i][stream.group[j]] += m.samples[j];
     }
   }
   Sizes& z = log.sizes;
@@ -132,14 +132,15 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
         const MotionRows& m = s.motion[i];
         const Rows& r = w.rows[i];
         double squares[max_components] = {}, inner[max_components] = {}, value[max_components];
-        for (Eigen::Index k = 0; k < m.size(); ++k) {
+        for (Eigen::Index k = 0; k < m.rows(); ++k) {
           const auto ku = static_cast<std::size_t>(k);
           Stretch::combine(r.basis[ku].data(), r.interval[ku], s.c, value);
           for (int j = 0; j < M; ++j) {
             const double e = m.value(k, j) - value[j];
-            squares[j] += std::isfinite(e) ? e * e : 0.0;
+            squares[j] += std::isfinite(e) ? m.size[k] * e * e : 0.0;
           }
         }
+        for (int j = 0; j < M; ++j) squares[j] += m.remainder[j];
         r.A.inner(w.inverse, inner);
         for (int j = 0; j < M; ++j) {
           const int group = stream.group[j];
@@ -179,10 +180,9 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
           deviance += rss[i][r] / (z.motion_factor[i][r] * z.motion_factor[i][r]);
         const MotionStream& stream = recorded.motion[i];
         for (const Stretch& s : log.stretches)
-          for (Eigen::Index k = 0; k < s.motion[i].size(); ++k)
-            for (int j = 0; j < M; ++j)
-              if (std::isfinite(s.motion[i].value(k, j)))
-                deviance += 2.0 * std::log(z.motion_factor[i][stream.group[j]] * stream.sigma[j]);
+          for (int j = 0; j < M; ++j)
+            deviance += 2.0 * s.motion[i].samples[j] *
+                        std::log(z.motion_factor[i][stream.group[j]] * stream.sigma[j]);
       }
     }
     z.motion_factor = factor;
@@ -223,29 +223,30 @@ inline void regress(Fit& fit, bool cauchy) {
   offsets = offset_of;
   offsets.erase(std::unique(offsets.begin(), offsets.end()), offsets.end());
   const int m = static_cast<int>(offsets.size()), size = 6 + m;
-  struct Sample {  // unmasked
-    const double *w, *raw;
+  struct Sample {                       // unmasked
+    const double *w, *raw, *remainder;  // the last of a row for more than a sample, else null
     std::size_t log;
     int column;  // of its offset
-    double weight;
+    double size, weight;
   };
   std::vector<Sample> samples;
   for (std::size_t l = 0; l < logs; ++l)
     for (const Stretch& s : fit.logs()[l].stretches)
-      for (Eigen::Index k = 0; k < s.raw.size(); ++k)
+      for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
         if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
-          samples.push_back({s.now.w.data() + 6 * k, s.raw.value.data() + n * k, l,
+          samples.push_back({s.now.w.data() + 6 * k, s.raw.value.data() + n * k,
+                             s.raw.size[k] > 1.0 ? s.raw.remainder.data() + n * k : nullptr, l,
                              6 + static_cast<int>(std::find(offsets.begin(), offsets.end(), offset_of[l]) -
                                                   offsets.begin()),
-                             1.0});
+                             s.raw.size[k], 1.0});
   std::vector<std::vector<double>> scale(logs);
   for (auto& v : scale) v.assign(fit.rig().noise.data(), fit.rig().noise.data() + n);
   std::vector<double> found(static_cast<std::size_t>(n * size)), sizes;  // [C, offsets] of each channel
-  const auto residual = [&](const Sample& s, int i) {
+  const auto residual = [&](const Sample& s, int i) {                    // its size; of a row, RMS
     const double* x = found.data() + i * size;
     double r = s.raw[i] - x[s.column];
     for (int k = 0; k < 6; ++k) r -= x[k] * s.w[k];
-    return r;
+    return s.remainder ? std::sqrt(r * r + s.remainder[i] / s.size) : std::abs(r);
   };
   for (int round = 0; round < (cauchy ? 15 : 1); ++round) {
     for (int i = 0; i < n; ++i) {
@@ -256,7 +257,7 @@ inline void regress(Fit& fit, bool cauchy) {
       const double* nominal = fit.rig().nominal.data() + 6 * i;
       for (const Sample& s : samples) {
         if (!std::isfinite(s.raw[i])) continue;
-        const double v = scale[s.log][static_cast<std::size_t>(i)], x = s.weight / (v * v);
+        const double v = scale[s.log][static_cast<std::size_t>(i)], x = s.size * s.weight / (v * v);
         double y = s.raw[i];
         for (int k = 0; k < 6; ++k) y -= nominal[k] * s.w[k];
         for (int k = 0; k < 6; ++k) {
@@ -280,7 +281,8 @@ inline void regress(Fit& fit, bool cauchy) {
       for (int i = 0; i < n; ++i) {
         sizes.clear();
         for (const Sample& s : samples)
-          if (s.log == l && std::isfinite(s.raw[i])) sizes.push_back(std::abs(residual(s, i)));
+          if (s.log == l && std::isfinite(s.raw[i]))
+            sizes.push_back(residual(s, i) / (s.remainder ? 1.48 : 1.0));
         if (sizes.empty()) continue;
         const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
         std::nth_element(sizes.begin(), middle, sizes.end());

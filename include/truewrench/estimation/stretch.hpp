@@ -19,23 +19,36 @@ struct RawRows {
   std::vector<std::array<Basis, 3>> basis;  // B, B', B'' at it
   Eigen::VectorXd time;
   RowMatrix value;           // (K, n), NaN where missing
-  Eigen::VectorXd weight;    // w_t of 10.3, 0 where masked
+  Eigen::VectorXd size;      // samples that a row stands for
+  RowMatrix remainder;       // (K, n) their sum of squares about it
+  Eigen::VectorXd weight;    // w_t of 10.3, times size; 0 where masked
   Eigen::VectorXi channels;  // n_t
   std::vector<char> masked;
 
-  Eigen::Index size() const { return time.size(); }
+  Eigen::Index rows() const { return time.size(); }
+  // Mean square of a channel's samples about their row.
+  double spread(Eigen::Index k, int channel) const {
+    return remainder.rows() > 0 ? remainder(k, channel) / size[k] : 0.0;
+  }
 };
 
 struct MotionRows {
-  Eigen::VectorXd time;
+  Eigen::VectorXd time, size;  // [s]; samples that a row stands for
   RowMatrix value;
+  Eigen::VectorXd remainder, samples;  // (M) squares about the rows; how many samples are there
   // at t + s, after every prediction:
   std::vector<Eigen::Index> interval;
   RowMatrix basis;           // (K, 6) of the prediction (10.4)
   RowMatrix by_s, by_kappa;  // (K, M)
   RowMatrix residual;        // (K, M), 0 where missing
 
-  Eigen::Index size() const { return time.size(); }
+  Eigen::Index rows() const { return time.size(); }
+  // Sum of the squares of a component's residuals.
+  double squares(int j) const {
+    double sum = remainder[j];
+    for (Eigen::Index k = 0; k < rows(); ++k) sum += size[k] * residual(k, j) * residual(k, j);
+    return sum;
+  }
 };
 
 // What a prediction leaves behind, a row a sample.
@@ -58,17 +71,21 @@ class Stretch {
   Stretch() = default;
   // The samples of `log` between two times.
   Stretch(const RecordedLog& log, const Statement& rig, double begin, double end, double period, double h)
-      : log_(&log), rig_(&rig), M_(log.components()), n_(static_cast<int>(rig.noise.size())) {
-    spline = Spline(begin - 0.5 * period, end - begin + period, h);
+      : Stretch(log, rig, Spline(begin - 0.5 * period, end - begin + period, h), begin - 0.5 * period,
+                end + 0.5 * period) {}
+  // Those of a spline's span that lie between two times.
+  Stretch(const RecordedLog& log, const Statement& rig, const Spline& on, double begin, double end)
+      : spline(on), log_(&log), rig_(&rig), M_(log.components()), n_(static_cast<int>(rig.noise.size())) {
     for (Eigen::Index k = 0; k < log.time.size(); ++k) {
-      if (log.time[k] < begin - 0.5 * period || log.time[k] > end + 0.5 * period) continue;
+      if (log.time[k] < begin || log.time[k] > end) continue;
       if (finite_in(log.raw, k) == 0) continue;
       raw.source.push_back(k);
     }
     const auto rows = static_cast<Eigen::Index>(raw.source.size());
     raw.time.resize(rows);
     raw.value.resize(rows, n_);
-    raw.weight = Eigen::VectorXd::Ones(rows);
+    raw.size = Eigen::VectorXd::Ones(rows);
+    raw.remainder = RowMatrix::Zero(log.size.size() > 0 ? rows : 0, n_);
     raw.channels.resize(rows);
     raw.masked.assign(static_cast<std::size_t>(rows), 0);
     for (Eigen::Index k = 0; k < rows; ++k) {
@@ -80,19 +97,32 @@ class Stretch {
       spline.bases(u, 0, 3, raw.basis.back().data());
       std::copy_n(log.raw.data() + at * n_, n_, raw.value.data() + k * n_);
       raw.channels[k] = finite_in(raw.value, k);
+      if (log.size.size() == 0) continue;
+      raw.size[k] = log.size[at];
+      std::copy_n(log.remainder.data() + at * n_, n_, raw.remainder.data() + k * n_);
     }
+    raw.weight = raw.size;
     for (const MotionStream& stream : log.motion) {
       MotionRows m;
       std::vector<Eigen::Index> at;
       for (Eigen::Index k = 0; k < stream.time.size(); ++k)
-        if (stream.time[k] >= begin - 0.5 * period && stream.time[k] <= end + 0.5 * period &&
-            finite_in(stream.value, k) > 0)
+        if (stream.time[k] >= begin && stream.time[k] <= end && finite_in(stream.value, k) > 0)
           at.push_back(k);
       m.time.resize(static_cast<Eigen::Index>(at.size()));
-      m.value.resize(m.time.size(), M_);
-      for (std::size_t k = 0; k < at.size(); ++k) {
-        m.time[static_cast<Eigen::Index>(k)] = stream.time[at[k]];
-        std::copy_n(stream.value.data() + at[k] * M_, M_, m.value.data() + static_cast<Eigen::Index>(k) * M_);
+      m.value.resize(m.rows(), M_);
+      m.size = Eigen::VectorXd::Ones(m.rows());
+      m.remainder = m.samples = Eigen::VectorXd::Zero(M_);
+      for (Eigen::Index k = 0; k < m.rows(); ++k) {
+        const Eigen::Index from = at[static_cast<std::size_t>(k)];
+        m.time[k] = stream.time[from];
+        std::copy_n(stream.value.data() + from * M_, M_, m.value.data() + k * M_);
+        const bool gathered = stream.size.size() > 0;
+        if (gathered) m.size[k] = stream.size[from];
+        for (int j = 0; j < M_; ++j) {
+          if (!std::isfinite(m.value(k, j))) continue;
+          m.samples[j] += m.size[k];
+          if (gathered) m.remainder[j] += stream.remainder(from, j);
+        }
       }
       motion.push_back(std::move(m));
     }
@@ -121,7 +151,7 @@ class Stretch {
 
   // The twist and its derivative at the raw samples alone.
   void evaluate_motion() {
-    const Eigen::Index rows = raw.size();
+    const Eigen::Index rows = raw.rows();
     for (RowMatrix* m : {&now.nu, &now.a}) m->resize(rows, 6);
     if (log_->source == Source::mapped) {
       std::array<RowMatrix, 3> x;
@@ -202,7 +232,7 @@ class Stretch {
       const double s = theta[columns.clock[i]], kappa = theta[columns.clock[i] + 1],
                    bend = (kappa - 0.5) * s * s;
       const int bias = columns.bias[i];
-      const Eigen::Index rows = m.size();
+      const Eigen::Index rows = m.rows();
       m.interval.resize(static_cast<std::size_t>(rows));
       m.basis.resize(rows, kLocal);
       for (RowMatrix* x : {&m.by_s, &m.by_kappa, &m.residual}) x->resize(rows, M_);
@@ -235,7 +265,7 @@ class Stretch {
   void predict_raw(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
                    bool discrepancy) {
     evaluate_motion();
-    const Eigen::Index rows = raw.size();
+    const Eigen::Index rows = raw.rows();
     now.g.resize(rows, 3);
     now.w.resize(rows, 6);
     now.cw.resize(rows, n_);

@@ -296,13 +296,13 @@ class Sweep {
     for (auto& x : of_theta) std::fill_n(x, M_, 0.0);
     double plain[3][max_components] = {};  // [residual; by s; by kappa], weighted: beside the bias
     Eigen::Index& k = motion_next_[i];
-    for (; k < m.size() && m.interval[static_cast<std::size_t>(k)] == interval; ++k) {
+    for (; k < m.rows() && m.interval[static_cast<std::size_t>(k)] == interval; ++k) {
       const double *b = m.basis.data() + k * kLocal, *by_s = m.by_s.data() + k * M_,
                    *by_kappa = m.by_kappa.data() + k * M_;
       const double *value = m.value.data() + k * M_, *residual = m.residual.data() + k * M_;
       double here[max_components], x[4 * max_components];
       for (int j = 0; j < M_; ++j) {
-        here[j] = std::isfinite(value[j]) ? 1.0 : 0.0;
+        here[j] = std::isfinite(value[j]) ? m.size[k] : 0.0;
         const double weight = here[j] * v[j];
         x[j] = weight * residual[j];
         x[M_ + j] = weight * by_s[j];

@@ -34,6 +34,9 @@ struct MotionStream {
   double time_offset_prior = 0.0;  // [s] 1 sigma of s, beside which the data may show more (10.1)
   double clock_mean = 0.0;         // s_0 [s]
   double kappa_mean = 0.5;
+  // of rows that stand for more than a sample, else empty:
+  Eigen::VectorXd size;  // (K) samples
+  RowMatrix remainder;   // (K, M) their sum of squares about it
 };
 
 // What generalised positions and their derivatives mean for the sensor: a row a time.
@@ -58,6 +61,10 @@ struct RecordedLog {
   Eigen::VectorXd temperature;  // (K) above the reference [K], or empty
   std::vector<MotionStream> motion;
   MotionMap map;  // of a mapped motion
+  // of rows that stand for more than a sample, else empty:
+  Eigen::VectorXd size;              // (K) samples
+  RowMatrix remainder;               // (K, n) their sum of squares about it
+  std::vector<Eigen::Index> spikes;  // samples of the log that no row holds
 
   int components() const { return motion.empty() ? 0 : static_cast<int>(motion.front().value.cols()); }
 };
