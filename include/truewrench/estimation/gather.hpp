@@ -142,6 +142,7 @@ inline void gather_raw(const RecordedLog& log, const Eigen::VectorXd& noise, Rec
       for (Eigen::Index x = 0; x < turned + warm; ++x) value[n + x] = beside[static_cast<std::size_t>(x)][m];
     }
   }
+  std::sort(out.spikes.begin(), out.spikes.end());  // within a window the worst came first
   RowMatrix value, remainder;
   rows.take(out.time, value, out.size, remainder);
   out.raw = value.leftCols(n);
