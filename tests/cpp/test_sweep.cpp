@@ -29,11 +29,11 @@ struct Case {
     predict();
     const MotionRows& m = stretch.motion[0];
     std::vector<double> r;
-    for (Eigen::Index k = 0; k < m.size(); ++k)
+    for (Eigen::Index k = 0; k < m.rows(); ++k)
       for (int j = 0; j < 6; ++j)
-        r.push_back(m.residual(k, j) /
+        r.push_back(std::sqrt(m.size[k]) * m.residual(k, j) /
                     (log.motion[0].sigma[j] * sizes.motion_factor[0][log.motion[0].group[j]]));
-    for (Eigen::Index k = 0; k < stretch.raw.size(); ++k)
+    for (Eigen::Index k = 0; k < stretch.raw.rows(); ++k)
       for (int i = 0; i < 6; ++i)
         r.push_back(std::sqrt(stretch.raw.weight[k]) * stretch.now.residual(k, i) /
                     (rig.noise[i] * sizes.raw_factor[raw_group(i, 6)]));
@@ -73,6 +73,8 @@ Case make(bool bias) {
   m.time = Eigen::VectorXd::LinSpaced(2 * K, 0.0, h * (K - 1));
   m.value.resize(2 * K, 6);
   fill(m.value, 0.3);
+  m.size = Eigen::VectorXd::LinSpaced(2 * K, 1.0, 4.0);  // rows that stand for several samples
+  m.remainder = RowMatrix::Zero(2 * K, 6);
   m.value(7, 3) = std::numeric_limits<double>::quiet_NaN();
   m.sigma = Eigen::VectorXd::Constant(6, 0.01);
   m.group.resize(6);
@@ -102,7 +104,7 @@ void settle(Case& c, Form form) {
   for (Eigen::Index i = 0; i < c.stretch.c.size(); ++i) c.stretch.c.data()[i] = 0.3 * normal(engine);
   for (Eigen::Index i = 0; i < c.stretch.e.size(); ++i)
     c.stretch.e.data()[i] = form == Form::none ? 0.0 : 1e-3 * normal(engine);
-  for (Eigen::Index k = 0; k < c.stretch.raw.size(); ++k)
+  for (Eigen::Index k = 0; k < c.stretch.raw.rows(); ++k)
     c.stretch.raw.weight[k] = k == 6 ? 0.0 : 0.5 + 0.1 * static_cast<double>(k % 4);
 }
 
@@ -129,7 +131,7 @@ TEST_P(SweepOf, DenseAlgebra) {
     J.col(v) = -(plus - c.whitened()) / (2.0 * step);
     x = was;
   }
-  const Eigen::Index motion = 6 * c.stretch.motion[0].size(), raw = r.size() - motion;
+  const Eigen::Index motion = 6 * c.stretch.motion[0].rows(), raw = r.size() - motion;
   Eigen::MatrixXd R = Eigen::MatrixXd::Zero(nx + nt, nx + nt);
   Eigen::MatrixXd smoothness[6];
   const Gram R3 = c.stretch.spline.smoothness(3).inside;
