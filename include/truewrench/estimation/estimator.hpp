@@ -4,6 +4,7 @@
 
 #include "truewrench/estimation/gather.hpp"
 #include "truewrench/estimation/hyperparameters.hpp"
+#include "truewrench/estimation/jitter.hpp"
 #include "truewrench/estimation/score.hpp"
 #include "truewrench/estimation/start.hpp"
 
@@ -302,14 +303,19 @@ class Estimator {
     return fits[now];
   }
 
-  // MASK: w_t < 0.3; gaps of up to 30 ms closed; what then lasts 30 ms or more widened by 20 ms each side.
+  // MASK: w_t < 0.3, less what scattered stamps explain; gaps of up to 30 ms closed; what then lasts 30 ms or more widened by 20 ms each side.
   static void set_mask(Fit& fit) {
-    for (LogFit& log : fit.logs())
-      for (Stretch& s : log.stretches) {
+    for (std::size_t l = 0; l < fit.logs().size(); ++l) {
+      LogFit& log = fit.logs()[l];
+      const Scattered scattered(fit, l);
+      for (std::size_t at = 0; at < log.stretches.size(); ++at) {
+        Stretch& s = log.stretches[at];
         const Eigen::Index n = s.raw.rows();
         std::vector<char> low(static_cast<std::size_t>(n), 0);
         for (Eigen::Index k = 0; k < n; ++k)
-          low[static_cast<std::size_t>(k)] = s.raw.weight[k] < constants::mask_weight * s.raw.size[k];
+          low[static_cast<std::size_t>(k)] =
+              (constants::freedom + s.raw.channels[k]) / (constants::freedom + scattered.chi2(s, at, k)) <
+              constants::mask_weight;
         Eigen::Index last = -1;
         for (Eigen::Index k = 0; k < n; ++k) {
           if (low[static_cast<std::size_t>(k)] == 0) continue;
@@ -334,6 +340,7 @@ class Estimator {
         }
         s.raw.masked = std::move(out);
       }
+    }
   }
 
   static double masked_share(const Fit& fit, std::size_t l) {

@@ -1,0 +1,84 @@
+// Stamps that scatter move all channels of a sample together, along C dw/dt: no outlier, and no less so where the motion is fast.
+#pragma once
+
+#include "truewrench/estimation/fit.hpp"
+
+#include <algorithm>
+#include <vector>
+
+namespace truewrench {
+
+// chi^2(t) of the samples of one log where their times scatter by tau: r^T (diag sigma^2 + tau^2 g g^T)^-1 r, g = C_0 dw/dt.
+class Scattered {
+ public:
+  Scattered(const Fit& fit, std::size_t l) : n_(fit.channels()) {
+    for (int i = 0; i < n_; ++i) sigma_.push_back(fit.sigma(l, i));
+    // p = g^T D^-1 r / G, G = g^T D^-1 g, has variance tau^2 + 1 / G: by the median of p^2, of the half with the larger G
+    struct Row {
+      double G, p2;
+    };
+    std::vector<Row> rows;
+    for (const Stretch& s : fit.logs()[l].stretches) {
+      rates_.push_back(rates(fit, s));
+      for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
+        const auto [G, a] = along(s, rates_.back(), k);
+        if (G > 0.0) rows.push_back({s.raw.size[k] * G, a * a / (G * G)});
+      }
+    }
+    if (rows.size() < 20) return;
+    std::sort(rows.begin(), rows.end(), [](const Row& a, const Row& b) { return a.G > b.G; });
+    std::vector<double> found;
+    for (std::size_t k = 0; k < rows.size() / 2; ++k) found.push_back(rows[k].p2 / kMedian - 1.0 / rows[k].G);
+    const auto middle = found.begin() + static_cast<std::ptrdiff_t>(found.size() / 2);
+    std::nth_element(found.begin(), middle, found.end());
+    tau2_ = std::max(0.0, *middle);
+  }
+
+  double tau() const { return std::sqrt(tau2_); }  // [s]
+
+  double chi2(const Stretch& s, std::size_t stretch, Eigen::Index k) const {
+    const RowMatrix& rate = rates_[stretch];
+    double sum = 0.0;
+    for (int i = 0; i < n_; ++i) {
+      const double r = s.now.residual(k, i), v = sigma_[static_cast<std::size_t>(i)], g = rate(k, i);
+      sum += r * r / (v * v) + s.raw.spread(k, i) / (v * v + tau2_ * g * g);
+    }
+    const auto [G, a] = along(s, rate, k);
+    return sum - tau2_ * a * a / (1.0 + tau2_ * G);
+  }
+
+ private:
+  static constexpr double kMedian = 0.4549364;  // of chi^2 with one degree of freedom
+  int n_;
+  double tau2_ = 0.0;
+  std::vector<double> sigma_;
+  std::vector<RowMatrix> rates_;  // of each stretch: C_0 dw/dt (K, n)
+
+  // By the parabola through three neighbours; 0 at the ends.
+  static RowMatrix rates(const Fit& fit, const Stretch& s) {
+    const Eigen::Index rows = s.raw.rows();
+    RowMatrix out = RowMatrix::Zero(rows, fit.channels());
+    for (Eigen::Index k = 1; k + 1 < rows; ++k) {
+      const double before = s.raw.time[k] - s.raw.time[k - 1], after = s.raw.time[k + 1] - s.raw.time[k];
+      for (int i = 0; i < fit.channels(); ++i) {
+        const double to = s.now.cw(k + 1, i) - s.now.cw(k, i), from = s.now.cw(k, i) - s.now.cw(k - 1, i);
+        out(k, i) = (to * before / after + from * after / before) / (before + after);
+      }
+    }
+    return out;
+  }
+
+  // G and g^T D^-1 r of the channels that are there.
+  std::pair<double, double> along(const Stretch& s, const RowMatrix& rate, Eigen::Index k) const {
+    double G = 0.0, a = 0.0;
+    for (int i = 0; i < n_; ++i) {
+      if (!std::isfinite(s.raw.value(k, i))) continue;
+      const double v = sigma_[static_cast<std::size_t>(i)], g = rate(k, i);
+      G += g * g / (v * v);
+      a += g * s.now.residual(k, i) / (v * v);
+    }
+    return {G, a};
+  }
+};
+
+}  // namespace truewrench
