@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from cyclonedds.util import duration
-
 from truewrench.contact.run import ContactRun, Contacts
 from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS
@@ -17,7 +15,7 @@ from truewrench.rig import Rig
 from truewrench.stream.contact_lines import LiveContact
 from truewrench.stream.ros2 import Counts, Topics
 from truewrench.stream.ros2_merge import Merger
-from truewrench.stream.ros2_node import Node, lost, taken
+from truewrench.stream.ros2_node import Node, finish, lost, taken
 from truewrench.stream.ros2_service import tare_service
 from truewrench.stream.ros2_sources import SensorSource, motion_sources
 from truewrench.stream.ros2_types import (
@@ -76,7 +74,7 @@ class _Publisher:
 
     def finish(self) -> None:
         """Wait for what is still under way."""
-        self._contact.wait_for_acks(duration(seconds=1))
+        finish(self._contact)
 
 
 def contact_topics(
