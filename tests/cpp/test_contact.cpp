@@ -331,6 +331,17 @@ TEST(ContactRows, SamplesMissingWhileThePeriodsAreLearntCostThemselvesAlone) {
   }
 }
 
+TEST(ContactRows, ABurstAtTheStartIsNoPeriod) {
+  std::vector<std::int64_t> stamps;
+  for (int i = 0; i < 30; ++i) stamps.push_back(i * 50'000LL);
+  for (int i = 0; i < 400; ++i) stamps.push_back((i + 5) * 1'000'000LL);
+  double worst = 0.0;
+  const std::vector<std::int64_t> given = rows_given(stamps, 0.02, worst);
+  EXPECT_GE(given.size(), 400U - 20U);
+  EXPECT_EQ(given.back(), 430 - 11);
+  EXPECT_LT(worst, 0.05);
+}
+
 TEST(ContactRows, PosesAndStreamsOfTwoRates) {
   const contact::Settings s = settings_of(6, Feels::payload_on_sensor, false);
   ContactRows rows;

@@ -88,21 +88,24 @@ class ContactRows {
   static constexpr std::int64_t apart_ns = 500'000'000;  // a row at rest so far from its neighbours is a pose
   static constexpr int learned = 20;                     // intervals that tell a nominal period
 
+  // The latest intervals of a stream.
   struct Intervals {
     std::array<std::int64_t, learned> of{};
-    int count = 0;
-    std::int64_t last = 0;
+    std::int64_t count = 0, last = 0;
     bool any = false;
 
-    bool full() const { return count == learned; }
+    bool full() const { return count >= learned; }
+    bool renewed() const { return count > 0 && count % learned == 0; }
     void add(std::int64_t time) {
-      if (any && time - last < apart_ns && !full()) of[static_cast<std::size_t>(count++)] = time - last;
+      if (any && time - last < apart_ns) of[static_cast<std::size_t>(count++ % learned)] = time - last;
       last = time;
       any = true;
     }
-    double median() {
-      std::sort(of.begin(), of.begin() + count);
-      return 1e-9 * static_cast<double>(of[static_cast<std::size_t>(count / 2)]);
+    double median() const {
+      std::array<std::int64_t, learned> sorted = of;
+      const auto used = static_cast<std::size_t>(std::min<std::int64_t>(count, learned));
+      std::sort(sorted.begin(), sorted.begin() + static_cast<std::ptrdiff_t>(used));
+      return 1e-9 * static_cast<double>(sorted[used / 2]);
     }
   };
 
@@ -129,10 +132,11 @@ class ContactRows {
   }
 
   // With the periods known, and a first row that has its wrench: how many rows a kernel waits for, and the rows that
-  // have waited for that. A kernel may be longer than what tells the periods, or samples be missing there: then later.
+  // have waited for that. A kernel may be longer than what tells the periods, samples be missing there, or have come in
+  // a burst: then later, and with the periods of then.
   template <typename Sink>
   void start(Sink&& sink) noexcept {
-    if (!timed_) {
+    if (!timed_ || raw_.renewed() || motion_.renewed()) {
       const double raw = raw_.median(), motion = motion_.median();
       timed_ = contact.set_periods(raw, motion) == Status::ok;
       if (!timed_) return;

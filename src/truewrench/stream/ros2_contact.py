@@ -58,13 +58,21 @@ class _Publisher:
         self._covariance = node.writer(COVARIANCE, Float64MultiArray)
         self._in_contact = node.writer(IN_CONTACT, Bool)
         self._diagnostics = node.writer(DIAGNOSTICS, DiagnosticArray)
+        self._of_covariance = self._of_in_contact = True
+
+    def listen(self) -> None:
+        """Find out what anybody listens to."""
+        self._of_covariance = bool(self._covariance.get_matched_subscriptions())
+        self._of_in_contact = bool(self._in_contact.get_matched_subscriptions())
 
     def write(self, found: Contacts, frame: str, in_contact: bool) -> None:
-        """One wrench."""
+        """One wrench; covariance and test where somebody listens."""
         header = Header(Time.of(int(found.time_ns[0])), frame)
         self._contact.write(WrenchStamped.of(header, found.wrench[0].tolist()))
-        self._covariance.write(Float64MultiArray(_LAYOUT, found.covariance[0].ravel().tolist()))
-        self._in_contact.write(Bool(in_contact))
+        if self._of_covariance:
+            self._covariance.write(Float64MultiArray(_LAYOUT, found.covariance[0].ravel().tolist()))
+        if self._of_in_contact:
+            self._in_contact.write(Bool(in_contact))
 
     def tell(self, event: dict[str, Any]) -> None:
         """An event, as a diagnostic."""
@@ -106,6 +114,7 @@ def contact_topics(
     with tare_service(TARE, complain) as service:
         while not stop.requested and time.monotonic() - begun < seconds:
             node.wait(_WAIT)
+            publisher.listen()
             now = time.monotonic()
             for name, source, reader in readers:
                 for message, info in taken(reader):
