@@ -2,11 +2,15 @@
 
     python benchmarks/live.py
     python benchmarks/live.py --duration 10 --rate 500
+    python benchmarks/live.py --tool
 
 A publisher (rclpy, rmw_fastrtps_cpp, reliable) sends stamped wrenches. Two receive them, each a process:
 truewrench, and an rclpy node that publishes what it receives and does nothing else. A subscriber to
 both, which reads bytes so as to keep up, takes the time from the stamp to its callback. The first second
 is left out, in which everybody is still waking up.
+
+With --tool it is the contact wrench of `stream --tool`, from topics of sensor, twist and gravity, and
+its numbers are held against those that `apply --tool` writes for the same record.
 """
 
 from __future__ import annotations
@@ -37,9 +41,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--duration", type=float, default=60.0, help="of the stream [s]")
     parser.add_argument("--rate", type=float, default=1000.0, help="of its samples [Hz]")
+    parser.add_argument("--tool", action="store_true", help="the contact wrench beyond a tool")
+    parser.add_argument("--folder", type=Path, help="--tool: of a role's files")
     parser.add_argument("--role", choices=["publish", "echo", "measure"], help="of a process of its own")
     parser.add_argument("--count", type=int, default=0, help="messages that the role is about")
     arguments = parser.parse_args()
+    if arguments.folder is not None:
+        import live_tool
+
+        live_tool.role(arguments.role, arguments.folder, arguments.count, arguments.rate)
+        return
     if arguments.role is not None:
         if arguments.role == "publish":
             publish(arguments.count, arguments.rate)
@@ -48,15 +59,21 @@ def main() -> None:
         else:
             measure(arguments.count)
         return
-    table(round(arguments.duration * arguments.rate), arguments.rate)
-
-
-def table(count: int, rate: float) -> None:
     os.environ.update(
         RMW_IMPLEMENTATION="rmw_fastrtps_cpp",
         ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
         ROS_DOMAIN_ID=str(random.randint(1, 99)),
     )
+    count = round(arguments.duration * arguments.rate)
+    if arguments.tool:
+        import live_tool
+
+        live_tool.table(count, arguments.rate)
+    else:
+        table(count, arguments.rate)
+
+
+def table(count: int, rate: float) -> None:
     with tempfile.TemporaryDirectory() as folder:
         command = [
             str(Path(sys.executable).with_name("truewrench")),
@@ -79,13 +96,17 @@ def table(count: int, rate: float) -> None:
     for name, topic in (("`truewrench stream --ros2`", OUTPUT), ("rclpy echo", ECHO)):
         index, latency = np.array(found[topic]).T
         kept = latency[index >= SETTLED * rate] * 1e-3
-        median, high = np.percentile(kept, [50, 99])
-        lost = count - np.unique(index).size
-        print(f"| {name} | {lost} | {median:.0f} µs | {high:.0f} µs | {kept.max():.0f} µs |")
+        print(row(name, count - np.unique(index).size, kept))
 
 
-def role(name: str, count: int = 0, rate: float = 0.0) -> subprocess.Popen[str]:
-    command = [sys.executable, __file__, "--role", name, "--count", str(count), "--rate", str(rate)]
+def row(name: str, lost: int, latency: Any) -> str:
+    """Of the table; latency in microseconds."""
+    median, high = np.percentile(latency, [50, 99])
+    return f"| {name} | {lost} | {median:.0f} µs | {high:.0f} µs | {latency.max():.0f} µs |"
+
+
+def role(name: str, count: int = 0, rate: float = 0.0, *more: str) -> subprocess.Popen[str]:
+    command = [sys.executable, __file__, "--role", name, "--count", str(count), "--rate", str(rate), *more]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 

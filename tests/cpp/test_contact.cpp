@@ -5,8 +5,11 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
+#include <vector>
 
 namespace truewrench {
 namespace {
@@ -279,6 +282,64 @@ TEST(ContactEvents, AreMergedAndPlaced) {
   EXPECT_DOUBLE_EQ(event->peak_force, 10.0);
   EXPECT_LT((event->point - Vector3(0.02, 0.05, 0.1)).norm(), 1e-12);
   EXPECT_FALSE(events.finish());
+}
+
+// Numbers of the rows of one table at some stamps [ns] that get their wrench; nothing touches the tool.
+std::vector<std::int64_t> rows_given(const std::vector<std::int64_t>& stamps, double window, double& worst) {
+  const contact::Settings s = settings_of(6, Feels::payload_on_sensor, false);
+  ContactRows rows;
+  EXPECT_EQ(rows.configure(s, window, false, false, 8192), Status::ok);
+  const Swing motion;
+  std::vector<std::int64_t> given;
+  const auto take = [&](std::int64_t number, const ContactWrench& w) {
+    given.push_back(number);
+    worst = std::max(worst, w.wrench.norm());
+  };
+  for (const std::int64_t stamp : stamps) {
+    const double t = 1e-9 * static_cast<double>(stamp);
+    const Eigen::VectorXd raw = raw_of(s, motion, t, Vector6::Zero());
+    EXPECT_EQ(
+        rows.feed({stamp, raw.data(), motion.twist(t), motion.turn(t) * s.gravity, motion.turn(t)}, take),
+        Status::ok);
+  }
+  rows.finish(take);
+  return given;
+}
+
+TEST(ContactRows, KernelsMayBeLongerThanWhatTellsThePeriods) {
+  for (const auto& [rate, window] : {std::pair{2000, 0.02}, {4000, 0.02}, {500, 0.1}, {1000, 0.02}}) {
+    std::vector<std::int64_t> stamps;
+    for (int i = 0; i < 600; ++i) stamps.push_back(i * (1'000'000'000LL / rate));
+    double worst = 0.0;
+    const std::vector<std::int64_t> given = rows_given(stamps, window, worst);
+    const auto half = static_cast<std::int64_t>(std::lround(0.5 * window * rate));
+    ASSERT_EQ(static_cast<std::int64_t>(given.size()), 600 - 2 * half) << rate;
+    EXPECT_EQ(given.front(), half);
+    EXPECT_TRUE(std::is_sorted(given.begin(), given.end()));
+    EXPECT_LT(worst, 0.05 * window / 0.02);  // what means over a kernel leave of products
+  }
+}
+
+TEST(ContactRows, SamplesMissingWhileThePeriodsAreLearntCostThemselvesAlone) {
+  for (const int missing : {1, 5, 12, 19}) {
+    std::vector<std::int64_t> stamps;
+    for (int i = 0; i < 400; ++i) stamps.push_back((i + (i < missing ? 0 : 15)) * 1'000'000LL);
+    double worst = 0.0;
+    const std::vector<std::int64_t> given = rows_given(stamps, 0.02, worst);
+    EXPECT_EQ(given.size(), 400U - missing - 20U) << missing;
+    EXPECT_LT(worst, 0.05);
+  }
+}
+
+TEST(ContactRows, ABurstAtTheStartIsNoPeriod) {
+  std::vector<std::int64_t> stamps;
+  for (int i = 0; i < 30; ++i) stamps.push_back(i * 50'000LL);
+  for (int i = 0; i < 400; ++i) stamps.push_back((i + 5) * 1'000'000LL);
+  double worst = 0.0;
+  const std::vector<std::int64_t> given = rows_given(stamps, 0.02, worst);
+  EXPECT_GE(given.size(), 400U - 20U);
+  EXPECT_EQ(given.back(), 430 - 11);
+  EXPECT_LT(worst, 0.05);
 }
 
 TEST(ContactRows, PosesAndStreamsOfTwoRates) {

@@ -247,6 +247,23 @@ def test_rows_in_blocks_give_the_same_bits() -> None:
     assert run.lag == 5
 
 
+@pytest.mark.parametrize(("rate", "delay"), [(2000, 0.01), (8000, 0.01), (500, 0.05), (100, 0.5)])
+def test_kernels_may_be_longer_than_what_tells_the_periods(rate: int, delay: float) -> None:
+    tool, motion = tool_of(4), Swing(rate=0.5)
+    time_ns = np.arange(600, dtype=np.int64) * (10**9 // rate)
+    time = 1e-9 * time_ns
+    raw = raw_of(tool.theta, 1, tool.rig.gravity_array, motion, time, np.zeros(6))
+    run, columns = ContactRun(tool, None, delay=delay), columns_of(motion, time)
+    parts = [
+        run.feed(time_ns[k : k + 7], raw[k : k + 7], {name: c[k : k + 7] for name, c in columns.items()})
+        for k in range(0, 600, 7)
+    ]
+    half = round(delay * rate)
+    rows = np.concatenate([part.rows for part in parts] + [run.finish().rows])
+    assert run.lag == half
+    assert rows.tolist() == list(range(half, 600 - half))
+
+
 @pytest.mark.parametrize("kind", ["gap", "missing", "rates"])
 def test_gaps_missing_samples_and_two_rates(kind: str) -> None:
     tool, motion, time_ns = tool_of(6), Swing(), stamps(300)

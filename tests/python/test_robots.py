@@ -180,7 +180,7 @@ def test_an_arm_that_is_not_packaged_names_the_nearest() -> None:
 
 def test_arms_are_part_of_what_is_installed() -> None:
     here = Path(robots.__file__).parent
-    assert {path.stem for path in here.glob("*.yaml")} == set(robots.NAMES)
+    assert {path.stem for path in here.glob("*.yaml")} == set(robots.NAMES + robots.TOOL_RIGS)
     assert {path.stem for path in here.glob("*.urdf")} == set(ARMS)
 
 

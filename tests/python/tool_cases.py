@@ -1,7 +1,8 @@
-"""Tools for tests: made up ones, and logs of poses and motions of a known body."""
+"""Tools for tests: made up ones, on a flange, and logs of poses and motions of a known body."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,15 @@ from truewrench.io.tables import write_table
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.rig.tool_rig import tool_rig
+from truewrench.tool.identify import exported_body
 from truewrench.tool.model import Body, HeldOut, Tool, ToolVerdict, Unknown
-from truewrench.tool.parameters import Layout, inertia_of
+from truewrench.tool.parameters import Layout, inertia_of, second_moments
 
 Array = NDArray[np.float64]
+Rigid = tuple[float, Array, Array]  # mass, centre of mass, inertia (3, 3) about it
+
+FLANGE = np.array([0.01, -0.02, 0.04, 0.3, -0.2, 1.1])
+HOUSING = np.array([0.4, 0.002, 0.0, -0.015])
 
 SENSOR: dict[str, Any] = {
     "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
@@ -68,6 +74,33 @@ def a_tool(seed: int = 0) -> Tool:
         version="0",
         created="2026-01-01T00:00:00+00:00",
     )
+
+
+def a_mounted_tool(*, inertia: bool = True, housing: bool = True) -> Tool:
+    """A tool on a sensor that stands on a flange."""
+    tool = a_tool()
+    body = np.concatenate([[np.log(tool.mass)], tool.center_of_mass, second_moments(tool.mass, tool.inertia)])
+    shell = HOUSING if housing else np.zeros(4)
+    place = tool.layout.body
+    exported = exported_body(body, tool.covariance[place, place], inertia, shell)
+    return replace(tool, exported=exported, flange=FLANGE, housing=shell)
+
+
+def stated(tool: Tool) -> list[Rigid]:
+    """The bodies at the flange by another path: tool and housing apart, turned by SciPy."""
+    R = Rotation.from_euler("xyz", FLANGE[3:]).as_matrix()
+    out: list[Rigid] = []
+    for mass, center, inertia in (
+        (tool.mass, tool.center_of_mass, tensor_of(tool.inertia)),
+        (float(tool.housing[0]), tool.housing[1:], np.zeros((3, 3))),
+    ):
+        out.append((mass, FLANGE[:3] + R @ center, R @ inertia @ R.T))
+    return out
+
+
+def tensor_of(e: Array) -> Array:
+    """(3, 3) of Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
+    return np.array([[e[0], e[3], e[4]], [e[3], e[1], e[5]], [e[4], e[5], e[2]]])
 
 
 def directions(count: int, rng: np.random.Generator) -> Array:

@@ -36,8 +36,8 @@ class ContactRows {
     imu_ = imu;
     times_.assign(static_cast<std::size_t>(capacity), 0);
     numbers_.assign(static_cast<std::size_t>(capacity), 0);
-    rows_ = given_ = 0;
-    started_ = turned_ = lonely_ = false;
+    rows_ = given_ = settled_ = reach_ns_ = 0;
+    timed_ = started_ = turned_ = lonely_ = false;
     raw_ = motion_ = Intervals();
     lag_ = 0;
     return Status::ok;
@@ -66,8 +66,9 @@ class ContactRows {
       if (sensed) raw_.add(row.time_ns);
       if (moved) motion_.add(row.time_ns);
       if (raw_.full() && motion_.full()) start(sink);
-    } else {
-      give(k - lag_, sink);
+    } else if (!give(k - lag_, sink) && k < settled_) {
+      ++lag_;  // another row needs one more than the first: this one comes with the next
+      settled_ = 0;
     }
     if (lonely_ && newest_) give_pose(k, sink);
     return Status::ok;
@@ -87,21 +88,24 @@ class ContactRows {
   static constexpr std::int64_t apart_ns = 500'000'000;  // a row at rest so far from its neighbours is a pose
   static constexpr int learned = 20;                     // intervals that tell a nominal period
 
+  // The latest intervals of a stream.
   struct Intervals {
     std::array<std::int64_t, learned> of{};
-    int count = 0;
-    std::int64_t last = 0;
+    std::int64_t count = 0, last = 0;
     bool any = false;
 
-    bool full() const { return count == learned; }
+    bool full() const { return count >= learned; }
+    bool renewed() const { return count > 0 && count % learned == 0; }
     void add(std::int64_t time) {
-      if (any && time - last < apart_ns && !full()) of[static_cast<std::size_t>(count++)] = time - last;
+      if (any && time - last < apart_ns) of[static_cast<std::size_t>(count++ % learned)] = time - last;
       last = time;
       any = true;
     }
-    double median() {
-      std::sort(of.begin(), of.begin() + count);
-      return 1e-9 * static_cast<double>(of[static_cast<std::size_t>(count / 2)]);
+    double median() const {
+      std::array<std::int64_t, learned> sorted = of;
+      const auto used = static_cast<std::size_t>(std::min<std::int64_t>(count, learned));
+      std::sort(sorted.begin(), sorted.begin() + static_cast<std::ptrdiff_t>(used));
+      return 1e-9 * static_cast<double>(sorted[used / 2]);
     }
   };
 
@@ -111,11 +115,14 @@ class ContactRows {
     return std::max<std::int64_t>(0, rows_ - static_cast<std::int64_t>(times_.size()));
   }
 
+  // Whether the row waits for nothing.
   template <typename Sink>
-  void give(std::int64_t row, Sink&& sink) noexcept {
-    if (row < oldest()) return;
+  bool give(std::int64_t row, Sink&& sink) noexcept {
+    if (row < oldest()) return true;
     ContactWrench out;
-    if (contact.evaluate(time_of(row), out) == ContactState::ok) sink(numbers_[slot(row)], out);
+    const ContactState state = contact.evaluate(time_of(row), out);
+    if (state == ContactState::ok) sink(numbers_[slot(row)], out);
+    return state != ContactState::waiting;
   }
 
   template <typename Sink>
@@ -124,21 +131,30 @@ class ContactRows {
     if (contact.evaluate_pose(time_of(row), out) == ContactState::ok) sink(numbers_[slot(row)], out);
   }
 
-  // With the periods known: how many rows a kernel waits for, and the rows that have waited for that.
+  // With the periods known, and a first row that has its wrench: how many rows a kernel waits for, and the rows that
+  // have waited for that. A kernel may be longer than what tells the periods, samples be missing there, or have come in
+  // a burst: then later, and with the periods of then.
   template <typename Sink>
   void start(Sink&& sink) noexcept {
-    started_ = contact.set_periods(raw_.median(), motion_.median()) == Status::ok;
-    if (!started_) return;
+    if (!timed_ || raw_.renewed() || motion_.renewed()) {
+      const double raw = raw_.median(), motion = motion_.median();
+      timed_ = contact.set_periods(raw, motion) == Status::ok;
+      if (!timed_) return;
+      reach_ns_ = std::llround(1e9 * (2.0 * contact.delay() + learned * std::max(raw, motion)));
+    }
     if (!newest_) {
-      std::int64_t least = static_cast<std::int64_t>(times_.size()), most = 0;
+      std::int64_t least = static_cast<std::int64_t>(times_.size()), most = -1;
       ContactWrench out;
-      for (std::int64_t r = oldest(); r < rows_; ++r) {
+      for (std::int64_t r = rows_ - 1; r >= oldest() && last_time_ - time_of(r) <= reach_ns_; --r) {
         if (contact.evaluate(time_of(r), out) != ContactState::ok) continue;
         least = std::min(least, out.newest - r);
         most = std::max(most, out.newest - r);
       }
+      if (most < 0) return;
       lag_ = most + (most > least ? 1 : 0);  // where it varies, another row may need one more
+      settled_ = most > least ? 0 : rows_ + learned;
     }
+    started_ = true;
     for (std::int64_t r = oldest(); r < rows_ - lag_; ++r) give(r, sink);
   }
 
@@ -188,8 +204,10 @@ class ContactRows {
   Matrix3 R_ = Matrix3::Zero();
   std::vector<std::int64_t> times_, numbers_;  // of the rows with a sample of sensor or motion
   std::int64_t rows_ = 0, given_ = 0, lag_ = 0, turn_time_ = 0, last_time_ = 0;
+  std::int64_t settled_ = 0;   // row from which on the lag stays
+  std::int64_t reach_ns_ = 0;  // how far back a row may still wait
   Intervals raw_, motion_;
-  bool newest_ = false, imu_ = false, started_ = false, turned_ = false, lonely_ = false;
+  bool newest_ = false, imu_ = false, timed_ = false, started_ = false, turned_ = false, lonely_ = false;
 };
 
 }  // namespace truewrench

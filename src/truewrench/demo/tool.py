@@ -37,7 +37,7 @@ __all__ = ["GRIPPER", "Size", "run_tool"]
 
 Array = NDArray[np.float64]
 
-ARM = "panda_ground"
+ARM = "panda_tool"
 GRIPPER: dict[str, Any] = {
     "mass": 1.37,
     "center_of_mass": [0.004, -0.006, 0.085],
@@ -132,8 +132,6 @@ def _rigs(output: Path, seed: int, size: Size) -> tuple[Rig, Rig]:
     data = yaml.safe_load(source.read_text(encoding="utf-8"))
     urdf = source.with_name(data["motion"]["robot"]["urdf"])
     shutil.copyfile(urdf, output / urdf.name)
-    data.pop("payloads")
-    data["sensor"]["gain_prior"] = 0.02
     data["simulate"] = {"rate": 50, "sensor_rate": 100, "seed": seed}
     data["plan"]["duration"] = size.record
     with atomic_output(output / "rig.yaml") as temporary:

@@ -7,9 +7,13 @@ from pathlib import Path
 
 from truewrench.errors import InputError
 
-__all__ = ["NAMES", "path"]
+__all__ = ["NAMES", "TOOL_RIGS", "path"]
 
 NAMES = ("ssrms", "spdm", "panda", "panda_ground", "ur10", "ur10_ground")
+"""Rigs of arms that carry a known payload, for calibrations,"""
+
+TOOL_RIGS = ("panda_tool", "ur10_tool")
+"""and of arms in the laboratory that carry nobody knows what."""
 
 
 def path(name: str) -> Path:
@@ -18,7 +22,8 @@ def path(name: str) -> Path:
     Raises:
         InputError: there is no such arm; the nearest is named.
     """
-    if name not in NAMES:
-        near = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.0)[0]
-        raise InputError(f"no packaged arm `{name}` (nearest: `{near}`), expected one of: {', '.join(NAMES)}")
+    known = NAMES + TOOL_RIGS
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.0)[0]
+        raise InputError(f"no packaged arm `{name}` (nearest: `{near}`), expected one of: {', '.join(known)}")
     return Path(__file__).parent / f"{name}.yaml"

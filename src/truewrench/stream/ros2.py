@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from cyclonedds.util import duration
 
 from truewrench import _core
 from truewrench.apply import corrector, used_in_part, without_temperature, without_weight
@@ -20,7 +19,7 @@ from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS
 from truewrench.rig import Rig
 from truewrench.stream.progress import Progress
-from truewrench.stream.ros2_node import Node, lost, ros_type, taken, unreliable
+from truewrench.stream.ros2_node import Node, finish, lost, ros_type, taken, unreliable
 from truewrench.stream.ros2_sources import SensorSource, Source, motion_sources
 from truewrench.stream.ros2_types import (
     DiagnosticArray,
@@ -129,7 +128,7 @@ class _Wrenches:
 
     def finish(self) -> None:
         """Wait for what is still under way."""
-        self._wrench.wait_for_acks(duration(seconds=1))
+        finish(self._wrench)
 
 
 def correct_topic(
@@ -271,7 +270,7 @@ def calibrate_topics(
     counts.lost = sum(lost(reader) for *_, reader in readers)
     final = session.finish(folder)
     writer.write(_diagnostics(rig, final))
-    writer.wait_for_acks(duration(seconds=1))
+    finish(writer)
     return counts, final
 
 

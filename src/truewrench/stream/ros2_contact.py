@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from cyclonedds.util import duration
-
 from truewrench.contact.run import ContactRun, Contacts
 from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS
@@ -17,7 +15,7 @@ from truewrench.rig import Rig
 from truewrench.stream.contact_lines import LiveContact
 from truewrench.stream.ros2 import Counts, Topics
 from truewrench.stream.ros2_merge import Merger
-from truewrench.stream.ros2_node import Node, lost, taken
+from truewrench.stream.ros2_node import Node, finish, lost, taken
 from truewrench.stream.ros2_service import tare_service
 from truewrench.stream.ros2_sources import SensorSource, motion_sources
 from truewrench.stream.ros2_types import (
@@ -60,13 +58,21 @@ class _Publisher:
         self._covariance = node.writer(COVARIANCE, Float64MultiArray)
         self._in_contact = node.writer(IN_CONTACT, Bool)
         self._diagnostics = node.writer(DIAGNOSTICS, DiagnosticArray)
+        self._of_covariance = self._of_in_contact = True
+
+    def listen(self) -> None:
+        """Find out what anybody listens to."""
+        self._of_covariance = bool(self._covariance.get_matched_subscriptions())
+        self._of_in_contact = bool(self._in_contact.get_matched_subscriptions())
 
     def write(self, found: Contacts, frame: str, in_contact: bool) -> None:
-        """One wrench."""
+        """One wrench; covariance and test where somebody listens."""
         header = Header(Time.of(int(found.time_ns[0])), frame)
         self._contact.write(WrenchStamped.of(header, found.wrench[0].tolist()))
-        self._covariance.write(Float64MultiArray(_LAYOUT, found.covariance[0].ravel().tolist()))
-        self._in_contact.write(Bool(in_contact))
+        if self._of_covariance:
+            self._covariance.write(Float64MultiArray(_LAYOUT, found.covariance[0].ravel().tolist()))
+        if self._of_in_contact:
+            self._in_contact.write(Bool(in_contact))
 
     def tell(self, event: dict[str, Any]) -> None:
         """An event, as a diagnostic."""
@@ -76,7 +82,7 @@ class _Publisher:
 
     def finish(self) -> None:
         """Wait for what is still under way."""
-        self._contact.wait_for_acks(duration(seconds=1))
+        finish(self._contact)
 
 
 def contact_topics(
@@ -108,6 +114,7 @@ def contact_topics(
     with tare_service(TARE, complain) as service:
         while not stop.requested and time.monotonic() - begun < seconds:
             node.wait(_WAIT)
+            publisher.listen()
             now = time.monotonic()
             for name, source, reader in readers:
                 for message, info in taken(reader):

@@ -6,6 +6,7 @@ import os
 import re
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, TypeVar
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -30,7 +31,7 @@ from truewrench.errors import InputError
 from truewrench.stream.ros2_types import TYPE_HASHES
 from truewrench.stream.stop import Stop
 
-__all__ = ["Node", "configuration", "domain_id", "lost", "ros_type", "taken", "unreliable"]
+__all__ = ["Node", "configuration", "domain_id", "finish", "lost", "ros_type", "taken", "unreliable"]
 
 _LARGEST_DOMAIN = 232
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -192,6 +193,12 @@ def taken(reader: DataReader[_Message]) -> Iterator[tuple[_Message, Any]]:
 def lost(reader: Any) -> int:
     """Messages that a reliable publisher no longer had."""
     return int(reader.get_sample_lost_status().total_count)
+
+
+def finish(writer: Any) -> None:
+    """Wait a second at most for what is still under way; a reader that is slow or gone is not waited for."""
+    with suppress(DDSException, AttributeError):  # the latter is how Cyclone's Python tells of a timeout
+        writer.wait_for_acks(duration(seconds=1))
 
 
 def unreliable(reader: Any) -> bool:

@@ -9,9 +9,10 @@ import numpy as np
 from truewrench.errors import InputError
 from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS
 
-__all__ = ["KNOWN", "check_known", "check_logs"]
+__all__ = ["KNOWN", "check_known", "check_logs", "check_session"]
 
 KNOWN = ("mass", *(f"center_of_mass.{axis}" for axis in "xyz"), *(f"inertia.{name}" for name in ELEMENTS))
 """What may be stated of a tool."""
@@ -59,6 +60,18 @@ def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
         if fastest > _FASTEST:
             raise InputError.at(log.path, "wx wy wz", f"a turn of {fastest:.4g}", "rad/s (degrees?)")
         _check_turns(rig, log)
+
+
+def check_session(rig: Rig, logs: Sequence[Log], on: Tool | None) -> None:
+    """Refuse logs before the tool that they stand on, where they are to have its offset."""
+    if on is None or not rig.sensor.pool_offsets:
+        return
+    for log in logs:
+        first = int(log.time_ns[0])
+        if first < on.offset_time_ns:
+            found = f"{first} ns, before the offset of --on at {on.offset_time_ns} ns"
+            expected = "a later log of the same clock, or `sensor.pool_offsets: false`: an offset of its own"
+            raise InputError.at(log.path, "time", found, expected)
 
 
 def _check_turns(rig: Rig, log: Log) -> None:

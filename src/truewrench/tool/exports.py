@@ -209,7 +209,7 @@ def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
     admittance = {
         "admittance_controller": {
             "ros__parameters": {
-                "ft_sensor": {"frame": {"id": sensor}},
+                "ft_sensor": {"frame": {"id": frame}},  # the controller turns the centre of mass, no more
                 "fixed_world_frame": {"frame": {"id": "world"}},
                 "gravity_compensation": {
                     "frame": {"id": frame},
@@ -218,18 +218,18 @@ def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
             }
         }
     }
+    gravity_filter = {
+        "name": "gravity_compensation",
+        "type": "control_filters/GravityCompensationWrench",
+        "params": {
+            "world_frame": "world",
+            "sensor_frame": frame,
+            "tool": {"CoG": center, "gravity_field": tool.gravity.tolist(), "mass": mass},
+        },
+    }
     toolbox = {
-        "filter": {
-            "type": "control_filters/GravityCompensationWrench",
-            "params": {
-                "world_frame": "world",
-                "sensor_frame": frame,
-                "tool": {
-                    "CoG": dict(zip("xyz", center, strict=True)),
-                    "gravity_field": dict(zip("xyz", tool.gravity.tolist(), strict=True)),
-                    "mass": mass,
-                },
-            },
+        "force_torque_sensor_broadcaster": {
+            "ros__parameters": {"sensor_filter_chain": {"filter1": gravity_filter}}
         }
     }
     offset = [float(value) for value in tool.offset]
@@ -251,11 +251,14 @@ def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
             "admittance_controller.yaml",
             document(
                 admittance,
-                "Expects a tared wrench with the sign payload_on_sensor.",
-                f"This sensor: {feels}.",
+                "Expects a tared wrench with the sign payload_on_sensor, and gravity along -z of",
+                f"fixed_world_frame. This sensor: {feels}.",
             ),
         ),
-        ("gravity_compensation_filter.yaml", document(toolbox, "Knows neither offset nor inertia.")),
+        (
+            "gravity_compensation_filter.yaml",
+            document(toolbox, f"For payload_on_sensor; knows no offset. This sensor: {feels}."),
+        ),
     ]
     if tool.n == 6:  # an offset in units of the wrench is all that these know; `bias` is the sensor's own
         weight = "Subtracts offset and [m g; c x m g]: for payload_on_sensor."

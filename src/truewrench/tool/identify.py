@@ -18,7 +18,7 @@ from truewrench.errors import InputError
 from truewrench.log import Log
 from truewrench.rig import Rig
 from truewrench.tool.bodies import joined, nearest_physical, total_body
-from truewrench.tool.checks import check_known, check_logs
+from truewrench.tool.checks import check_known, check_logs, check_session
 from truewrench.tool.held_out import held_out
 from truewrench.tool.judge import Judged, judge, misfit_of_motion
 from truewrench.tool.model import Body, Tool
@@ -84,7 +84,8 @@ def identify_tool(
         tilt_sigma: [rad] 1 sigma of gravity's direction; 0.5 deg unless the rig states one.
         flange: x, y, z, roll, pitch, yaw of the sensor frame on the flange [m, rad], for exports.
         housing: mass and centre of mass of the sensor's housing, sensor axes [kg, m], for exports.
-        on: a tool identified before, on which the unknown body (a workpiece) sits.
+        on: a tool identified before, on which the unknown body (a workpiece) sits. Its offset is that of the
+            logs, too, where the rig says `sensor.pool_offsets`; else they have one of their own.
         threads: of the estimator of motion.
         progress: called with a phase and the share of it that is done, if known.
         evidence: called once with what the result rests on.
@@ -100,6 +101,7 @@ def identify_tool(
     records = [replace(log, payload=next(iter(rig.payloads))) for log in records]
     check_known(known or {})
     check_logs(rig, records)
+    check_session(rig, records, on)
     if rig.sensor.subtracted is not None:
         records = uncompensated(rig, tracked(rig, records))
     weighed = [log for log in records if log.reference is not None]

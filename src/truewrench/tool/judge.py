@@ -154,7 +154,7 @@ def _reasons(
             f"The gains would have to be {figures['gain_worst']:.0f} of their stated sigma away: sign, "
             "axes or units of the log are not as stated."
         )
-    reasons += _turns(solution)
+    reasons += [*_turns(solution), *_zeroed(solution)]
     reasons += [*misfit_of_poses(solution, figures), *misfit_of_motion(motion)]
     if reasons or figures["offset_walk_over_start"] > SUSPECT_WALK:
         named = mistakes(rig, poses, solution.problem.prior.gain_std)
@@ -180,6 +180,22 @@ def _reasons(
     if figures["masked"] > MASKED:
         reasons.append(f"{100 * figures['masked']:.0f}% of the motion was left out as contact or outliers.")
     return reasons, needed
+
+
+def _zeroed(solution: Solution) -> list[str]:
+    """Whether an offset of one session has moved further than any walk goes."""
+    problem = solution.problem
+    scale, P = problem.rig.sensor.channel_scale, np.diag(solution.covariance)
+    gaps, _ = problem.of_links(solution.x)
+    for (when, log, before), gap in zip(problem.links(), gaps, strict=True):
+        seconds = 1e-9 * abs(problem.end_ns[log] - when)
+        squares = gap**2 / (P[before] + (SUSPECT_WALK * WALK * scale) ** 2 * seconds)
+        if chi2.sf(float(squares.sum()), len(gap)) < CHANCE:
+            return [
+                f"The offset is {np.sqrt(squares.max()):.0f} sigma from where the record before left it: the "
+                "sensor was zeroed in between, or this is another session (`sensor.pool_offsets: false`)."
+            ]
+    return []
 
 
 def misfit_of_motion(motion: MotionFit | None) -> list[str]:

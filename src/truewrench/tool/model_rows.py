@@ -1,7 +1,7 @@
 """What poses, motion and known figures say of theta: residuals, derivatives, and the offset's walk.
 
 The vector x is theta in the order of `Layout`, then, where there are any, the ten of a body that was there
-before, the offsets of all logs but the last, and the slope of the offset with temperature.
+before and its offset, the offsets of all logs but the last, and the slope of the offset with temperature.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ __all__ = ["MotionInformation", "Problem", "Vector"]
 
 Array = NDArray[np.float64]
 
+_EXACT = 1e-9  # of range: 1 sigma of a link beside the walk
+
 
 @dataclass(frozen=True, slots=True)
 class Vector:
@@ -32,6 +34,7 @@ class Vector:
     logs: int
     on: bool = False
     warm: bool = False
+    session: bool = False
 
     @property
     def layout(self) -> Layout:
@@ -43,17 +46,22 @@ class Vector:
         """Ten of the body that was there before."""
         return slice(self.layout.size, self.layout.size + 10 * self.on)
 
+    @property
+    def carried(self) -> slice:
+        """Its offset, where the logs are of one session with it: n."""
+        return slice(self.before.stop, self.before.stop + self.n * self.session)
+
     def offset(self, log: int) -> slice:
         """Offset at the end of a log: n."""
         if log == self.logs - 1:
             return self.layout.offset
-        start = self.before.stop + self.n * log
+        start = self.carried.stop + self.n * log
         return slice(start, start + self.n)
 
     @property
     def slope(self) -> slice:
         """Of the offset, per K: n."""
-        start = self.before.stop + self.n * (self.logs - 1)
+        start = self.carried.stop + self.n * (self.logs - 1)
         return slice(start, start + self.n * self.warm)
 
     @property
@@ -95,7 +103,8 @@ class Problem:
     def vector(self) -> Vector:
         """Places in x."""
         warm = self.rig.temperature.prior > 0.0 and bool(np.isfinite(self.poses.temperature).any())
-        return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm)
+        session = self.prior.session_ns is not None
+        return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm, session)
 
     def prior_of_all(self) -> tuple[Array, Array]:
         """Mean (p,) and covariance (p, p) of x."""
@@ -109,6 +118,28 @@ class Problem:
         at = np.arange(v.slope.start, v.slope.stop)
         P[at, at] = (self.rig.temperature.prior * sensor.channel_scale[: at.size]) ** 2
         return mean, P
+
+    def links(self) -> list[tuple[int, int, slice]]:
+        """Offsets of one session, each to the one before: when that was, the log, where it is in x."""
+        if self.prior.session_ns is None:
+            return []
+        v, out = self.vector, []
+        when, where = self.prior.session_ns, v.carried
+        for log in sorted(range(v.logs), key=lambda k: self.end_ns[k]):
+            out.append((when, log, where))
+            when, where = self.end_ns[log], v.offset(log)
+        return out
+
+    def of_links(self, x: Array) -> tuple[Array, Array]:
+        """Zero less each offset's way from the one before (L, n), a walk, and its derivative (n, L, p)."""
+        v, links = self.vector, self.links()
+        r, J = np.zeros((len(links), v.n)), np.zeros((v.n, len(links), v.size))
+        channels = np.arange(v.n)
+        for k, (_, log, before) in enumerate(links):
+            r[k] = x[before] - x[v.offset(log)]
+            J[channels, k, v.offset(log).start + channels] = 1.0
+            J[channels, k, before.start + channels] = -1.0
+        return r, J
 
     def total(self, x: Array) -> tuple[Array, Array]:
         """The body that the sensor carries as (log m, c, inertia) (10,), and its derivative (10, p)."""
@@ -207,16 +238,22 @@ class Problem:
             J.append(row)
         return np.array(r), np.array(J).reshape(len(r), v.size)
 
-    def walked(self) -> Array:
-        """(T, T) covariance of a walk of 1 per sqrt(s) that is zero at the end of each log."""
-        poses = self.poses
-        end = np.array([self.end_ns[log] for log in poses.log], dtype=np.int64)
-        away = np.abs(end - poses.time_ns) * 1e-9
-        K: Array = np.minimum(away[:, None], away) * (poses.log[:, None] == poses.log)
+    def walked(self, linked: bool = False) -> Array:
+        """(T, T) covariance of a walk of 1 per sqrt(s) that is zero at the end of each log.
+
+        Args:
+            linked: (T + L, T + L), `links` after the poses.
+        """
+        links = self.links() if linked else []
+        time = np.append(self.poses.time_ns, np.array([one[0] for one in links], dtype=np.int64))
+        log = np.append(self.poses.log, np.array([one[1] for one in links], dtype=np.int64))
+        end = np.array(self.end_ns, dtype=np.int64)[log]
+        away = np.abs(end - time) * 1e-9
+        K: Array = np.minimum(away[:, None], away) * (log[:, None] == log)
         return K
 
     def roots(self, rate: float, repeatability: float, K: Array) -> list[Array]:
-        """Cholesky factors (T, T) of every channel's covariance of the readings.
+        """Cholesky factors, as large as K, of every channel's covariance of the readings.
 
         Args:
             rate: of the walk, fraction of range per sqrt(s).
@@ -227,7 +264,9 @@ class Problem:
         out = []
         for i in range(len(scale)):
             V = (rate * scale[i]) ** 2 * K
-            V[np.diag_indices_from(V)] += self.poses.variance[:, i] + (repeatability * scale[i]) ** 2
+            T = len(self.poses)
+            V[np.arange(T), np.arange(T)] += self.poses.variance[:, i] + (repeatability * scale[i]) ** 2
+            V[np.arange(T, len(V)), np.arange(T, len(V))] += (_EXACT * scale[i]) ** 2
             out.append(cholesky(V, lower=True))
         return out
 

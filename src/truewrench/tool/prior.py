@@ -16,7 +16,15 @@ from truewrench.rig.tool_rig import TILT_PRIOR, UNKNOWN, tool_rig
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import Layout
 
-__all__ = ["MOUNTING_PRIOR", "S_STD", "Prior", "make_prior", "settings_of", "widening", "with_known_wrenches"]
+__all__ = [
+    "MOUNTING_PRIOR",
+    "S_STD",
+    "Prior",
+    "make_prior",
+    "settings_of",
+    "widening",
+    "with_known_wrenches",
+]
 
 Array = NDArray[np.float64]
 
@@ -35,12 +43,14 @@ class Prior:
     """N(mean, covariance) of the parameters that all logs share.
 
     Attributes:
-        mean: (7n + 15,) in the order of `Layout`, and after it the ten of a known body (`--on`), if any.
+        mean: (7n + 15,) in the order of `Layout`, after it the ten of a known body (`--on`) and, in one
+            session, its offset (n).
         covariance: of the same.
         calibrated: whether the gain's prior is a calibration's.
         gain_std: the largest normalised 1 sigma of a gain.
         known: value and sigma of what is stated of the tool: `mass`, `center_of_mass.x`, `inertia.xx` ...
         on: whether ten parameters of a body that was there before end the vector.
+        session_ns: when that offset was (`sensor.pool_offsets`); None where offsets start anew.
     """
 
     mean: Array
@@ -49,6 +59,7 @@ class Prior:
     gain_std: float
     known: Mapping[str, tuple[float, float]]
     on: bool = False
+    session_ns: int | None = None
 
 
 def settings_of(source: Rig | Calibration) -> Rig:
@@ -114,22 +125,30 @@ def make_prior(
             std[layout.tilt] = rig.gravity_tilt_prior
     held = np.arange(layout.gain.stop, layout.size)
     covariance[held, held] = np.maximum(std[held], _EXACT) ** 2
+    session_ns = None
     if on is not None:
-        mean, covariance = _on(layout, mean, covariance, on)
+        mean, covariance = _on(layout, mean, covariance, on, sensor.pool_offsets)
+        session_ns = on.offset_time_ns if sensor.pool_offsets else None
     relative = np.sqrt(np.diag(covariance)[layout.gain]) / gain_units
-    return Prior(mean, covariance, calibrated, float(relative.max()), dict(known or {}), on is not None)
+    return Prior(
+        mean, covariance, calibrated, float(relative.max()), dict(known or {}), on is not None, session_ns
+    )
 
 
-def _on(layout: Layout, mean: Array, covariance: Array, tool: Tool) -> tuple[Array, Array]:
-    """The posterior of a tool before: gain, mounting, tilt and its body jointly; the offset starts anew."""
+def _on(
+    layout: Layout, mean: Array, covariance: Array, tool: Tool, same_session: bool
+) -> tuple[Array, Array]:
+    """The posterior of a tool before: gain, mounting, tilt and its body jointly, in one session its offset.
+
+    Else the offset starts anew: a sensor may have been zeroed, or off, in between.
+    """
+    more = 10 + layout.n * same_session
     size = layout.size
-    out, P = np.append(mean, np.zeros(10)), np.zeros((size + 10, size + 10))
+    out, P = np.append(mean, np.zeros(more)), np.zeros((size + more, size + more))
     P[:size, :size] = covariance
-    shared = np.r_[
-        np.arange(6 * layout.n), np.arange(layout.mounting.start, layout.size)
-    ]  # stands at the same place in both
-    places = np.concatenate([shared, size + np.arange(10)])
-    theirs = np.concatenate([shared, np.arange(layout.body.start, layout.body.stop)])
+    shared = np.r_[layout.gain, layout.mounting, layout.tilt]  # stand at the same place in both
+    places = np.concatenate([shared, size + np.arange(more)])
+    theirs = np.concatenate([shared, np.r_[layout.body], np.r_[layout.offset][: more - 10]])
     out[places] = tool.theta[theirs]
     P[np.ix_(places, places)] = tool.covariance[np.ix_(theirs, theirs)]
     return out, P

@@ -69,8 +69,8 @@ class Solution:
 class _Linear:
     """The problem about x: residuals, derivatives and prior in units of the prior's sigma."""
 
-    r: Array  # (T, n)
-    J: Array  # (n, T, p)
+    r: Array  # (T + L, n) of poses, and of the links between offsets of one session
+    J: Array  # (n, T + L, p)
     information: Array  # of prior, motion and known figures
     pull: Array  # their gradient at x
     constant: float
@@ -96,7 +96,9 @@ def _linearise(problem: Problem, x: Array, mean: Array, inverse: Array, scale: A
         information += D.T @ D
         pull += D.T @ r
         constant += float(r @ r)
-    return _Linear(problem.poses.raw - y, J * scale, information, pull, constant, K)
+    gap, D = problem.of_links(x)
+    r, J = np.vstack([problem.poses.raw - y, gap]), np.concatenate([J, D], axis=1)
+    return _Linear(r, J * scale, information, pull, constant, K)
 
 
 def _sums(problem: Problem, at: _Linear, sizes: Array) -> tuple[Array, Array, float, float]:
@@ -141,7 +143,7 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
     mean, P = problem.prior_of_all()
     scale = np.sqrt(np.diag(P))
     inverse = np.linalg.inv(P / np.outer(scale, scale) + 1e-12 * np.eye(len(mean)))
-    K = problem.walked()
+    K = problem.walked(linked=True)
     x = mean.copy() if start is None else start.copy()
     if start is None and len(problem.poses):
         _linear_start(problem, x)
@@ -165,8 +167,7 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
     at = _linearise(problem, x, mean, inverse, scale, K)
     x_mixed, covariance = _mixed(problem, at, now, x, scale, held)
     A, *_ = _sums(problem, at, now)
-    y, _ = problem.of_poses(x)
-    residual = problem.poses.raw - y
+    residual, T = at.r, len(problem.poses)
     walk, chi, per_pose, taken = np.zeros_like(residual), 0.0, np.zeros(len(residual)), 0.0
     if len(residual):
         rate = float(np.exp(now[0]))
@@ -190,12 +191,12 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
         P,
         float(np.exp(now[0])),
         float(np.exp(now[1])),
-        residual,
-        walk,
+        residual[:T],
+        walk[:T],
         chi / freedom,
         freedom,
         steps,
-        per_pose,
+        per_pose[:T],
     )
 
 
