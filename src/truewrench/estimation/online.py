@@ -70,7 +70,7 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
             None, status, none, none, none, none, (), found.pose, found.halves, found.quarters,
             found.unresolved, found.dropped, nothing,
         )  # fmt: skip
-    fit = _core.make_fit(statement, list(records), list(found.spacing), [[] for _ in records])
+    fit = _core.make_fit(statement, list(records), list(found.spacing), [[] for _ in records], cauchy=False)
     theta, at = np.array(fit.theta), np.array(found.columns.at)
     for k, own in enumerate(found.own):
         theta[np.array(fit.columns(k).at)] = np.asarray(own)[at]
