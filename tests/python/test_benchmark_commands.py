@@ -32,7 +32,7 @@ SMALLEST: dict[str, str] = {
     "static_poses.py": "",
     "tool_setup.py": "--seeds 1 --healthy 1",
     "tools.py": "--draws 2",
-    "unknown_tools.py": "--trials 2",
+    "unknown_tools.py": "--runs 2",
     "wrench_accuracy.py": "--draws 20",
 }
 
