@@ -115,8 +115,8 @@ def posed(rng: np.random.Generator, rig: Rig, theta: Array) -> tuple[Log, Truth]
     return log_of(rig, turns, t, read(rng, rig, theta, truth), still, 0), truth
 
 
-def moved(rng: np.random.Generator, rig: Rig, theta: Array) -> tuple[Log, Truth]:
-    """A motion with its truth; theta gets its offset."""
+def swung(rng: np.random.Generator) -> tuple[Rotation, Array, Array, Array]:
+    """Attitudes R_root_sensor, times, twist and its derivative of a motion of four frequencies an axis."""
     t = np.arange(int(SECONDS * RATE)) / RATE
     f, phase = rng.uniform(0.2, 0.9, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
     size = np.repeat([0.5, 1.0], 3)
@@ -129,7 +129,12 @@ def moved(rng: np.random.Generator, rig: Rig, theta: Array) -> tuple[Log, Truth]
     turns = [Rotation.random(random_state=rng)]
     for part in fine:
         turns.append(turns[-1] * Rotation.from_rotvec(part))
-    way, nu = Rotation.concatenate(turns[::4]), twist(t)
+    return Rotation.concatenate(turns[::4]), t, twist(t), rate
+
+
+def moved(rng: np.random.Generator, rig: Rig, theta: Array) -> tuple[Log, Truth]:
+    """A motion with its truth; theta gets its offset."""
+    way, t, nu, rate = swung(rng)
     truth = Truth(channels_of(rig, way), t, nu, rate, 0.0, 0.0, moving=True)
     raw = read(rng, rig, theta, truth)
     noisy = nu + rng.normal(size=nu.shape) * rig.motion.noise_array
