@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 LAYOUT = Layout(6)
 POSES, APART, SECONDS, RATE = 12, 8.0, 10.0, 100
 REPEATABILITY = 2e-4
+SPREAD = 0.7  # of sensors: what is believed beforehand is 2
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -102,15 +103,15 @@ def log_of(rig: Rig, turns: Rotation, t: Array, raw: Array, nu: Array, start: in
     return Log(None, "tool", "", stamps, raw, twist=nu, gravity=fall, attitude=quaternion)
 
 
-def walk_of(rng: np.random.Generator) -> float:
-    """Rate of an offset's walk, fraction of range per sqrt(s)."""
-    return 1e-4 * float(np.exp(0.7 * rng.normal()))
+def walk_of(rng: np.random.Generator, spread: float = SPREAD) -> float:
+    """Rate of an offset's walk, fraction of range per sqrt(s); `spread` is 1 sigma of its logarithm."""
+    return 1e-4 * float(np.exp(spread * rng.normal()))
 
 
-def posed(rng: np.random.Generator, rig: Rig, theta: Array) -> tuple[Log, Truth]:
+def posed(rng: np.random.Generator, rig: Rig, theta: Array, spread: float = SPREAD) -> tuple[Log, Truth]:
     """Poses with their truth; theta gets the offset at their end."""
     turns, still, t = Rotation.random(POSES, random_state=rng), np.zeros((POSES, 6)), np.arange(POSES) * APART
-    walk = walk_of(rng)
+    walk = walk_of(rng, spread)
     truth = Truth(channels_of(rig, turns), t, still, still, walk, REPEATABILITY, moving=False)
     return log_of(rig, turns, t, read(rng, rig, theta, truth), still, 0), truth
 

@@ -28,7 +28,7 @@ import tool_joints
 from imperfect import interval
 from numpy.typing import NDArray
 from tool_bound import Truth, bound
-from tool_draws import draw, moved, posed, rig_of
+from tool_draws import SPREAD, draw, moved, posed, rig_of
 from tool_recipe import recipe
 
 import truewrench as tw
@@ -42,7 +42,6 @@ from truewrench.tool.solve import solve
 Array = NDArray[np.float64]
 QUANTITIES = ("mass", "centre of mass", "inertia", "offset")
 WITHIN = 1.959964
-MAKERS = {"poses": posed, "motion": moved}
 
 
 def by_inertia(at: Layout, theta: Array) -> Array:
@@ -81,13 +80,14 @@ def score(tool: tw.Tool, theta: Array, *, inertia: bool) -> dict[str, Array]:
     return out | ({"inertia": (tool.inertia - true) / tool.inertia_std} if inertia else {})
 
 
-def trial(gain_prior: float, data: str, sensor: int | str, seed: int) -> runs.Row:
+def trial(gain_prior: float, data: str, sensor: int | str, spread: float, seed: int) -> runs.Row:
     """One tool, on a sensor of so many channels that moves freely, or on that of an arm."""
     rng, logs, truths = np.random.default_rng(seed), [], []
     rig = rig_of(gain_prior, sensor) if isinstance(sensor, int) else tool_joints.rig_of(sensor, gain_prior)
     theta = draw(rng, rig, seed)
     if isinstance(sensor, int):
-        made = [make(rng, rig, theta) for kind, make in MAKERS.items() if data in (kind, "both")]
+        makers = {"poses": partial(posed, spread=spread), "motion": moved}
+        made = [make(rng, rig, theta) for kind, make in makers.items() if data in (kind, "both")]
         logs, truths = [log for log, _ in made], [truth for _, truth in made]
     else:
         logs = tool_joints.logs(rng, rig, theta, data)
@@ -167,9 +167,10 @@ def main() -> None:
     parser.add_argument("--data", choices=("poses", "motion", "both"), default="both")
     parser.add_argument("--channels", type=int, default=6)
     parser.add_argument("--joints", metavar="ARM", choices=tool_joints.ARMS, help="moved by this arm")
+    parser.add_argument("--walk-spread", type=float, default=SPREAD, help="1 sigma of log rates of walks")
     given = parser.parse_args()
-    work = partial(trial, given.gain_prior, given.data, given.joints or given.channels)
-    settings = ["unknown tools", given.gain_prior, given.data, given.joints or given.channels]
+    case = (given.gain_prior, given.data, given.joints or given.channels, given.walk_spread)
+    work, settings = partial(trial, *case), ["unknown tools", *case]
     indices = range(given.seed, given.seed + given.runs)
     rows = runs.gather(work, indices, given.out, given.workers, settings)
     for row in rows:
