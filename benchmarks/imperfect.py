@@ -191,11 +191,11 @@ def run_one(seed: int, pairs: bool, ordinary: bool, estimator: str, twins: bool,
     return row
 
 
-def interval(count: int, total: int) -> str:
+def interval(count: float, total: int) -> str:
     """A rate and its 95% interval (Clopper and Pearson)."""
     if not total:
         return "-"
-    low = beta.ppf(0.025, count, total - count + 1) if count else 0.0
+    low = beta.ppf(0.025, count, total - count + 1) if count > 0 else 0.0
     high = beta.ppf(0.975, count + 1, total - count) if count < total else 1.0
     return f"{100 * count / total:.1f}% [{100 * low:.1f}, {100 * high:.1f}]"
 

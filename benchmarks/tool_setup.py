@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
-from unknown_tools import LAYOUT, draw, motion, poses, rig_of
+from tool_draws import LAYOUT, draw, motion, poses, rig_of
 
 import truewrench as tw
 from truewrench.attitude import free_fall

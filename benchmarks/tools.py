@@ -1,6 +1,7 @@
 """Five tools swung by an independent simulator, pooled: `truewrench calibrate` on motions that are not ours.
 
     python benchmarks/tools.py --draws 100
+    python benchmarks/tools.py --unknown --draws 20   # six of them unknown, by `truewrench tool`, gain exact
     python benchmarks/tools.py --write tools       # one draw as files: tools/rig.yaml, tools/hammer.csv, ...
 
 Gain, offsets and noise are put on the exact logs of the external data set (TRUEWRENCH_EXTERNAL_DATA, or the
@@ -26,15 +27,19 @@ import cases
 import numpy as np
 import yaml
 from bound_oracle import MotionInformation, Rnea, covariance
+from imperfect import interval
 from numpy.typing import NDArray
+from runs import WITHIN_95
 
 import truewrench as tw
 from truewrench.io.tables import GRAVITY, TWIST, read_log, write_table
 from truewrench.log import Log
 from truewrench.rig import Rig
+from truewrench.rig.tool_rig import tool_rig
 
 Array = NDArray[np.float64]
 
+EXACT = 1e-6  # 1 sigma of a gain that is known
 KNOT_SPACING = 0.05  # of the bound [s]: five samples per coefficient, which the stop-and-go motion needs
 
 
@@ -156,6 +161,55 @@ def run(seed: int, estimator: str) -> Result:
     )
 
 
+@cache
+def unknown_rig() -> Rig:
+    """An exact gain, and the noise of a good sensor."""
+    return tool_rig(
+        {
+            "sensor": {
+                "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+                "feels": "sensor_on_payload",
+                "noise": [0.1] * 3 + [0.005] * 3,
+                "range": [100] * 3 + [10] * 3,
+                "gain_prior": EXACT,
+                "discrepancy": 0,
+                "time_offset_prior": 0,
+            },
+            "motion": {"source": "twist", "of": "sensor", "noise": [1e-4] * 6},
+            "gravity": [0, 0, -9.81],
+        }
+    )
+
+
+def identified(seed: int) -> list[Array]:
+    """Relative error of the mass, error of the centre of mass [m], both in sigma (8,), of each tool."""
+    bodies = yaml.safe_load((data_folder() / "payloads.yaml").read_text(encoding="utf-8"))["payloads"]
+    rng, out, settings = np.random.default_rng(seed), [], unknown_rig()
+    sensor = settings.sensor
+    for name, body in bodies.items():
+        log = read_log(data_folder() / f"{name}.csv", settings)
+        offset = sensor.offset_prior_array * rng.standard_normal(6)
+        raw = log.raw + offset + sensor.noise_array * rng.standard_normal(log.raw.shape)
+        twist = log.twist + settings.motion.noise_array * rng.standard_normal(log.twist.shape)
+        log = replace(log, raw=raw, twist=twist, acceleration=None)
+        tool = tw.identify_tool(settings, log, mounting_sigma=0.0, tilt_sigma=0.0, threads=1)
+        error = np.append(tool.mass - body["mass"], tool.center_of_mass - body["center_of_mass"])
+        sigma = np.append(tool.mass_std, tool.center_of_mass_std)
+        out.append(np.concatenate([[error[0] / body["mass"]], error[1:], error / sigma]))
+    return out
+
+
+def unknown(draws: int, processes: int) -> None:
+    """Table of six tools that nobody knows."""
+    with ProcessPoolExecutor(processes) as pool:
+        found = np.concatenate(list(pool.map(identified, range(draws))))
+    mass, center = (np.sqrt(np.mean(of**2)) for of in (found[:, 0], found[:, 1:4]))
+    share = float(np.mean(np.abs(found[:, 4:]) < WITHIN_95))
+    share_held = interval(share * len(found), len(found))
+    print(f"Six tools, {draws} draws; RMS error of mass and centre of mass, held by 95% intervals:")
+    print(f"{100 * mass:.3f}%, {1000 * center:.3f} mm, {share_held}")
+
+
 def write(folder: Path) -> None:
     """Rig and logs of the first draw as files, for `truewrench calibrate`."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -175,7 +229,11 @@ def main() -> None:
     parser.add_argument("--estimators", default="map,online")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--write", type=Path, metavar="DIR", help="write one draw and its rig; run nothing")
+    parser.add_argument("--unknown", action="store_true", help="six tools that nobody knows")
     options = parser.parse_args()
+    if options.unknown:
+        unknown(options.draws, options.processes)
+        return
     if options.write:
         write(options.write)
         return

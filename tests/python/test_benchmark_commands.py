@@ -15,11 +15,13 @@ SMALLEST: dict[str, str] = {
     "chain.py": "--runs 1 --arm panda_ground",
     "confident.py": "--runs 1",
     "contact.py": "--tools 1 --hours 0.02",
+    "contact_free.py": "--runs 2",
     "coverage.py": "--runs 2",
     "demo_seeds.py": "--seeds 1",
     "efficiency.py": "--seeds 2",
     "grid.py": "--runs 1 --samples 2000",
     "imperfect.py": "--runs 2",
+    "imperfect_tools.py": "--runs 2",
     "live.py": "--duration 3 --rate 200",
     "plans.py": "",
     "rates.py": "--runs 1",
@@ -32,7 +34,7 @@ SMALLEST: dict[str, str] = {
     "static_poses.py": "",
     "tool_setup.py": "--seeds 1 --healthy 1",
     "tools.py": "--draws 2",
-    "unknown_tools.py": "--trials 2",
+    "unknown_tools.py": "--runs 2",
     "wrench_accuracy.py": "--draws 20",
 }
 

@@ -17,6 +17,7 @@ from truewrench.files import read_yaml, write_yaml
 from truewrench.rig import Rig
 from truewrench.rig.tool_rig import GAIN_PRIOR, TILT_PRIOR, load_tool_rig, tool_rig
 from truewrench.tool.model import read_tool
+from truewrench.tool.motion import _widened
 from truewrench.tool.parameters import (
     channel_turn,
     inertia_of,
@@ -133,3 +134,16 @@ def test_a_rig_for_an_unknown_tool_needs_neither_payloads_nor_a_motion(tmp_path:
     )
     stated = tool_rig(a_rig(gravity_tilt_prior=0.01, required="whatever", sensor={"gain_prior": 0.05}))
     assert (stated.sensor.gain_prior, stated.gravity_tilt_prior) == (0.05, 0.01)
+
+
+def test_what_widens_the_gain_of_a_motion_leaves_its_most_likely_point_where_it_was() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(60, 60))
+    data, pull, units = root @ root.T, 30.0 * rng.normal(size=60), np.full(36, 0.1)
+    part = 0.05 * rng.normal(size=(36, 36))
+    scale, slow = np.full(60, 0.2), part @ part.T
+    wide, drawn = _widened(data, pull, slow, scale, units, 6)
+    np.testing.assert_allclose(np.linalg.solve(wide, drawn), np.linalg.solve(data, pull), rtol=1e-6)
+    added = np.zeros((60, 60))
+    added[:36, :36] = slow * np.outer(units, units) / 0.04
+    np.testing.assert_allclose(np.linalg.inv(wide), np.linalg.inv(data) + added, rtol=1e-6, atol=1e-9)

@@ -80,6 +80,21 @@ class Estimate {
     return Tare::accepted;
   }
 
+  // Where the turn about gravity is not known from here on: the tilt, which is fixed in the root frame, points anywhere
+  // about it. Of a tilt turned by an angle that is uniform the mean is 0, the covariance half of E |tilt|^2 in both
+  // axes, and none of it goes with anything else.
+  void forget_heading() noexcept {
+    const int t = at_.tilt();
+    const double square = theta_.segment<2>(t).squaredNorm() + P_(t, t) + P_(t + 1, t + 1);
+    for (int k = t; k < t + 2; ++k) {
+      P_.row(k).setZero();
+      P_.col(k).setZero();
+      P_(k, k) = 0.5 * square;
+      theta_[k] = 0.0;
+    }
+    static_cast<void>(unpack(theta_, point_));
+  }
+
   int channels() const noexcept { return at_.n; }
   const Places& places() const noexcept { return at_; }
   const Eigen::VectorXd& theta() const noexcept { return theta_; }

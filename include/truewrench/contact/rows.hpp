@@ -172,7 +172,8 @@ class ContactRows {
   }
 
   // How the sensor is turned: as the row says; else the last turn, carried on by the angular velocity, with the smallest
-  // further one that puts the stated direction of gravity on the logged one.
+  // further one that puts the stated direction of gravity on the logged one. Where there is nothing to carry on, the
+  // turn about gravity is not known.
   void follow(const ContactRow& row, bool moving, bool fall) noexcept {
     const Vector3 omega = moving ? Vector3(row.twist.tail<3>()) : omega_;
     if (row.R_sensor_root.allFinite()) {
@@ -189,6 +190,7 @@ class ContactRows {
       }
       const double weight = gravity_.norm(), found = fall ? row.fall.norm() : 0.0;
       if (weight > 0.0 && found > 0.0) {
+        if (!turned_ || since >= apart_ns) contact.forget_heading();
         if (!turned_) R_.setIdentity();
         const Vector3 down = R_ * gravity_ / weight;
         R_ = Eigen::Quaterniond::FromTwoVectors(down, row.fall / found).toRotationMatrix() * R_;

@@ -143,7 +143,7 @@ def _taken(
     told = vectors[:, values > _TOLD]
     pull = told @ (told.T @ (root * np.linalg.solve(Pi, pick @ (theta - mean))))
     data = (told * values[values > _TOLD]) @ told.T
-    data = _widened(data, np.asarray(found.gain_covariance) - P[: 6 * n, : 6 * n], root, units, n)
+    data, pull = _widened(data, pull, np.asarray(found.gain_covariance) - P[: 6 * n, : 6 * n], root, units, n)
     count = len(pick)
     information[:count, :count] = data / np.outer(root, root)
     gradient[:count] = pull / root
@@ -177,21 +177,24 @@ def _taken(
     )
 
 
-def _widened(data: Array, added: Array, root: Array, units: Array, n: int) -> Array:
-    """Information where the gain that the logs show departs from the sensor's by slow errors and poses.
+def _widened(
+    data: Array, pull: Array, added: Array, root: Array, units: Array, n: int
+) -> tuple[Array, Array]:
+    """Information and gradient where the gain that logs show departs from the sensor's by slow errors, poses.
 
     What (10.9) and (10.10) add to the gain's covariance is an error of the gain as this record shows it, and
-    moves the body with it: (data^-1 + B B^T)^-1 by Woodbury's identity, for data that may be singular.
+    moves the body with it: (data^-1 + B B^T)^-1 by Woodbury's identity, for data that may be singular. What
+    the data are most likely at stays: the gradient, which is data times the way there, shrinks with them.
     """
     values, vectors = np.linalg.eigh(0.5 * (added + added.T))
     keep = values > 1e-18
     if not keep.any():
-        return data
+        return data, pull
     B = np.zeros((len(data), int(keep.sum())))
     B[: 6 * n] = vectors[:, keep] * np.sqrt(values[keep]) * (units / root[: 6 * n])[:, None]
     inner = np.eye(B.shape[1]) + B.T @ data @ B
     out: Array = data - data @ B @ np.linalg.solve(inner, B.T @ data)
-    return 0.5 * (out + out.T)
+    return 0.5 * (out + out.T), pull - data @ B @ np.linalg.solve(inner, B.T @ pull)
 
 
 def _physical(body: Array) -> _core.Payload:

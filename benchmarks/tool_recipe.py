@@ -1,0 +1,65 @@
+"""The recipe in use for unknown tools: an exact gain, one offset, ten linear parameters, formal sigma."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.log import Log
+from truewrench.rig import Rig
+from truewrench.tool.motion import measured_motions, regressor
+from truewrench.tool.parameters import symmetric
+
+Array = NDArray[np.float64]
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+STEP = 1e-6
+
+
+def recipe(rig: Rig, log: Log, *, moving: bool) -> tuple[Array, Array]:
+    """Mass, centre of mass, inertia about it, offset of the wrench (16,), and their formal 1 sigma.
+
+    Args:
+        rig: its nominal gain is believed.
+        log: poses, or a motion whose velocities are differentiated.
+        moving: whether inertia is asked for; else its place holds NaN.
+    """
+    pieces = measured_motions(rig, log) if moving else [_still(log)]
+    back = np.linalg.pinv(rig.sensor.nominal_gain_array)
+    noise = np.sqrt((back**2) @ rig.sensor.noise_array**2)
+    A, y = [], []
+    for rows, nu, a, g in pieces:
+        know = np.isfinite(log.raw[rows]).all(axis=1)
+        offset = np.broadcast_to(np.eye(6), (int(know.sum()), 6, 6))
+        A.append(np.concatenate([regressor(nu[know], a[know], g[know]), offset], axis=2) / noise[:, None])
+        y.append(rig.sensor.sign * log.raw[rows][know] @ back.T / noise)
+    rows, read = np.concatenate(A).reshape(-1, 16), np.concatenate(y).ravel()
+    kept = np.r_[0:16] if moving else np.r_[0:4, 10:16]
+    x, P = np.zeros(16), np.zeros((16, 16))
+    x[kept] = np.linalg.lstsq(rows[:, kept], read, rcond=None)[0]
+    left = read - rows @ x
+    information = rows[:, kept].T @ rows[:, kept]
+    P[np.ix_(kept, kept)] = np.linalg.inv(information) * (left @ left / (read.size - kept.size))
+    scale = np.maximum(np.abs(x), 1e-3)
+    by = np.column_stack(
+        [
+            (_body(x + STEP * s * e) - _body(x - STEP * s * e)) / (2.0 * STEP * s)
+            for s, e in zip(scale, np.eye(16), strict=True)
+        ]
+    )
+    sigma = np.sqrt(np.diag(by @ P @ by.T))
+    out = _body(x)
+    if not moving:
+        out[4:10] = sigma[4:10] = np.nan
+    return out, sigma
+
+
+def _still(log: Log) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    assert log.gravity is not None
+    nothing = np.zeros((len(log.raw), 6))
+    return np.arange(len(log.raw)), nothing, nothing, log.gravity
+
+
+def _body(x: Array) -> Array:
+    mass, center = x[0], x[1:4] / x[0]
+    about = symmetric(x[4:10]) - mass * (center @ center * np.eye(3) - np.outer(center, center))
+    return np.concatenate([[mass], center, [about[i, j] for i, j in PAIRS], x[10:]])
