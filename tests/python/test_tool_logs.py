@@ -1,0 +1,71 @@
+"""Logs of tools as drivers make them: a weight subtracted, a sensor that warms up, poses and motion mixed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from tool_cases import Array, a_rig, pose_log, swing_log
+
+import truewrench as tw
+from truewrench.log import Log
+from truewrench.rig.tool_rig import tool_rig
+
+MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
+INERTIA = np.diag([0.012, 0.010, 0.006])
+BELIEVED, ITS_CENTER = 0.8, np.array([0.0, 0.01, 0.05])  # what the driver takes for the tool
+SUBTRACTED: dict[str, Any] = {"compensated": {"mass": BELIEVED, "center_of_mass": ITS_CENTER.tolist()}}
+PLAIN = tool_rig(a_rig())
+SLOPE = 2e-3  # of the offset, fraction of range per kelvin
+
+
+def without_weight(log: Log) -> Log:
+    """The log with the driver's weight taken off."""
+    assert log.gravity is not None
+    weight = BELIEVED * np.column_stack([log.gravity, np.cross(ITS_CENTER, log.gravity)])
+    return replace(log, raw=log.raw - PLAIN.sensor.sign * weight)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_weight_that_the_driver_subtracted_is_part_of_the_tool(seed: int, moving: bool) -> None:
+    log = (
+        swing_log(PLAIN, MASS, CENTER, INERTIA, seed=seed)
+        if moving
+        else pose_log(PLAIN, MASS, CENTER, seed=seed)[0]
+    )
+    whole = tw.identify_tool(PLAIN, log)
+    tool = tw.identify_tool(tool_rig(a_rig(sensor=SUBTRACTED)), without_weight(log))
+    assert tool.verdict.usable
+    assert tool.mass == pytest.approx(whole.mass, rel=1e-6)
+    np.testing.assert_allclose(tool.center_of_mass, whole.center_of_mass, atol=1e-6)
+
+
+def warm(log: Log, temperature: Array) -> Log:
+    drift = SLOPE * PLAIN.sensor.range_array * (temperature[:, None] - 25.0)
+    return replace(log, raw=log.raw + drift, temperature=temperature)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_offset_that_follows_the_temperature_is_no_walk(seed: int) -> None:
+    log, _ = pose_log(PLAIN, MASS, CENTER, poses=30, seed=seed)
+    heating = 25.0 + 15.0 * np.linspace(0.0, 1.0, 30) ** 0.5
+    told = tool_rig(a_rig(temperature={"reference": 25, "prior": 3e-3}))
+    tool, blind = tw.identify_tool(told, warm(log, heating)), tw.identify_tool(PLAIN, warm(log, heating))
+    assert tool.verdict.usable
+    assert abs(tool.mass - MASS) < 4.0 * tool.mass_std
+    assert (np.abs(tool.center_of_mass - CENTER) < 4.0 * tool.center_of_mass_std).all()
+    assert (tool.offset_walk < 0.3 * blind.offset_walk).all()
+
+
+def test_poses_that_warm_up_and_a_motion_that_is_warm() -> None:
+    poses, swing = pose_log(PLAIN, MASS, CENTER)[0], swing_log(PLAIN, MASS, CENTER, INERTIA)
+    told = tool_rig(a_rig(temperature={"reference": 25, "prior": 3e-3}))
+    logs = [warm(poses, np.linspace(25.0, 35.0, len(poses.raw))), warm(swing, np.full(len(swing.raw), 40.0))]
+    tool = tw.identify_tool(told, logs)
+    assert tool.verdict.usable
+    assert abs(tool.mass - MASS) < 4.0 * tool.mass_std
+    assert (np.abs(tool.center_of_mass - CENTER) < 4.0 * tool.center_of_mass_std).all()
+    assert tool.determined["inertia"][0]
