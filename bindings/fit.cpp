@@ -2,6 +2,7 @@
 #include "bindings.hpp"
 
 #include "truewrench/estimation/estimator.hpp"
+#include "truewrench/estimation/samples.hpp"
 
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/shared_ptr.h>
@@ -18,14 +19,14 @@ namespace {
 nb::dict rows_of(const Fit& fit, std::size_t l) {
   const LogFit& log = fit.logs().at(l);
   Eigen::Index count = 0;
-  for (const Stretch& s : log.stretches) count += fit.samples(l, s);
+  for (const Stretch& s : log.stretches) count += samples_of(fit, l, s);
   const int n = fit.channels();
   Eigen::VectorXi source(count), stretch(count);
   Eigen::VectorXd time(count), weight(count), masked(count);
   RowMatrix residual(count, n), w(count, 6), cw(count, n), nu(count, 6), a(count, 6), g(count, 3),
       d = RowMatrix::Zero(count, n);
   Eigen::Index at = 0;
-  fit.each_sample(l, [&](const Stretch& s, std::size_t i) {
+  each_sample(fit, l, [&](const Stretch& s, std::size_t i) {
     for (Eigen::Index k = 0; k < s.raw.rows(); ++k, ++at) {
       source[at] = static_cast<int>(s.raw.source[static_cast<std::size_t>(k)]);
       stretch[at] = static_cast<int>(i);

@@ -1,4 +1,4 @@
-// Stamps that scatter move all channels of a sample together, along C dw/dt: no outlier, and no less so where the motion is fast.
+// MASK of METHOD 10.3. Stamps that scatter move all channels of a sample together, along C dw/dt: that is no contact.
 #pragma once
 
 #include "truewrench/estimation/fit.hpp"
@@ -80,5 +80,55 @@ class Scattered {
     return {G, a};
   }
 };
+
+// MASK: w_t < 0.3, less what scattered stamps explain; gaps of up to 30 ms closed; what then lasts 30 ms or more widened by 20 ms each side.
+inline void set_mask(Fit& fit) {
+  for (std::size_t l = 0; l < fit.logs().size(); ++l) {
+    LogFit& log = fit.logs()[l];
+    const Scattered scattered(fit, l);
+    for (std::size_t at = 0; at < log.stretches.size(); ++at) {
+      Stretch& s = log.stretches[at];
+      const Eigen::Index n = s.raw.rows();
+      std::vector<char> low(static_cast<std::size_t>(n), 0);
+      for (Eigen::Index k = 0; k < n; ++k)
+        low[static_cast<std::size_t>(k)] =
+            (constants::freedom + s.raw.channels[k]) / (constants::freedom + scattered.chi2(s, at, k)) <
+            constants::mask_weight;
+      Eigen::Index last = -1;
+      for (Eigen::Index k = 0; k < n; ++k) {
+        if (low[static_cast<std::size_t>(k)] == 0) continue;
+        if (last >= 0 && s.raw.time[k] - s.raw.time[last] - log.period <= constants::mask_join + 1e-9)
+          std::fill(low.begin() + last, low.begin() + k, char{1});
+        last = k;
+      }
+      std::vector<char> out = low;
+      for (Eigen::Index a = 0; a < n;) {
+        if (low[static_cast<std::size_t>(a)] == 0) {
+          ++a;
+          continue;
+        }
+        Eigen::Index b = a;
+        while (b < n && low[static_cast<std::size_t>(b)] != 0) ++b;
+        if (s.raw.time[b - 1] - s.raw.time[a] + log.period >= constants::mask_length - 1e-9)
+          for (Eigen::Index k = 0; k < n; ++k)
+            if (s.raw.time[k] >= s.raw.time[a] - constants::mask_margin - 1e-9 &&
+                s.raw.time[k] <= s.raw.time[b - 1] + constants::mask_margin + 1e-9)
+              out[static_cast<std::size_t>(k)] = 1;
+        a = b;
+      }
+      s.raw.masked = std::move(out);
+    }
+  }
+}
+
+inline double masked_share(const Fit& fit, std::size_t l) {
+  double masked = 0.0, all = 0.0;
+  for (const Stretch& s : fit.logs()[l].stretches) {
+    for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
+      masked += s.raw.masked[static_cast<std::size_t>(k)] != 0 ? s.raw.size[k] : 0.0;
+    all += s.raw.size.sum();
+  }
+  return masked / std::max(all, 1.0);
+}
 
 }  // namespace truewrench
