@@ -90,3 +90,28 @@ def arm_with(arm_rig: RigOf, arm: str, **motion: Any) -> Rig:
     settings["sensor"] |= {"discrepancy": 0, "time_offset_prior": 5e-3}
     settings["simulate"] |= {"rate": 100, "sensor_rate": 100, "payload": "random", "time_offset": "random"}
     return Rig.from_mapping(settings, rig.path)
+
+
+def light_rig(*, seconds: float, rate: float, **sensor: Any) -> Rig:
+    """5 kg on a sensor of 100 N and 10 N m, twist and channels at one rate."""
+    return Rig.from_mapping(
+        {
+            "sensor": {
+                "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+                "feels": "payload_on_sensor",
+                "noise": [0.1] * 3 + [0.01] * 3,
+                "range": [100] * 3 + [10] * 3,
+                **sensor,
+            },
+            "payloads": {
+                "default": {
+                    "mass": 5,
+                    "center_of_mass": [0.02, -0.01, 0.1],
+                    "inertia": {"xx": 0.1, "yy": 0.12, "zz": 0.06},
+                }
+            },
+            "motion": {"noise": [1e-3] * 6},
+            "plan": {"duration": seconds},
+            "simulate": {"rate": rate, "sensor_rate": rate, "seed": 4},
+        }
+    )

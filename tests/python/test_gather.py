@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from record_cases import light_rig
 
 import truewrench as tw
 from truewrench import _core
@@ -17,34 +18,13 @@ from truewrench.log import Log
 
 Array = NDArray[np.float64]
 
-SPAN = np.array([100.0, 100.0, 100.0, 10.0, 10.0, 10.0])
 NOISE = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
 
 
 @pytest.fixture(scope="module")
 def record() -> Any:
     """Rig and log of 10 s at 1 kHz, and the true gain."""
-    rig = tw.Rig.from_mapping(
-        {
-            "sensor": {
-                "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
-                "feels": "payload_on_sensor",
-                "noise": NOISE.tolist(),
-                "range": SPAN.tolist(),
-                "discrepancy": 0,
-            },
-            "payloads": {
-                "default": {
-                    "mass": 5,
-                    "center_of_mass": [0.02, -0.01, 0.1],
-                    "inertia": {"xx": 0.1, "yy": 0.12, "zz": 0.06},
-                }
-            },
-            "motion": {"noise": [1e-3] * 6},
-            "plan": {"duration": 10},
-            "simulate": {"rate": 1000, "sensor_rate": 1000, "seed": 4},
-        }
-    )
+    rig = light_rig(seconds=10, rate=1000, discrepancy=0)
     run = tw.simulate(rig)
     return rig, run.log, run.truth
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from record_cases import light_rig
 
 import truewrench as tw
 from truewrench import _core
@@ -14,26 +15,7 @@ from truewrench.estimation.record import recorded_logs
 
 @pytest.mark.parametrize("size", [1e160, 1e200, 1e300])
 def test_a_lag_that_cannot_be_solved_is_given_up(size: float) -> None:
-    rig = tw.Rig.from_mapping(
-        {
-            "sensor": {
-                "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
-                "feels": "payload_on_sensor",
-                "noise": [0.1] * 3 + [0.01] * 3,
-                "range": [100] * 3 + [10] * 3,
-            },
-            "payloads": {
-                "default": {
-                    "mass": 5,
-                    "center_of_mass": [0.02, -0.01, 0.1],
-                    "inertia": {"xx": 0.1, "yy": 0.12, "zz": 0.06},
-                }
-            },
-            "motion": {"noise": [1e-3] * 6},
-            "plan": {"duration": 30},
-            "simulate": {"rate": 100, "seed": 1},
-        }
-    )
+    rig = light_rig(seconds=30, rate=100)
     _, statement, streams = recorded_logs(rig, [tw.simulate(rig).log])
     online: Any = _core.Incremental(statement, streams[0], _core.IncrementalSettings())
     motion, time = streams[0].motion[0], np.asarray(streams[0].time)

@@ -46,3 +46,15 @@ inline constexpr double noise_told =
 inline constexpr double undetermined = 0.5;  // share of the prior's sigma: words only (METHOD 6)
 
 }  // namespace truewrench::constants
+
+namespace truewrench {
+
+// w_t of METHOD 10.3 for the chi^2 of so many channels, and the chi^2 from which on it masks.
+inline constexpr double robust_weight(int channels, double chi2) {
+  return (constants::freedom + channels) / (constants::freedom + chi2);
+}
+inline constexpr double masked_chi2(int channels) {
+  return (constants::freedom + channels) / constants::mask_weight - constants::freedom;
+}
+
+}  // namespace truewrench

@@ -10,6 +10,11 @@
 
 namespace truewrench {
 
+// The derivative at the middle of three samples, of the parabola through them: times between them, and changes.
+inline double middle_rate(double before, double after, double from, double to) {
+  return (to * before / after + from * after / before) / (before + after);
+}
+
 // Sums of w' on [w, 1] over samples as they come, w' by differences of the neighbours; fixed size, no heap.
 class DelaySums {
  public:
@@ -22,9 +27,9 @@ class DelaySums {
     if (known_ == 2) {
       const double before = time_[1] - time_[0], after = time - time_[1];
       double f[features], d[6];
-      for (int j = 0; j < 6; ++j) {  // of the parabola through the three
+      for (int j = 0; j < 6; ++j) {
         f[j] = w_[1][j];
-        d[j] = ((w[j] - f[j]) * before / after + (f[j] - w_[0][j]) * after / before) / (before + after);
+        d[j] = middle_rate(before, after, f[j] - w_[0][j], w[j] - f[j]);
       }
       f[6] = 1.0;
       for (int i = 0; i < features; ++i) {

@@ -106,8 +106,7 @@ class Fit {
       for (Stretch& s : logs_[l].stretches)
         for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
           s.raw.weight[k] = s.raw.size[k] * (s.raw.masked[static_cast<std::size_t>(k)] != 0 ? 0.0
-                                             : robust ? (constants::freedom + s.raw.channels[k]) /
-                                                            (constants::freedom + chi2(l, s, k))
+                                             : robust ? robust_weight(s.raw.channels[k], chi2(l, s, k))
                                                       : 1.0);
   }
 

@@ -115,8 +115,7 @@ inline void gather_raw(const RecordedLog& log, const Eigen::VectorXd& noise, Rec
     }
     if (few) continue;
     count = window.fit(
-        count, channels, kWorthGathering,
-        (constants::freedom + channels) / constants::mask_weight - constants::freedom,
+        count, channels, kWorthGathering, masked_chi2(channels),
         [&](long k) { return log.time[k] - log.time[begin]; },
         [&](long k, int c) { return log.raw(k, cell[c]); }, [&](int c) { return noise[cell[c]]; },
         [&](long k) { out.spikes.push_back(k); });
@@ -192,25 +191,9 @@ inline std::shared_ptr<const RecordedLog> gathered(const RecordedLog& log, const
   bool any = worth_gathering(log.time);
   for (const MotionStream& m : log.motion) any = any || worth_gathering(m.time);
   if (!any) return nullptr;
-  auto out = std::make_shared<RecordedLog>();
-  out->source = log.source;
-  out->payload = log.payload;
-  out->point = log.point;
-  out->body = log.body;
-  out->map = log.map;
+  auto out = std::make_shared<RecordedLog>(log);
   gather_raw(log, noise, *out);  // slower ones come out as they are
-  for (const MotionStream& m : log.motion) {
-    MotionStream to;
-    to.derivative = m.derivative;
-    to.sigma = m.sigma;
-    to.group = m.group;
-    to.bias_prior = m.bias_prior;
-    to.time_offset_prior = m.time_offset_prior;
-    to.clock_mean = m.clock_mean;
-    to.kappa_mean = m.kappa_mean;
-    gather_motion(m, to);
-    out->motion.push_back(std::move(to));
-  }
+  for (std::size_t i = 0; i < log.motion.size(); ++i) gather_motion(log.motion[i], out->motion[i]);
   return out;
 }
 

@@ -176,7 +176,7 @@ class Lag {
       Interval& v = interval(i);
       for (int r = 0; r < v.rows; ++r) {
         RawRow& row = v.row[static_cast<std::size_t>(r)];
-        row.weight = (constants::freedom + row.channels) / (constants::freedom + chi2(v, row) / scale);
+        row.weight = robust_weight(row.channels, chi2(v, row) / scale);
       }
     }
   }

@@ -53,8 +53,7 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
     if (cells(samples[k]) == whole) window_.picked[static_cast<std::size_t>(count++)] = k;
   if (count < kMostRows) return;
   count = window_.fit(
-      count, n_, kMostRows + 1, (constants::freedom + n_) / constants::mask_weight - constants::freedom,
-      [&](long k) { return samples[k].time - v.begin; },
+      count, n_, kMostRows + 1, masked_chi2(n_), [&](long k) { return samples[k].time - v.begin; },
       [&](long k, int c) { return samples[k].value[static_cast<std::size_t>(c)]; },
       [&](int c) { return noise(c); }, [&](long k) { masked(samples[k].time, samples[k].time); });
   std::copy_n(window_.remainder.begin(), n, v.remainder.begin());

@@ -34,8 +34,6 @@ class Scattered {
     tau2_ = std::max(0.0, *middle);
   }
 
-  double tau() const { return std::sqrt(tau2_); }  // [s]
-
   double chi2(const Stretch& s, std::size_t stretch, Eigen::Index k) const {
     const RowMatrix& rate = rates_[stretch];
     double sum = 0.0;
@@ -54,7 +52,7 @@ class Scattered {
   std::vector<double> sigma_;
   std::vector<RowMatrix> rates_;  // of each stretch: C_0 dw/dt (K, n)
 
-  // By the parabola through three neighbours; 0 at the ends.
+  // 0 at the ends.
   static RowMatrix rates(const Fit& fit, const Stretch& s) {
     const Eigen::Index rows = s.raw.rows();
     RowMatrix out = RowMatrix::Zero(rows, fit.channels());
@@ -62,7 +60,7 @@ class Scattered {
       const double before = s.raw.time[k] - s.raw.time[k - 1], after = s.raw.time[k + 1] - s.raw.time[k];
       for (int i = 0; i < fit.channels(); ++i) {
         const double to = s.now.cw(k + 1, i) - s.now.cw(k, i), from = s.now.cw(k, i) - s.now.cw(k - 1, i);
-        out(k, i) = (to * before / after + from * after / before) / (before + after);
+        out(k, i) = middle_rate(before, after, from, to);
       }
     }
     return out;
@@ -81,7 +79,8 @@ class Scattered {
   }
 };
 
-// MASK: w_t < 0.3, less what scattered stamps explain; gaps of up to 30 ms closed; what then lasts 30 ms or more widened by 20 ms each side.
+// MASK: w_t < 0.3, less what scattered stamps explain; gaps of up to 30 ms closed; what then lasts 30 ms or more widened by
+// 20 ms each side.
 inline void set_mask(Fit& fit) {
   for (std::size_t l = 0; l < fit.logs().size(); ++l) {
     LogFit& log = fit.logs()[l];
@@ -92,8 +91,7 @@ inline void set_mask(Fit& fit) {
       std::vector<char> low(static_cast<std::size_t>(n), 0);
       for (Eigen::Index k = 0; k < n; ++k)
         low[static_cast<std::size_t>(k)] =
-            (constants::freedom + s.raw.channels[k]) / (constants::freedom + scattered.chi2(s, at, k)) <
-            constants::mask_weight;
+            robust_weight(s.raw.channels[k], scattered.chi2(s, at, k)) < constants::mask_weight;
       Eigen::Index last = -1;
       for (Eigen::Index k = 0; k < n; ++k) {
         if (low[static_cast<std::size_t>(k)] == 0) continue;
