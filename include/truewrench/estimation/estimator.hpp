@@ -6,10 +6,9 @@
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/mask.hpp"
 #include "truewrench/estimation/score.hpp"
-#include "truewrench/estimation/start.hpp"
+#include "truewrench/estimation/spacing.hpp"
 
 #include <cmath>
-#include <map>
 #include <memory>
 #include <vector>
 
@@ -35,72 +34,6 @@ struct Estimate {
   int fits = 0;
   double share = 0.0;  // largest ratio of (10.9) to a gain's variance
 };
-
-// Where a record is cut: where all motion streams, or the sensor, are silent for five periods and six knots (METHOD 10.6).
-struct Piece {
-  double begin = 0.0, end = 0.0;
-};
-
-// Stamps at which the sensor has a sample.
-inline Eigen::VectorXd sensor_times(const RecordedLog& log) {
-  std::vector<double> at;
-  for (Eigen::Index k = 0; k < log.time.size(); ++k)
-    if (log.raw.row(k).array().isFinite().any()) at.push_back(log.time[k]);
-  return Eigen::Map<const Eigen::VectorXd>(at.data(), static_cast<Eigen::Index>(at.size()));
-}
-
-// Of the fastest motion stream [s].
-inline double motion_period(const RecordedLog& log) {
-  double out = 0.0;
-  for (const MotionStream& m : log.motion) {
-    const double p = median_period(m.time);
-    if (p > 0.0 && (out == 0.0 || p < out)) out = p;
-  }
-  return out;
-}
-
-inline std::vector<Piece> pieces_of(const RecordedLog& log, double h, int& dropped) {
-  std::vector<double> motion;
-  const Eigen::VectorXd stamps = sensor_times(log);
-  const std::vector<double> sensor(stamps.data(), stamps.data() + stamps.size());
-  for (const MotionStream& m : log.motion)
-    for (Eigen::Index k = 0; k < m.time.size(); ++k)
-      if (m.value.row(k).array().isFinite().any()) motion.push_back(m.time[k]);
-  std::sort(motion.begin(), motion.end());
-  const auto covered = [h](const std::vector<double>& time, double period) {
-    std::vector<Piece> out;
-    for (std::size_t k = 0; k < time.size(); ++k) {
-      if (k == 0 || time[k] - time[k - 1] > std::max(5.0 * period, 6.0 * h))
-        out.push_back({time[k], time[k]});
-      out.back().end = time[k];
-    }
-    return out;
-  };
-  const std::vector<Piece> a = covered(sensor, median_period(stamps)),
-                           b = covered(motion, motion_period(log));
-  std::vector<Piece> out;
-  dropped = 0;
-  for (std::size_t i = 0, j = 0; i < a.size() && j < b.size();) {
-    const Piece both{std::max(a[i].begin, b[j].begin), std::min(a[i].end, b[j].end)};
-    if (both.end > both.begin) {
-      if (both.end - both.begin >= 12.0 * h)
-        out.push_back(both);
-      else
-        ++dropped;
-    }
-    (a[i].end < b[j].end ? i : j) += 1;
-  }
-  return out;
-}
-
-// The ladder of spacings: from max(0.05 s, 2.5 periods), halved down to one sample (10.2).
-inline std::vector<double> spacings(const RecordedLog& log) {
-  const double dt = motion_period(log);
-  std::vector<double> out{std::max(constants::knot_spacing, constants::periods_per_knot * dt)};
-  while (out.back() / 2.0 > 1.01 * dt) out.push_back(out.back() / 2.0);
-  out.push_back(dt);
-  return out;
-}
 
 class Estimator {
  public:
@@ -141,7 +74,7 @@ class Estimator {
     std::vector<std::vector<double>> steps(count);
     if (count > 1) {
       std::vector<LogFit> logs;
-      for (std::size_t l = 0; l < count; ++l) logs.push_back(log_fit(l, h[l]));
+      for (std::size_t l = 0; l < count; ++l) logs.push_back(log_fit(l, pieces_[l], h[l]));
       robust = started(std::move(logs), steps, true);
       robust->run();
       ++out.fits;
@@ -172,7 +105,7 @@ class Estimator {
   Settings settings_;
   std::vector<std::vector<Piece>> pieces_;
 
-  LogFit log_fit(std::size_t l, double h) const {
+  LogFit log_fit(std::size_t l, const std::vector<Piece>& pieces, double h) const {
     LogFit out;
     out.log = recorded_[l];
     out.whole = gathered_[l] ? whole_[l] : nullptr;
@@ -180,8 +113,7 @@ class Estimator {
     out.h = h;
     out.period = median_period(sensor_times(*recorded_[l]));
     const double period = median_period(sensor_times(*whole_[l]));
-    for (const Piece& p : pieces_[l])
-      out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, period, h);
+    for (const Piece& p : pieces) out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, period, h);
     return out;
   }
 
@@ -211,96 +143,31 @@ class Estimator {
     return fit;
   }
 
-  // Whether finer knots follow what moves, where the motion alone does not ask for them: its noise is found smaller, in no group
-  // of it larger by more than the one sigma to which it is known. (10.7) alone follows a force that shakes the sensor with a
-  // motion that the velocities deny (12 to 40 Hz: NEES 16).
-  static bool moves(const LogFit& fine, const LogFit& coarse) {
-    double sum = 0.0;
-    for (std::size_t m = 0; m < fine.log->motion.size(); ++m)
-      for (Eigen::Index g = 0; g < fine.sizes.motion_factor[m].size(); ++g) {
-        double rows = 0.0;
-        for (const Stretch& s : fine.stretches)
-          for (int j = 0; j < s.components(); ++j)
-            if (fine.log->motion[m].group[j] == g) rows += s.motion[m].samples[j];
-        const double change =
-            rows * std::log(fine.sizes.motion_factor[m][g] / coarse.sizes.motion_factor[m][g]);
-        if (change > std::sqrt(0.5 * rows)) return false;
-        sum += change;
-      }
-    return sum < 0.0;
-  }
-
-  // h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving; again from there (10.2). And h / 4, where the
-  // sensor's noise seems larger than stated: what h / 2 does not follow either it does not show (20 Hz from 0.05 s, 3 of 10).
+  // h of a log, appended to `chosen`, and its fit (10.2).
   std::shared_ptr<Fit> choose_spacing(std::size_t l, std::vector<double>& chosen, bool& unresolved,
-                                      Estimate& out) {
-    const std::vector<double> ladder = spacings(*recorded_[l]);
-    std::vector<double> alone;
-    struct Start {  // the motion alone, at a spacing
-      std::vector<RowMatrix> c;
-      Sizes sizes;
+                                      Estimate& out) const {
+    const std::vector<double> ladder = spacings(motion_period(*recorded_[l]));
+    const auto search_of = [&](const std::vector<Piece>& pieces, double repeated) {
+      return SpacingSearch(
+          rig_, [this, l, pieces](double h) { return log_fit(l, pieces, h); }, ladder, repeated,
+          settings_.threads);
     };
-    std::vector<Start> starts;
-    for (std::size_t i = 0; i < ladder.size(); ++i) {
-      std::vector<LogFit> one;
-      one.push_back(log_fit(l, ladder[i]));
-      Fit fit(rig_, std::move(one), std::vector<std::vector<double>>{}, settings_.threads);
-      const double deviance = motion_alone(fit.logs()[0], fit.layout(), 0);
-      Start& start = starts.emplace_back();
-      start.sizes = fit.logs()[0].sizes;
-      for (Stretch& s : fit.logs()[0].stretches) start.c.push_back(std::move(s.c));
-      alone.push_back(std::isfinite(deviance)
-                          ? deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
-                          : std::numeric_limits<double>::infinity());
+    SpacingSearch whole = search_of(pieces_[l], 1.0);
+    std::size_t found = 0;
+    const std::shared_ptr<Fit> coarsest = whole.fit(0);
+    bool finer = true;
+    const double duration = lasting(pieces_[l]);
+    if (coarsest && duration > 2.0 * constants::pilot) {
+      const Piece part = worst_part(*coarsest);
+      SpacingSearch pilot = search_of({part}, duration / (part.end - part.begin));
+      finer = pilot.best() > 0;
+      out.fits += pilot.fits();
     }
-    const auto best_alone =
-        static_cast<std::size_t>(std::min_element(alone.begin(), alone.end()) - alone.begin());
-    std::map<std::size_t, std::shared_ptr<Fit>> fits;
-    const auto fitted = [&](std::size_t i, bool finer) {
-      std::shared_ptr<Fit> lower;
-      for (const bool cauchy : {true, false}) {
-        if (!cauchy && !finer) break;
-        std::vector<LogFit> one;
-        one.push_back(log_fit(l, ladder[i]));
-        auto fit = std::make_shared<Fit>(rig_, std::move(one), std::vector<std::vector<double>>{},
-                                         settings_.threads);
-        fit->logs()[0].sizes = starts[i].sizes;
-        for (std::size_t s = 0; s < starts[i].c.size(); ++s) fit->logs()[0].stretches[s].c = starts[i].c[s];
-        fit->robust = true;
-        regress(*fit, cauchy);
-        if (!cauchy) roughen(*fit);
-        fit->run(lower.get());
-        fit->release();
-        ++out.fits;
-        if (!fit->failed && std::isfinite(fit->deviance) && (!lower || fit->deviance < lower->deviance))
-          lower = fit;
-      }
-      return lower;
-    };
-    std::size_t now = 0;
-    const auto noisy = [&](std::size_t i) {
-      return fits[i] && fits[i]->logs()[0].sizes.raw_factor.maxCoeff() > constants::noise_told;
-    };
-    const auto cost = [&](std::size_t i) {
-      const auto& fit = fits[i];
-      return fit ? fit->deviance + constants::halving_cost * std::log2(ladder[0] / ladder[i])
-                 : std::numeric_limits<double>::infinity();
-    };
-    fits[0] = fitted(0, false);
-    for (;;) {
-      for (const std::size_t i : {now + 1, noisy(now) ? now + 2 : now + 1, best_alone})
-        if (i > now && i < ladder.size() && fits.find(i) == fits.end()) fits[i] = fitted(i, true);
-      std::size_t best = now;
-      for (const auto& [i, fit] : fits)
-        if (cost(i) < cost(best) && (i <= now || !fits[now] || alone[i] < alone[now] ||
-                                     moves(fits[i]->logs()[0], fits[now]->logs()[0])))
-          best = i;
-      if (best <= now) break;
-      now = best;
-    }
-    unresolved = now + 1 == ladder.size();
-    chosen.push_back(ladder[now]);
-    return fits[now];
+    if (finer) found = whole.best();
+    out.fits += whole.fits();
+    unresolved = found + 1 == ladder.size();
+    chosen.push_back(ladder[found]);
+    return whole.fit(found);
   }
 
   static void clear_mask(std::vector<LogFit>& logs) {

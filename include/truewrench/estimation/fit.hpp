@@ -268,7 +268,7 @@ class Fit {
       advance();
       const auto count = static_cast<double>(active_places().size());
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
-      if (resize() < constants::size_move && move < constants::theta_move && iterations > 2) {
+      if (resize() < constants::size_move && move < constants::theta_move && iterations > 1) {
         converged = true;
         break;
       }

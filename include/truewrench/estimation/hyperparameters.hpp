@@ -32,12 +32,15 @@ inline double Fit::resize() {
     for (const auto& f : z.motion_factor)
       for (auto* v : {&m_squares, &m_count, &m_trace}) v->push_back(Eigen::VectorXd::Zero(f.size()));
     Eigen::VectorXd energy = Eigen::VectorXd::Zero(z.q.size()), q_trace = energy, size = energy;
+    double samples = 0.0, weights = 0.0;
     for (std::size_t s_ = 0; s_ < traces.size(); ++s_) {
       const Stretch& s = log.stretches[s_];
       const Traces& t = traces[s_];
       trace += t.raw;
       for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
         if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
+        samples += s.raw.size[k];
+        weights += s.raw.weight[k];
         for (int i = 0; i < n_; ++i) {
           if (!std::isfinite(s.raw.value(k, i))) continue;
           const double r = s.now.residual(k, i), v = rig_->noise[i];
@@ -68,6 +71,9 @@ inline double Fit::resize() {
       factor *= ratio;
       move = std::max(move, std::abs(std::log(ratio)));
     };
+    // In the end 1, as sum w (4 + chi^2) = sum (4 + n_t); on the way there it halves the number of steps (Kent, Tyler and
+    // Vardi 1994).
+    if (robust && weights > 0.0) squares *= (samples + trace.sum() / constants::freedom) / weights;
     for (Eigen::Index r = 0; r < squares.size(); ++r)
       if (count[r] > 0.0) resize_factor(z.raw_factor[r], squares[r], count[r], trace[r]);
     for (std::size_t i = 0; i < m_squares.size(); ++i)
@@ -105,14 +111,26 @@ inline double Fit::resize() {
     }
     if (z.form == Form::matern) move = std::max(move, resize_tau(log, traces));
   }
-  // upsilon and alpha: the same rule with R = E, exponent 1
+  // upsilon and alpha: the same rule with R = E, exponent 1, to its end at what this linearisation says of the block
   const auto resize_block = [this](int at, double floor) {
-    double squares = 0.0, freedom = 0.0;
-    for (int i = at; i < at + n_; ++i) {
-      squares += theta[i] * theta[i];
-      freedom += 1.0 - P_(i, i) / prior[i];
+    Eigen::MatrixXd told, P = P_.block(at, at, n_, n_);
+    double logdet = 0.0;
+    if (!dense::invert(P, told, logdet)) return;
+    const Eigen::VectorXd pull = dense::times(told, theta.segment(at, n_));
+    double size = prior[at];
+    told.diagonal().array() -= 1.0 / size;
+    for (int round = 0; round < 200; ++round) {
+      Eigen::MatrixXd with = told;
+      with.diagonal().array() += 1.0 / size;
+      if (!dense::invert(with, P, logdet)) return;
+      const double freedom = n_ - P.trace() / size;
+      const double to =
+          std::max(dense::times(P, pull).squaredNorm() / std::max(freedom, 0.05), floor * floor);
+      const double ratio = to / size;
+      size = to;
+      if (std::abs(std::log(ratio)) < 1e-3) break;
     }
-    prior.segment(at, n_).setConstant(std::max(squares / std::max(freedom, 0.05), floor * floor));
+    prior.segment(at, n_).setConstant(size);
   };
   resize_block(layout_.u, constants::quadratic_floor);
   for (std::size_t l = 0; l < logs_.size(); ++l)
