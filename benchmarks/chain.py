@@ -33,14 +33,14 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
-from truewrench.arm.track import track
-from truewrench.files import write_yaml
 from truewrench.io.plans import joint_columns, read_joint_plan
 from truewrench.io.tables import write_table
+from truewrench.model.files import write_yaml
+from truewrench.model.rig import Rig, load_rig
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.planner import plan
-from truewrench.rig import Rig, load_rig
+from truewrench.robot.arm import robot_of
+from truewrench.robot.track import track
 from truewrench.simulation.arm.model import Arm
 from truewrench.simulation.arm.motion import default_motion
 from truewrench.simulation.arm.run import Moved, arm_with, move, record

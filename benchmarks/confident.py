@@ -29,8 +29,8 @@ import runs
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import SimulatedRun, simulate
 
 Array = NDArray[np.float64]

@@ -26,8 +26,8 @@ from scipy.spatial.transform import Rotation
 from tool_draws import LAYOUT, REPEATABILITY, channels_of, draw, log_of, moved, posed, rig_of, swung
 
 import truewrench as tw
-from truewrench.contact.run import ContactRun, Contacts
-from truewrench.rig import Rig
+from truewrench.correction.contact.run import ContactRun, Contacts
+from truewrench.model.rig import Rig
 from truewrench.tool.parameters import channel_turn
 
 Array = NDArray[np.float64]

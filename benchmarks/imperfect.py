@@ -30,8 +30,8 @@ from scipy.stats import beta
 
 import truewrench as tw
 from truewrench import robots
+from truewrench.model.rig import load_rig
 from truewrench.motion.trajectory import HarmonicTwist
-from truewrench.rig import load_rig
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

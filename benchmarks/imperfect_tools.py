@@ -32,14 +32,14 @@ from tool_draws import LAYOUT, draw, rig_of
 
 import truewrench as tw
 from truewrench import _core
-from truewrench.arm.track import track
-from truewrench.contact.log import contact
-from truewrench.log import Log
+from truewrench.correction.contact.log import contact
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import UNKNOWN, tool_rig
+from truewrench.model.split import rows_of
 from truewrench.motion.trajectory import HarmonicTwist, Trajectory, attitude
 from truewrench.planning.tool.plan import plan_tool
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import UNKNOWN, tool_rig
-from truewrench.split import rows_of
+from truewrench.robot.track import track
 from truewrench.tool.parameters import ELEMENTS, channel_turn, inertia_of
 
 Array = NDArray[np.float64]

@@ -107,7 +107,7 @@ def told(folder: Path, count: int, rate: float, figures: dict[str, int]) -> None
 def identify(folder: Path) -> None:
     """The tool, from 12 poses that end now: its offset is as old as a minute."""
     from truewrench import identify_tool, read_log
-    from truewrench.rig.tool_rig import load_tool_rig
+    from truewrench.model.rig.tool_rig import load_tool_rig
 
     rng, rig = np.random.default_rng(0), load_tool_rig(folder / "rig.yaml")
     fall = Rotation.random(12, random_state=0).as_matrix()[:, 2] * -9.81

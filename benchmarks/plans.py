@@ -23,9 +23,9 @@ from typing import Any, Literal
 import runs
 
 from truewrench import robots
+from truewrench.model.rig import Rig, load_rig
 from truewrench.planning.planner import plan
 from truewrench.planning.result import Plan
-from truewrench.rig import Rig, load_rig
 
 REFERENCE: dict[str, Any] = {
     "sensor": {

@@ -21,7 +21,7 @@ import cases
 import numpy as np
 import runs
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import simulate
 
 RATES = (100, 200, 500, 1000)

@@ -33,10 +33,10 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.io.tables import open_table, read_log, write_table
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig, load_rig
+from truewrench.model.rig import Rig, load_rig
+from truewrench.robot.arm import robot_of
 from truewrench.simulation.free_body import simulate
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "python"))
@@ -165,7 +165,9 @@ def by_this_package(path: Path, rig: Rig) -> None:
 
 
 READERS = {
-    "start and imports": "import truewrench.apply, truewrench.inspection.recording, rosbags.highlevel",
+    "start and imports": (
+        "import truewrench.correction.apply, truewrench.inspection.recording, rosbags.highlevel"
+    ),
     "rosbags, every message": "recordings.by_rosbags(path)",
     "truewrench inspect": "inspect_recording(path)",
     "truewrench, the columns of a log": "recordings.by_this_package(path, rig)",
@@ -208,10 +210,10 @@ sys.path.insert(0, {str(Path(__file__).parent)!r})
 import recordings
 from recordings import calibration_of
 from truewrench import robots
-from truewrench.apply import apply
-from truewrench.apply.recording import apply_to_recording
+from truewrench.correction.apply import apply
+from truewrench.correction.apply_recording import apply_to_recording
 from truewrench.inspection.recording import inspect_recording
-from truewrench.rig import load_rig
+from truewrench.model.rig import load_rig
 path, rig = Path({str(path)!r}), load_rig(robots.path("panda"))
 {code}
 status = Path("/proc/self/status").read_text()  # of this program alone, not of the one that started it
@@ -223,7 +225,7 @@ print(float(status.split("VmHWM:")[1].split()[0]) / 1024)
 
 def calibration_of(rig: Rig) -> Any:
     """A calibration that changes nothing: reading is what is looked at."""
-    from truewrench.calibration import Calibration, Verdict
+    from truewrench.model.calibration import Calibration, Verdict
 
     n = rig.sensor.n
     gain = rig.sensor.nominal_gain_array

@@ -20,8 +20,8 @@ from typing import Any
 from playwright.sync_api import sync_playwright
 
 import truewrench as tw
-from truewrench.evidence import Evidence
-from truewrench.pipeline import calibrate
+from truewrench.calibrating.pipeline import calibrate
+from truewrench.estimation.evidence import Evidence
 from truewrench.report import write_report
 from truewrench.simulation.free_body import simulate
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
-from truewrench.payload import payload_wrench
-from truewrench.rig import Rig, load_rig
+from truewrench.model.payload import payload_wrench
+from truewrench.model.rig import Rig, load_rig
+from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm.run import arm_with
 from truewrench.simulation.truth import stated
 

@@ -23,12 +23,12 @@ from scipy.stats import chi2
 
 import truewrench as tw
 from truewrench import _core
-from truewrench.calibration import Calibration
 from truewrench.campaign.trial import nees
 from truewrench.campaign.workers import Lost, in_processes
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

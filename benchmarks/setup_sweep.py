@@ -27,7 +27,7 @@ import runs
 from numpy.typing import NDArray
 
 from truewrench.judging.setup_odds import suspected_setup_errors
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import simulate
 
 Array = NDArray[np.float64]

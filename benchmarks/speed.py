@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from truewrench import _core, robots
 from truewrench.estimation.ekf import estimate_ekf
 from truewrench.estimation.estimator import estimate
-from truewrench.log import Log
-from truewrench.motion_noise import twist_noise
-from truewrench.rig import Rig, load_rig
+from truewrench.estimation.motion_noise import twist_noise
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig, load_rig
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.free_body import simulate
 

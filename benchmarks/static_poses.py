@@ -18,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 
 from truewrench.io.tables import GRAVITY, TWIST, write_table
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix, hstack, identity, kron, vstack
 from scipy.sparse.linalg import splu
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 from truewrench.tool.parameters import Layout
 
 Array = NDArray[np.float64]

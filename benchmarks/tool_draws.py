@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tool_bound import Readings, Truth
 
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.tool.parameters import Layout, channel_turn, inertia_of, symmetric, tilted
 from truewrench.tool.prior import make_prior
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from tool_draws import walk_of
 
 from truewrench import robots
-from truewrench.arm.track import track
-from truewrench.log import Log
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig, load_rig
+from truewrench.model.rig.tool_rig import UNKNOWN, tool_rig
 from truewrench.planning.tool.plan import plan_tool
-from truewrench.rig import Rig, load_rig
-from truewrench.rig.tool_rig import UNKNOWN, tool_rig
+from truewrench.robot.track import track
 from truewrench.simulation.arm import simulate_plan
 from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, inertia_of, tilted
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.tool.motion import measured_motions, regressor
 from truewrench.tool.parameters import symmetric
 

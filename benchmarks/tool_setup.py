@@ -27,11 +27,11 @@ from scipy.stats import beta
 from tool_draws import LAYOUT, draw, motion, poses, rig_of
 
 import truewrench as tw
-from truewrench.attitude import free_fall
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.robot.attitude import free_fall
 from truewrench.tool.bodies import weight
 
 Array = NDArray[np.float64]

@@ -33,9 +33,9 @@ from runs import WITHIN_95
 
 import truewrench as tw
 from truewrench.io.tables import GRAVITY, TWIST, read_log, write_table
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import tool_rig
 
 Array = NDArray[np.float64]
 

@@ -32,8 +32,8 @@ from tool_draws import SPREAD, draw, moved, posed, rig_of
 from tool_recipe import recipe
 
 import truewrench as tw
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.tool.identify import Evidence
 from truewrench.tool.parameters import Layout, inertia_of
 from truewrench.tool.prior import make_prior

@@ -12,8 +12,8 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 import truewrench as tw
-from truewrench.evidence import Evidence
-from truewrench.pipeline import calibrate
+from truewrench.calibrating.pipeline import calibrate
+from truewrench.estimation.evidence import Evidence
 from truewrench.report import write_report
 from truewrench.simulation.free_body import simulate
 

@@ -15,55 +15,55 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from truewrench import robots
-    from truewrench.calibration import Calibration, Verdict, load_calibration
-    from truewrench.errors import InputError, TruewrenchError, UnsupportedError
-    from truewrench.evidence import Evidence
-    from truewrench.exports import write_exports
+    from truewrench.calibrating.pipeline import calibrate
+    from truewrench.estimation.evidence import Evidence
+    from truewrench.io.exports import write_exports
     from truewrench.io.tables import read_log
-    from truewrench.log import Log
-    from truewrench.pipeline import calibrate
+    from truewrench.judging.validation import Validation, validate
+    from truewrench.model.calibration import Calibration, Verdict, load_calibration
+    from truewrench.model.errors import InputError, TruewrenchError, UnsupportedError
+    from truewrench.model.log import Log
+    from truewrench.model.rig import Rig, load_rig
+    from truewrench.model.rig.ati_cal import AtiCalibration, read_ati_cal
     from truewrench.planning.planner import plan
     from truewrench.planning.result import Plan
     from truewrench.report import write_report
-    from truewrench.rig import Rig, load_rig
-    from truewrench.rig.ati_cal import AtiCalibration, read_ati_cal
     from truewrench.simulation.arm import simulate_arm
     from truewrench.simulation.free_body import simulate
     from truewrench.simulation.truth import read_truth
     from truewrench.tool.identify import identify_tool
     from truewrench.tool.model import Tool, read_tool
-    from truewrench.validation import Validation, validate
 
 __version__ = version("truewrench")
 
 _MODULES = {"robots"}  # `tw.robots.path(NAME)`: the file of a packaged arm
 
 _HOMES = {
-    "AtiCalibration": "rig.ati_cal",
-    "Calibration": "calibration",
-    "Evidence": "evidence",
-    "InputError": "errors",
-    "Log": "log",
+    "AtiCalibration": "model.rig.ati_cal",
+    "Calibration": "model.calibration",
+    "Evidence": "estimation.evidence",
+    "InputError": "model.errors",
+    "Log": "model.log",
     "Plan": "planning.result",
-    "Rig": "rig",
+    "Rig": "model.rig",
     "Tool": "tool.model",
-    "TruewrenchError": "errors",
-    "UnsupportedError": "errors",
-    "Validation": "validation",
-    "Verdict": "calibration",
-    "calibrate": "pipeline",
+    "TruewrenchError": "model.errors",
+    "UnsupportedError": "model.errors",
+    "Validation": "judging.validation",
+    "Verdict": "model.calibration",
+    "calibrate": "calibrating.pipeline",
     "identify_tool": "tool.identify",
-    "load_calibration": "calibration",
-    "load_rig": "rig",
+    "load_calibration": "model.calibration",
+    "load_rig": "model.rig",
     "plan": "planning.planner",
-    "read_ati_cal": "rig.ati_cal",
+    "read_ati_cal": "model.rig.ati_cal",
     "read_log": "io.tables",
     "read_tool": "tool.model",
     "read_truth": "simulation.truth",
     "simulate": "simulation.free_body",
     "simulate_arm": "simulation.arm",
-    "validate": "validation",
-    "write_exports": "exports",
+    "validate": "judging.validation",
+    "write_exports": "io.exports",
     "write_report": "report",
 }
 

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 
 KINDS = (
     "sqlite3",

@@ -15,7 +15,7 @@ import yaml
 from hypothesis import settings as hypothesis_settings
 
 from truewrench import robots
-from truewrench.calibration import (
+from truewrench.model.calibration import (
     AXES,
     Assumed,
     AxisImprovement,
@@ -26,7 +26,7 @@ from truewrench.calibration import (
     Undetermined,
     Verdict,
 )
-from truewrench.rig import Rig, load_rig
+from truewrench.model.rig import Rig, load_rig
 
 # On a busy machine a slow example is no fault; in CI the same examples come again, new ones are found at
 # the desk.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tool_cases import a_rig, a_tool
 
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.tool.model import Tool
 
 Array = NDArray[Any]

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from truewrench import _core as built
 from truewrench.estimation.record import recorded_logs
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.simulation.truth import Truth
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -14,12 +14,12 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 
-from truewrench.apply import NEW_COLUMNS, apply
-from truewrench.calibration import Calibration
-from truewrench.errors import InputError
+from truewrench.correction.apply import NEW_COLUMNS, apply
 from truewrench.io import csv_table, parquet_table
 from truewrench.io.tables import write_table
-from truewrench.rig import Rig
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 
 CsvOf = Callable[..., Path]
 Cells = dict[str, list[str]]

@@ -14,15 +14,15 @@ import pytest
 from bags import Bag, record
 from rosbags.highlevel import AnyReader
 
-from truewrench.apply import apply
-from truewrench.apply import recording as apply_recording
-from truewrench.apply.recording import CORRECTED, PREDICTED, RAW, STD, apply_to_recording
-from truewrench.calibration import Calibration
 from truewrench.cli import main
-from truewrench.errors import InputError
+from truewrench.correction.apply import apply
+from truewrench.correction.apply import recording as apply_recording
+from truewrench.correction.apply_recording import CORRECTED, PREDICTED, RAW, STD, apply_to_recording
 from truewrench.io.recordings import reader, spool
 from truewrench.io.tables import write_table
-from truewrench.rig import Rig
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import simulate, wrench_on_sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from truewrench.arm.parts import on_common_rows
+from truewrench.robot.parts import on_common_rows
 
 Array = NDArray[np.float64]
 

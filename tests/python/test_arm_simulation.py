@@ -14,12 +14,12 @@ import yaml
 from scipy.interpolate import make_interp_spline
 
 from truewrench.cli import main
-from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.tables import read_log
-from truewrench.log import Log
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig, load_rig
 from truewrench.motion.trajectory import Body
 from truewrench.motion.trajectory_joint import SplineJoints
-from truewrench.rig import Rig, load_rig
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.arm.model import Arm, Reading, arm_of
 from truewrench.simulation.arm.run import ArmRun, record

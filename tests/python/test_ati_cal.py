@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from truewrench.errors import InputError
-from truewrench.rig import load_rig
-from truewrench.rig.ati_cal import read_ati_cal
+from truewrench.model.errors import InputError
+from truewrench.model.rig import load_rig
+from truewrench.model.rig.ati_cal import read_ati_cal
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 

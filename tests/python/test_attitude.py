@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from truewrench.attitude import attitude_at, attitude_of, free_fall
-from truewrench.log import Log
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import HarmonicTwist, attitude
-from truewrench.rig import Rig
+from truewrench.robot.attitude import attitude_at, attitude_of, free_fall
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from truewrench.arm.robot import robot_of
-from truewrench.arm.track import track
 from truewrench.estimation.bound import bound, information
-from truewrench.log import Log
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import Body, HarmonicTwist, attitude
-from truewrench.rig import Rig
+from truewrench.robot.arm import robot_of
+from truewrench.robot.track import track
 from truewrench.simulation.arm.motion import default_motion
 from truewrench.simulation.arm.run import arm_with
 from truewrench.simulation.free_body import simulate, wrench_on_sensor

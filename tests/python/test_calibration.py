@@ -15,10 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from truewrench.calibration import Calibration, Verdict, load_calibration
-from truewrench.errors import InputError
-from truewrench.files import write_yaml
-from truewrench.rig import Rig
+from truewrench.model.calibration import Calibration, Verdict, load_calibration
+from truewrench.model.errors import InputError
+from truewrench.model.files import write_yaml
+from truewrench.model.rig import Rig
 
 finite = st.floats(-1e9, 1e9, allow_subnormal=False)
 

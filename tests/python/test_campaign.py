@@ -16,15 +16,15 @@ from scipy.stats import binomtest, multivariate_normal
 
 import truewrench.campaign
 import truewrench.campaign.trial
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.campaign import campaign
 from truewrench.campaign.figures import coverage_figure, nees_figure, sigma_figure
 from truewrench.campaign.statistics import cluster_interval, summarise, wilson_interval, wrong_and_confident
 from truewrench.campaign.trial import SCHEMA, nees, run_trial, trial_seed
 from truewrench.campaign.workers import Lost
 from truewrench.cli import main
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import default_trajectory, simulate
 
 SETTINGS: dict[str, Any] = {

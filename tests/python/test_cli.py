@@ -16,9 +16,9 @@ import pyarrow.csv as pacsv
 import pytest
 import yaml
 
-from truewrench.calibration import Calibration, Verdict, load_calibration
 from truewrench.cli import main
-from truewrench.rig import Rig
+from truewrench.model.calibration import Calibration, Verdict, load_calibration
+from truewrench.model.rig import Rig
 
 Cells = dict[str, list[str]]
 Run = Callable[..., tuple[int, str, str]]
@@ -56,7 +56,7 @@ def rig_file(tmp_path: Path, settings: dict[str, Any]) -> Path:
 @pytest.fixture
 def pipeline(monkeypatch: pytest.MonkeyPatch, calibration: Calibration) -> ModuleType:
     """A pipeline that returns a ready calibration, and notes what it was asked for."""
-    module = ModuleType("truewrench.pipeline")
+    module = ModuleType("truewrench.calibrating.pipeline")
 
     def calibrate(rig: Rig, logs: Any, estimator: str, **options: Any) -> Calibration:
         module.asked = (rig, logs, estimator, options)  # type: ignore[attr-defined]
@@ -64,7 +64,7 @@ def pipeline(monkeypatch: pytest.MonkeyPatch, calibration: Calibration) -> Modul
 
     module.calibrate = calibrate  # type: ignore[attr-defined]
     module.verdict = Verdict(usable=True)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "truewrench.pipeline", module)
+    monkeypatch.setitem(sys.modules, "truewrench.calibrating.pipeline", module)
     return module
 
 

@@ -13,13 +13,13 @@ import pytest
 import yaml
 from scipy.stats import chi2
 
-from truewrench.calibration import AXES, Calibration
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.cli import main
-from truewrench.log import Log
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig
+from truewrench.judging.validation.comparison import Comparison, compare_held_out
+from truewrench.model.calibration import AXES, Calibration
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import SimulatedRun, simulate
-from truewrench.validation.comparison import Comparison, compare_held_out
 
 
 def settings_of(**changes: Any) -> dict[str, Any]:
@@ -120,7 +120,7 @@ def test_worse_axis_forbids_the_use(
     monkeypatch: pytest.MonkeyPatch, rig: Rig, run: SimulatedRun, result: Calibration
 ) -> None:
     monkeypatch.setattr(
-        "truewrench.pipeline.compare_held_out",
+        "truewrench.calibrating.pipeline.compare_held_out",
         lambda *_: Comparison(result.improvement, ("fx is worse",), {}),
     )
     spoilt = calibrate(rig, run.log)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truewrench.compensation import uncompensated
-from truewrench.errors import InputError, UnsupportedError
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.io.tables import read_log, write_table
-from truewrench.log import Log
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import HarmonicTwist
-from truewrench.pipeline import calibrate
 from truewrench.planning.planner import plan
-from truewrench.rig import Rig
+from truewrench.robot.compensation import uncompensated
 from truewrench.simulation.free_body import simulate
 
 BODY = {"mass": 1.5, "center_of_mass": [0.02, -0.03, 0.11]}

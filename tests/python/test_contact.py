@@ -11,12 +11,12 @@ import pytest
 from contact_cases import Array, Swing, body_wrench, columns_of, raw_of, tilted, tool_of, unpacked
 from scipy.spatial.transform import Rotation
 
-from truewrench.arm.robot import robot_of
-from truewrench.contact.log import contact
-from truewrench.contact.run import ContactRun, View
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.correction.contact.log import contact
+from truewrench.correction.contact.run import ContactRun, View
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.robot.arm import robot_of
 from truewrench.tool.model import Tool
 
 PERIOD = 2_000_000  # 500 Hz

@@ -15,14 +15,14 @@ from rosbags.highlevel import AnyReader
 from tool_cases import a_rig
 
 from truewrench.cli import main
-from truewrench.contact.apply import apply_contact
-from truewrench.contact.log import contact
-from truewrench.contact.run import NEW_COLUMNS, ContactRun
-from truewrench.files import write_yaml
+from truewrench.correction.contact.apply import apply_contact
+from truewrench.correction.contact.log import contact
+from truewrench.correction.contact.run import NEW_COLUMNS, ContactRun
 from truewrench.io.tables import read_log
-from truewrench.stream.contact_lines import contact_lines
-from truewrench.stream.lines import Output
-from truewrench.stream.stop import Stop
+from truewrench.live.contact_lines import contact_lines
+from truewrench.live.lines import Output
+from truewrench.live.stop import Stop
+from truewrench.model.files import write_yaml
 
 PERIOD = 2_000_000
 HIT = np.array([30.0, -20.0, 34.0, 1.0, -0.5, 0.7])

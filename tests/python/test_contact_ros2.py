@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from contact_cases import Swing, columns_of, raw_of, tool_of
 
-from truewrench.contact.run import ContactRun
-from truewrench.errors import InputError
-from truewrench.stream.ros2 import Topics
-from truewrench.stream.ros2_contact import CONTACT, COVARIANCE, IN_CONTACT, TARE, contact_topics
-from truewrench.stream.ros2_merge import Merger
-from truewrench.stream.ros2_node import Node, taken
-from truewrench.stream.ros2_types import (
+from truewrench.correction.contact.run import ContactRun
+from truewrench.live.ros2 import Topics
+from truewrench.live.ros2_contact import CONTACT, COVARIANCE, IN_CONTACT, TARE, contact_topics
+from truewrench.live.ros2_merge import Merger
+from truewrench.live.ros2_node import Node, taken
+from truewrench.live.ros2_types import (
     Bool,
     DiagnosticArray,
     Empty,
@@ -31,7 +30,8 @@ from truewrench.stream.ros2_types import (
     Vector3Stamped,
     WrenchStamped,
 )
-from truewrench.stream.stop import Stop
+from truewrench.live.stop import Stop
+from truewrench.model.errors import InputError
 from truewrench.tool.model import Tool
 
 COUNT = 600
@@ -46,7 +46,7 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 99)))
-    monkeypatch.setattr("truewrench.stream.ros2_contact._PATIENCE", 60.0)
+    monkeypatch.setattr("truewrench.live.ros2_contact._PATIENCE", 60.0)
 
 
 def tool_and_rows() -> tuple[Tool, Any, Any, dict[str, Any]]:

@@ -20,12 +20,12 @@ import pytest
 from contact_cases import Swing, columns_of, raw_of, tool_of
 from numpy.typing import NDArray
 
-from truewrench.contact.run import TARED, ContactRun
-from truewrench.stream.ros2 import Topics
-from truewrench.stream.ros2_contact import CONTACT, COVARIANCE, TARE, contact_topics
-from truewrench.stream.ros2_node import Node, finish, taken
-from truewrench.stream.ros2_service import tare_service
-from truewrench.stream.ros2_types import (
+from truewrench.correction.contact.run import TARED, ContactRun
+from truewrench.live.ros2 import Topics
+from truewrench.live.ros2_contact import CONTACT, COVARIANCE, TARE, contact_topics
+from truewrench.live.ros2_node import Node, finish, taken
+from truewrench.live.ros2_service import tare_service
+from truewrench.live.ros2_types import (
     DiagnosticArray,
     Float64MultiArray,
     Header,
@@ -36,7 +36,7 @@ from truewrench.stream.ros2_types import (
     Vector3Stamped,
     WrenchStamped,
 )
-from truewrench.stream.stop import Stop
+from truewrench.live.stop import Stop
 from truewrench.tool.model import Tool
 
 Array = NDArray[np.float64]

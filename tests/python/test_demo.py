@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from truewrench import demo
-from truewrench.calibration import load_calibration
 from truewrench.estimation.estimator import estimate
 from truewrench.io.tables import read_log
+from truewrench.model.calibration import load_calibration
+from truewrench.model.rig import load_rig
 from truewrench.motion.trajectory import integrate_wrench
-from truewrench.rig import load_rig
 
 FILES = {
     "rig.yaml",

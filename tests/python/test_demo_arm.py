@@ -12,13 +12,13 @@ import yaml
 from matplotlib.image import imread
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
 from truewrench.cli import main
 from truewrench.demo import arm as demo_arm
 from truewrench.demo.arm import _copy, run_arm
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.figures.arm import driven_figure, gain_figure
-from truewrench.rig import Rig, load_rig
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig, load_rig
+from truewrench.report.figures.arm import driven_figure, gain_figure
+from truewrench.robot.arm import robot_of
 
 
 def test_an_arm_that_is_neither_packaged_nor_a_rig_is_refused_with_the_nearest(tmp_path: Path) -> None:

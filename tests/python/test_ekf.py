@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimation.ekf import estimate_ekf
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import yaml
 from tool_cases import a_tool
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
-from truewrench.rig import load_rig
-from truewrench.rig.elsewhere import within
-from truewrench.rig.tool_rig import load_tool_rig
+from truewrench.model.rig import load_rig
+from truewrench.model.rig.elsewhere import within
+from truewrench.model.rig.tool_rig import load_tool_rig
+from truewrench.robot.arm import robot_of
 from truewrench.tool.model import read_tool
 
 

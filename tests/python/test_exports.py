@@ -21,10 +21,10 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from truewrench.calibration import Calibration, Verdict
 from truewrench.cli import main
-from truewrench.exports import Exports, write_exports
-from truewrench.rig import Rig
+from truewrench.io.exports import Exports, write_exports
+from truewrench.model.calibration import Calibration, Verdict
+from truewrench.model.rig import Rig
 
 AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 BROADCASTER = "force_torque_sensor_broadcaster"

@@ -13,8 +13,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from truewrench.errors import InputError
-from truewrench.files import atomic_output, read_yaml, write_yaml
+from truewrench.model.errors import InputError
+from truewrench.model.files import atomic_output, read_yaml, write_yaml
 
 text = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=12)
 awkward = st.sampled_from(

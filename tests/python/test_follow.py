@@ -10,13 +10,13 @@ import pytest
 import yaml
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
 from truewrench.cli import main
-from truewrench.errors import InputError
 from truewrench.io.plans import read_joint_plan
 from truewrench.io.tables import write_table
+from truewrench.model.errors import InputError
+from truewrench.model.rig import load_rig
 from truewrench.planning.follow import follow_plan
-from truewrench.rig import load_rig
+from truewrench.robot.arm import robot_of
 
 
 def plan(path: Path, size: float) -> Path:

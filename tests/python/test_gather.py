@@ -14,7 +14,7 @@ import truewrench as tw
 from truewrench import _core
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.record import recorded_logs
-from truewrench.log import Log
+from truewrench.model.log import Log
 
 Array = NDArray[np.float64]
 

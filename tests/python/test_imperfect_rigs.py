@@ -14,8 +14,8 @@ from rigs import changed, two_payloads
 
 from truewrench import robots
 from truewrench.cli import main
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.rig import Rig, load_rig
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig, load_rig
 from truewrench.simulation.arm import ArmRun, simulate_arm
 from truewrench.simulation.free_body import simulate
 from truewrench.simulation.truth import read_truth

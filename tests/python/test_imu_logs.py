@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from bags import MS, START, Bag, with_recording, write
 
-from truewrench.errors import InputError, UnsupportedError
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.inspection.log import inspect_log
 from truewrench.inspection.recording import inspect_recording
 from truewrench.io.tables import read_log, write_table
-from truewrench.log import Log
-from truewrench.pipeline import calibrate
+from truewrench.judging.validation import validate
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
 from truewrench.planning.planner import plan
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
-from truewrench.split import rows_of
-from truewrench.validation import validate
 
 CsvOf = Callable[..., Path]
 Cells = dict[str, list[str]]

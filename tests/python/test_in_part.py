@@ -11,8 +11,8 @@ import pytest
 
 import truewrench as tw
 from truewrench.cli import main
-from truewrench.errors import InputError
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 
 
 def _rig(settings: dict[str, Any], required: Any) -> Rig:

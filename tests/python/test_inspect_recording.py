@@ -11,8 +11,8 @@ import pytest
 from bags import MS, START, Bag
 
 from truewrench.cli import main
-from truewrench.errors import InputError
 from truewrench.inspection.recording import RecordingContent, TopicContent, inspect_recording
+from truewrench.model.errors import InputError
 
 
 def written(tmp_path: Path, kind: str = "mcap") -> Path:

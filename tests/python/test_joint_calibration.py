@@ -14,21 +14,21 @@ import yaml
 from scipy.stats import chi2
 
 import truewrench as tw
-from truewrench.arm.robot import robot_of
-from truewrench.calibration import Calibration
 from truewrench.cli import main
-from truewrench.errors import InputError, UnsupportedError
 from truewrench.estimation.bound import bound
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.estimator import estimate
-from truewrench.log import Log
+from truewrench.judging.validation import validate
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory_joint import SplineJoints
-from truewrench.rig import Rig
+from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm.drive import Driven
 from truewrench.simulation.arm.motion import default_motion
 from truewrench.simulation.arm.run import Moved, arm_with, move, record
 from truewrench.simulation.truth import Truth, begin, stamps_of, stated, write_run
-from truewrench.validation import validate
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 RigOf = Callable[..., Rig]

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truewrench.errors import InputError
 from truewrench.inspection.log import inspect_log
 from truewrench.io.tables import read_log
-from truewrench.rig import Rig
-from truewrench.split import held_out, rows_of
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
+from truewrench.model.split import held_out, rows_of
 
 CsvOf = Callable[..., Path]
 Cells = dict[str, list[str]]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from truewrench.errors import InputError
 from truewrench.io.joint_trajectory import write_joint_trajectory
+from truewrench.model.errors import InputError
 
 JOINTS = ("SR", "on", "7")  # two that plain YAML would not take for text
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truewrench.calibration_parts import KINDS
 from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step
 from truewrench.judging import Comparisons, Judgement, blind_to, findings, judge, setup_errors
 from truewrench.judging.setup_odds import payload_errors, suspected_setup_errors
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.calibration_parts import KINDS
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 SPAN = np.array([500.0, 500, 500, 50, 50, 50])
 ONE = np.eye(6)

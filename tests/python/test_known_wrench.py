@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import truewrench as tw
-from truewrench.calibration import load_calibration
 from truewrench.cli import main
-from truewrench.errors import InputError
 from truewrench.io.tables import REFERENCE, write_table
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.summary import calibration_summary, show
+from truewrench.model.calibration import load_calibration
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.report.summary import calibration_summary, show
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.estimation.lasting_errors import ErrorSize
 from truewrench.estimation.wrench_errors import FoundErrors
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from rigs import changed, two_payloads
 
-from truewrench.errors import UnsupportedError
 from truewrench.estimation.least_squares import least_squares
-from truewrench.log import Log
+from truewrench.model.errors import UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments, smooth_twist
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
 
 

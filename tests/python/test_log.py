@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from truewrench.log import Log
+from truewrench.model.log import Log
 
 
 def test_time_keeps_nanoseconds_a_lifetime_after_1970() -> None:

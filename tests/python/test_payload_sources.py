@@ -12,8 +12,8 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from truewrench.errors import InputError
-from truewrench.rig import PayloadSpec, Rig, load_rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import PayloadSpec, Rig, load_rig
 
 RigOf = Callable[[Mapping[str, Any]], Rig]
 Array = NDArray[np.float64]

@@ -15,12 +15,12 @@ import yaml
 from rigs import changed, two_payloads
 
 import truewrench as tw
-from truewrench.calibration import AXES, Calibration, load_calibration
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.cli import main
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.log import Log
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig
+from truewrench.model.calibration import AXES, Calibration, load_calibration
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import SimulatedRun, simulate
 
 

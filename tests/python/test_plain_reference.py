@@ -168,7 +168,7 @@ def test_one_state_gives_one_linearisation(
 
 
 def _to_the_end_of_upsilon(fit: Any) -> None:
-    """The reference moves upsilon one step of (10.6) an iteration and stops without it, 5 x above its floor."""
+    """The reference moves upsilon one step of (10.6) an iteration and stops without it."""
     if fit.form is not None:
         return
     for _ in range(60):

@@ -15,13 +15,13 @@ from scipy.interpolate import make_interp_spline
 
 from truewrench.cli import main
 from truewrench.estimation.bound import information
-from truewrench.log import Log
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.planning.planner import plan
 from truewrench.planning.prediction import Prediction, predict
 from truewrench.planning.result import Plan
 from truewrench.planning.series import SeriesBasis
 from truewrench.planning.spread import Spread, spread_weight
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
 
 Array = NDArray[np.float64]

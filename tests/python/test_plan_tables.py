@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truewrench.errors import InputError
 from truewrench.io.plans import joint_columns, read_joint_plan, read_plan
+from truewrench.model.errors import InputError
 from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.motion.trajectory_joint import SplineJoints
 

@@ -18,17 +18,17 @@ from scipy.stats import chi2
 from tool_cases import a_rig
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
-from truewrench.calibration import Calibration
 from truewrench.cli import main
-from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.plans import read_joint_plan, read_plan
-from truewrench.log import Log
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig, load_rig
+from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.planning.tool.collisions import collisions_of
 from truewrench.planning.tool.directions import abba, spread, spread_among
 from truewrench.planning.tool.plan import ToolPlan, plan_tool
-from truewrench.rig import Rig, load_rig
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm import simulate_plan
 from truewrench.tool.identify import identify_tool
 from truewrench.tool.parameters import ELEMENTS, channel_turn

@@ -14,14 +14,14 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.cli import main
-from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.plans import read_plan
-from truewrench.pipeline import calibrate
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig
 from truewrench.planning.criterion import Criterion, packed
 from truewrench.planning.planner import plan
 from truewrench.planning.result import Plan
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

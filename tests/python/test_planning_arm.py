@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from truewrench.arm.robot import robot_of
+from truewrench.model.rig import Rig
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.joint_space import arm_outputs, joint_limits, joint_space
 from truewrench.planning.limits import Limits
@@ -24,7 +24,7 @@ from truewrench.planning.planner import plan
 from truewrench.planning.result import Plan
 from truewrench.planning.series import SeriesBasis
 from truewrench.planning.twist_space import pose_space, twist_space
-from truewrench.rig import Rig
+from truewrench.robot.arm import robot_of
 
 Array = NDArray[np.float64]
 QUICK = {"duration": 5.0, "harmonics": 3, "rate": 50.0}

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from record_cases import HONEST, G, RigOf, arm_with, base_log, core, estimate, masked, nees, rig_with
 
-from truewrench.errors import InputError
 from truewrench.estimation import assumptions as assumptions_module
 from truewrench.estimation import record as record_module
 from truewrench.estimation.assumptions import Assumptions
 from truewrench.estimation.record import recorded, recorded_logs
-from truewrench.log import Log
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
 from truewrench.motion.trajectory import Trajectory, attitude
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
 from truewrench.simulation.truth import Truth
-from truewrench.split import rows_of
 
 
 @pytest.fixture(autouse=True)

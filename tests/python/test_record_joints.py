@@ -9,14 +9,14 @@ import pytest
 from record_cases import HONEST, Array, RigOf, arm_with, base_log, core, estimate, nees
 from scipy.spatial.transform import Rotation
 
-from truewrench.arm.robot import BaseMotion, Robot, robot_of
-from truewrench.arm.screws import Screws
 from truewrench.estimation import assumptions as assumptions_module
 from truewrench.estimation import record as record_module
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions
 from truewrench.estimation.joint_map import joint_map
 from truewrench.estimation.record import recorded, recorded_logs
-from truewrench.log import Log
+from truewrench.model.log import Log
+from truewrench.robot.arm import BaseMotion, Robot, robot_of
+from truewrench.robot.screws import Screws
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.free_body import wrench_on_sensor
 from truewrench.simulation.truth import Truth, stated

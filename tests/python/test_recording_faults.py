@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from bags import MS, START, Bag, record, still, with_recording, write
 
-from truewrench.errors import InputError
 from truewrench.io.tables import read_log
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 
 Columns = dict[str, np.ndarray[Any, Any]]
 

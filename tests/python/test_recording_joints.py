@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from bags import MS, START, Bag, write
 
-from truewrench.arm.robot import robot_of
-from truewrench.arm.track import tracked
-from truewrench.errors import InputError
 from truewrench.io.tables import read_log
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
+from truewrench.robot.arm import robot_of
+from truewrench.robot.track import tracked
 
 
 @pytest.fixture

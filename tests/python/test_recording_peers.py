@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truewrench.arm.robot import robot_of
 from truewrench.inspection.recording import inspect_recording
 from truewrench.io.tables import read_log
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
+from truewrench.robot.arm import robot_of
 
 SAMPLES = 300
 START = 1_700_000_000_000_000_000

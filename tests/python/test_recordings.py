@@ -13,10 +13,10 @@ import pytest
 import yaml
 from bags import KINDS, MS, START, Bag, record, still, with_recording, write
 
-from truewrench.errors import InputError
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.io.tables import read_log, write_table
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import simulate
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from truewrench.errors import InputError
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 Array = NDArray[np.float64]
 

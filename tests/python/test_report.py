@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truewrench.assembly import assemble, assemble_motion, motion_figures
-from truewrench.calibration import AXES, Assumed, BlindTo, Calibration, LogReport, Verdict
+from truewrench.calibrating.pipeline import calibrate
+from truewrench.estimation.assembly import assemble, assemble_motion, motion_figures
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.estimator import estimate
+from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
-from truewrench.evidence import Evidence
-from truewrench.log import Log
-from truewrench.pipeline import calibrate
+from truewrench.judging.validation.comparison import compare_in_sample
+from truewrench.model.calibration import AXES, Assumed, BlindTo, Calibration, LogReport, Verdict
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
 from truewrench.report import write_report
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
-from truewrench.split import rows_of
-from truewrench.validation.comparison import compare_in_sample
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$$x$$\u2028"

@@ -11,12 +11,15 @@ import pytest
 
 import truewrench as tw
 from truewrench import report as package
-from truewrench.assembly import assemble_motion, motion_figures
-from truewrench.calibration import AXES, Calibration, Verdict, load_calibration
 from truewrench.cli import main
+from truewrench.estimation.assembly import assemble_motion, motion_figures
 from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step
-from truewrench.evidence import Evidence
-from truewrench.log import Log
+from truewrench.estimation.evidence import Evidence
+from truewrench.judging.validation.comparison import compare_in_sample
+from truewrench.model.calibration import AXES, Calibration, Verdict, load_calibration
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig, load_rig
+from truewrench.model.split import rows_of
 from truewrench.report.consistency import consistency
 from truewrench.report.convergence import convergence
 from truewrench.report.findings import helps
@@ -24,10 +27,7 @@ from truewrench.report.found import found_table
 from truewrench.report.series import Record, Series
 from truewrench.report.series import record_of as series_of
 from truewrench.report.statistics import envelope, histogram, spectrum
-from truewrench.rig import Rig, load_rig
 from truewrench.simulation.free_body import simulate
-from truewrench.split import rows_of
-from truewrench.validation.comparison import compare_in_sample
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from truewrench import robots
-from truewrench.arm.robot import Robot, robot_of
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
+from truewrench.model.rig import load_rig
 from truewrench.planning.resolved_rate import JointLimits, follow_twist, limits_of
-from truewrench.rig import load_rig
+from truewrench.robot.arm import Robot, robot_of
 
 Array = NDArray[np.float64]
 

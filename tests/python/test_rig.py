@@ -14,8 +14,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truewrench.errors import InputError
-from truewrench.rig import Rig, load_rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig, load_rig
 
 RigOf = Callable[[Mapping[str, Any]], Rig]
 

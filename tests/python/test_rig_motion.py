@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from truewrench.errors import InputError
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 
 IMU = {"source": "imu", "noise": [1e-3] * 3, "acceleration_noise": [1e-2] * 3}
 DOWN = [0, 0, -9.81]

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from truewrench.arm.robot import BaseMotion, Robot, load_robot, rotation_of
-from truewrench.errors import InputError, UnsupportedError
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.robot.arm import BaseMotion, Robot, load_robot, rotation_of
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
-from truewrench.payload import payload_wrench
-from truewrench.rig import load_rig
+from truewrench.model.payload import payload_wrench
+from truewrench.model.rig import load_rig
+from truewrench.robot.arm import robot_of
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from truewrench import robots
-from truewrench.arm.robot import Robot, load_robot, robot_of
-from truewrench.errors import InputError
-from truewrench.rig import load_rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import load_rig
+from truewrench.robot.arm import Robot, load_robot, robot_of
 
 Array = NDArray[np.float64]
 

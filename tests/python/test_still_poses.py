@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 import truewrench as tw
+from truewrench.calibrating.still_poses import estimate_still, only_still
 from truewrench.cli import main
 from truewrench.io.tables import GRAVITY, TWIST, write_table
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.still_poses import estimate_still, only_still
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 Array = NDArray[np.float64]
 

@@ -18,14 +18,14 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from truewrench.calibration import AXES, Calibration, Verdict, load_calibration
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.cli import main
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig
+from truewrench.live.json_lines import correct_lines
+from truewrench.live.lines import LONGEST, Output, batches
+from truewrench.live.stop import Stop
+from truewrench.model.calibration import AXES, Calibration, Verdict, load_calibration
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import simulate
-from truewrench.stream.json_lines import correct_lines
-from truewrench.stream.lines import LONGEST, Output, batches
-from truewrench.stream.stop import Stop
 
 COMMAND = Path(sys.executable).with_name("truewrench")
 SAMPLE = [1.5, -2.0, 30.0, 0.25, -0.5, 0.125]

@@ -20,18 +20,18 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from truewrench.apply import corrector
-from truewrench.calibration import Calibration, Verdict, load_calibration
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig
+from truewrench.calibrating.pipeline import calibrate
+from truewrench.correction.apply import corrector
+from truewrench.live.ros2 import Topics, calibrate_topics, correct_topic
+from truewrench.live.ros2_node import Node, configuration, domain_id, ros_type, taken
+from truewrench.live.ros2_types import TYPE_HASHES, Float64MultiArray, Header, Time, WrenchStamped
+from truewrench.live.session import LiveCalibration
+from truewrench.live.stop import Stop
+from truewrench.model.calibration import Calibration, Verdict, load_calibration
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.free_body import simulate
-from truewrench.stream.ros2 import Topics, calibrate_topics, correct_topic
-from truewrench.stream.ros2_node import Node, configuration, domain_id, ros_type, taken
-from truewrench.stream.ros2_types import TYPE_HASHES, Float64MultiArray, Header, Time, WrenchStamped
-from truewrench.stream.session import LiveCalibration
-from truewrench.stream.stop import Stop
 
 HERE = Path(__file__).parent
 COMMAND = Path(sys.executable).with_name("truewrench")
@@ -50,7 +50,7 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 99)))
-    monkeypatch.setattr("truewrench.stream.ros2._PATIENCE", 60.0)  # machines under test are busy
+    monkeypatch.setattr("truewrench.live.ros2._PATIENCE", 60.0)  # machines under test are busy
 
 
 def start_peer(script: str = "ros2_peer.py", **asked: Any) -> subprocess.Popen[str]:
@@ -276,13 +276,13 @@ def test_wrenches_are_packed_as_ros_2_packs_them(frame: str) -> None:
 def test_topic_that_nobody_publishes_is_named(
     calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("truewrench.stream.ros2._PATIENCE", 0.2)
+    monkeypatch.setattr("truewrench.live.ros2._PATIENCE", 0.2)
     with Stop() as stop, pytest.raises(InputError, match="no topic of type geometry_msgs/msg/WrenchStamped"):
         correct_topic(calibration, Topics(), stop, print, 1.0)
 
 
 def test_silence_is_told_with_its_cause(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("truewrench.stream.ros2._SILENCE", 0.3)
+    monkeypatch.setattr("truewrench.live.ros2._SILENCE", 0.3)
     other = Node()
     _kept = [other.writer("/silent", WrenchStamped), other.writer("/gauges", Float64MultiArray)]
     for topic, cause in (
@@ -358,7 +358,7 @@ def test_calibrates_from_a_twist_in_gravity_and_corrects_as_soon_as_it_may(
         used.append(found)
         return corrector(found, name)
 
-    monkeypatch.setattr("truewrench.stream.ros2.corrector", noted)
+    monkeypatch.setattr("truewrench.live.ros2.corrector", noted)
     heard: set[str] = set()
 
     def refused(words: str) -> None:

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from truewrench.calibration import Assumed, Calibration, Verdict
-from truewrench.summary import calibration_summary, show, with_uncertainty
+from truewrench.model.calibration import Assumed, Calibration, Verdict
+from truewrench.report.summary import calibration_summary, show, with_uncertainty
 
 
 @pytest.mark.parametrize(

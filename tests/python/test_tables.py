@@ -15,10 +15,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from truewrench.errors import InputError
 from truewrench.io import csv_table
 from truewrench.io.tables import REFERENCE, read_log, split_payload, write_table
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 
 CsvOf = Callable[..., Path]
 Cells = dict[str, list[str]]

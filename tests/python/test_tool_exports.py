@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tool_cases import Rigid, a_mounted_tool, stated, tensor_of
 
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 from truewrench.tool.exports import TARGETS, write_tool_exports
 from truewrench.tool.identify import exported_body
 

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from tool_cases import a_rig, pose_log, swing_log
 
 import truewrench as tw
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.tool.model import Tool
 
 MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])

@@ -10,8 +10,8 @@ import pytest
 from tool_cases import Array, a_rig, pose_log, swing_log
 
 import truewrench as tw
-from truewrench.log import Log
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.log import Log
+from truewrench.model.rig.tool_rig import tool_rig
 
 MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
 INERTIA = np.diag([0.012, 0.010, 0.006])

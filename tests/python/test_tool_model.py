@@ -12,10 +12,10 @@ import yaml
 from scipy.spatial.transform import Rotation
 from tool_cases import a_rig, a_tool
 
-from truewrench.errors import InputError
-from truewrench.files import read_yaml, write_yaml
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import GAIN_PRIOR, TILT_PRIOR, load_tool_rig, tool_rig
+from truewrench.model.errors import InputError
+from truewrench.model.files import read_yaml, write_yaml
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import GAIN_PRIOR, TILT_PRIOR, load_tool_rig, tool_rig
 from truewrench.tool.model import read_tool
 from truewrench.tool.motion import _widened
 from truewrench.tool.parameters import (

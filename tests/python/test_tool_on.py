@@ -14,10 +14,10 @@ from scipy.stats import chi2
 from tool_cases import a_rig
 
 import truewrench as tw
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.tool.model import Tool
 from truewrench.tool.solve import REPEATABILITY, WALK
 

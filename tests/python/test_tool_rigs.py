@@ -14,8 +14,8 @@ from scipy.stats import chi2
 
 from truewrench import robots
 from truewrench.cli import main
-from truewrench.rig import load_rig
-from truewrench.rig.tool_rig import load_tool_rig
+from truewrench.model.rig import load_rig
+from truewrench.model.rig.tool_rig import load_tool_rig
 from truewrench.tool.model import read_tool
 
 # of ordinary grippers, one per arm: mass, centre of mass, inertia about it

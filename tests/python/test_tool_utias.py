@@ -11,7 +11,7 @@ import yaml
 from tool_cases import a_rig
 
 import truewrench as tw
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.rig.tool_rig import tool_rig
 
 NOISE = np.array([0.1, 0.1, 0.1, 0.005, 0.005, 0.005])
 TWIST_NOISE = 1e-4  # m/s, rad/s

@@ -12,19 +12,19 @@ import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from truewrench.arm.robot import robot_of
-from truewrench.arm.track import track, tracked, tracked_streams
-from truewrench.errors import InputError
-from truewrench.inertial import InertialMotion
-from truewrench.log import Log
+from truewrench.estimation.inertial import InertialMotion
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.split import held_out
 from truewrench.motion.spatial import twist_adjoint
 from truewrench.motion.trajectory_joint import SplineJoints
-from truewrench.rig import Rig
+from truewrench.robot.arm import robot_of
+from truewrench.robot.track import track, tracked, tracked_streams
 from truewrench.simulation.arm.model import Reading
 from truewrench.simulation.arm.motion import default_motion
 from truewrench.simulation.arm.run import arm_with
 from truewrench.simulation.truth import stated
-from truewrench.split import held_out
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 RigOf = Callable[..., Rig]

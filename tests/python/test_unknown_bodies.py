@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 import truewrench as tw
-from truewrench.calibration import Calibration
+from truewrench.calibrating.unknown_bodies import notes_on_bodies, with_first_guess
 from truewrench.cli import main
-from truewrench.errors import InputError
 from truewrench.estimation.estimate import PayloadDeparture
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import SimulatedRun, simulate
-from truewrench.unknown_bodies import notes_on_bodies, with_first_guess
 
 Array = NDArray[np.float64]
 

@@ -11,15 +11,15 @@ import pytest
 import yaml
 
 import truewrench as tw
-from truewrench.calibration import AXES, Calibration, LogReport, Verdict
-from truewrench.errors import InputError
-from truewrench.inertial import InertialMotion
-from truewrench.log import Log
+from truewrench.estimation.inertial import InertialMotion
+from truewrench.judging.validation import Validation, validate
+from truewrench.model.calibration import AXES, Calibration, LogReport, Verdict
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.split import held_out
 from truewrench.motion.trajectory import Body
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate, wrench_on_sensor
-from truewrench.split import held_out
-from truewrench.validation import Validation, validate
 
 SPAN = np.array([500.0, 500, 500, 50, 50, 50])
 CLAIMED = 0.002  # normalised sigma of every gain

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from truewrench.io.tables import write_table
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.tool.identify import exported_body
 from truewrench.tool.model import Body, HeldOut, Tool, ToolVerdict, Unknown
 from truewrench.tool.parameters import Layout, inertia_of, second_moments

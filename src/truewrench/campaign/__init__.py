@@ -22,17 +22,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from truewrench import _core
+from truewrench.calibrating.pipeline import EstimatorName
 from truewrench.campaign.figures import coverage_figure, nees_figure, sigma_figure
 from truewrench.campaign.statistics import Campaign, summarise
 from truewrench.campaign.trial import SCHEMA, Row, make_row, run_trial, trial_seed
 from truewrench.campaign.workers import Lost, available_cores, in_processes
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.files import read_yaml, write_yaml
 from truewrench.io.output import write_batches
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.files import read_yaml, write_yaml
+from truewrench.model.rig import Rig
+from truewrench.model.rig.strict import key_path
 from truewrench.motion.trajectory import Trajectory
-from truewrench.pipeline import EstimatorName
-from truewrench.rig import Rig
-from truewrench.rig.strict import key_path
 from truewrench.simulation.free_body import default_trajectory
 
 __all__ = ["FORMAT", "campaign"]

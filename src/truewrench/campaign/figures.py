@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2, norm
 
-from truewrench.calibration import AXES
 from truewrench.campaign.statistics import Campaign, wilson_interval
-from truewrench.figures import BLUE, GREY, VERMILION, finish
+from truewrench.model.calibration import AXES
+from truewrench.report.figures import BLUE, GREY, VERMILION, finish
 
 __all__ = ["coverage_figure", "nees_figure", "sigma_figure"]
 

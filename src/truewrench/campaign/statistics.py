@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 from scipy.stats import beta, chi2, norm
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 
 __all__ = [
     "DEVIATION",

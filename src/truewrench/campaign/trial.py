@@ -13,11 +13,11 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from truewrench.calibration import Calibration
-from truewrench.errors import InputError, UnsupportedError
+from truewrench.calibrating.pipeline import EstimatorName, calibrate
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import Trajectory
-from truewrench.pipeline import EstimatorName, calibrate
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import Truth, simulate
 
 __all__ = ["SCHEMA", "STREAMS", "Row", "make_row", "nees", "run_trial", "trial_seed"]

@@ -17,7 +17,7 @@ import typer
 from truewrench.cli import calibrations, live, logs, motions, tools, trials
 from truewrench.cli.common import Outcome
 from truewrench.cli.terminal import fail, show_outcome
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 __all__ = ["app", "main"]
 

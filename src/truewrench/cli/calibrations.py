@@ -24,11 +24,11 @@ from truewrench.cli.common import (
     report_notes,
     verdict_of,
 )
-from truewrench.errors import UnsupportedError
+from truewrench.model.errors import UnsupportedError
 
 if TYPE_CHECKING:
-    from truewrench.calibration import Calibration
-    from truewrench.evidence import Evidence
+    from truewrench.estimation.evidence import Evidence
+    from truewrench.model.calibration import Calibration
 
 __all__ = ["apply", "calibrate", "validate", "write_report_beside"]
 
@@ -53,11 +53,11 @@ def calibrate(
     debug: DebugOption = False,
 ) -> Outcome:
     """Calibrate gain and offset from one or more logs."""
-    from truewrench.exports import write_exports
+    from truewrench.calibrating.pipeline import calibrate as run
+    from truewrench.io.exports import write_exports
     from truewrench.io.tables import read_log
-    from truewrench.pipeline import calibrate as run
-    from truewrench.rig import load_rig
-    from truewrench.summary import calibration_summary, exports_summary
+    from truewrench.model.rig import load_rig
+    from truewrench.report.summary import calibration_summary, exports_summary
 
     check_folder(output)
     settings = load_rig(rig)
@@ -137,11 +137,11 @@ def validate(
     debug: DebugOption = False,
 ) -> Outcome:
     """Judge a calibration by logs it was not made with: is it better than the nominal gain?"""
-    from truewrench.calibration import load_calibration
     from truewrench.io.tables import read_log
-    from truewrench.rig import load_rig
-    from truewrench.summary import validation_summary
-    from truewrench.validation import validate as run
+    from truewrench.judging.validation import validate as run
+    from truewrench.model.calibration import load_calibration
+    from truewrench.model.rig import load_rig
+    from truewrench.report.summary import validation_summary
 
     if output is not None:
         check_folder(output)
@@ -202,14 +202,14 @@ def apply(
     for name, value in {"--delay": delay, "--at": at, "--axes": axes}.items():
         if value is not None:
             raise UnsupportedError.at(None, name, "without --tool", "this option with --tool only")
-    from truewrench.apply import apply as run
-    from truewrench.calibration import load_calibration
+    from truewrench.correction.apply import apply as run
+    from truewrench.model.calibration import load_calibration
 
     loaded = load_calibration(calibration)
     with progress_bar() as update:
         show = lambda rows: update(f"{rows} rows", None)  # noqa: E731
         if output.suffix.lower() == ".mcap":
-            from truewrench.apply.recording import apply_to_recording
+            from truewrench.correction.apply_recording import apply_to_recording
 
             done = apply_to_recording(loaded, log, output, predict=predict, progress=show)
         else:

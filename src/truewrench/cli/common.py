@@ -14,11 +14,11 @@ import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:
-    from truewrench.calibration import Calibration
-    from truewrench.log import Log
+    from truewrench.model.calibration import Calibration
+    from truewrench.model.log import Log
 
 __all__ = [
     "DebugOption",

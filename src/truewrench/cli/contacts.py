@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from truewrench.cli.common import Outcome, progress_bar, report_notes
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:
-    from truewrench.calibration import Calibration
-    from truewrench.contact.apply import ContactApplied
-    from truewrench.contact.run import View
+    from truewrench.correction.contact.apply import ContactApplied
+    from truewrench.correction.contact.run import View
+    from truewrench.model.calibration import Calibration
     from truewrench.tool.model import Tool
 
 __all__ = ["apply_tool", "sensor_and_tool", "view_of"]
@@ -26,10 +26,10 @@ def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool,
     Raises:
         InputError: a file is at fault, or the two are of different sensors.
     """
-    from truewrench.calibration import load_calibration
-    from truewrench.contact.run import check_same_sensor
-    from truewrench.files import read_yaml
-    from truewrench.rig.tool_rig import tool_rig
+    from truewrench.correction.contact.run import check_same_sensor
+    from truewrench.model.calibration import load_calibration
+    from truewrench.model.files import read_yaml
+    from truewrench.model.rig.tool_rig import tool_rig
     from truewrench.tool.model import read_tool
 
     data, _ = read_yaml(source)
@@ -47,7 +47,7 @@ def view_of(at: str | None, axes: Literal["sensor", "base"] | None) -> View:
     Raises:
         InputError: `at` is not six numbers.
     """
-    from truewrench.contact.run import View
+    from truewrench.correction.contact.run import View
 
     values: list[float] = [0.0] * 6
     if at is not None:
@@ -70,8 +70,8 @@ def apply_tool(
     axes: Literal["sensor", "base"] | None,
 ) -> Outcome:
     """`apply --tool`."""
-    from truewrench.contact.apply import apply_contact
-    from truewrench.contact.run import DELAY
+    from truewrench.correction.contact.apply import apply_contact
+    from truewrench.correction.contact.run import DELAY
 
     made, found, verdict = sensor_and_tool(source, tool)
     with progress_bar() as update:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from truewrench.cli.common import DebugOption, JsonOption, Outcome, check_folder, verdict_of
-from truewrench.errors import InputError, UnsupportedError
+from truewrench.model.errors import InputError, UnsupportedError
 
 if TYPE_CHECKING:
-    from truewrench.calibration import Calibration
-    from truewrench.contact.run import ContactRun
-    from truewrench.rig import Rig
-    from truewrench.stream.ros2 import Topics
-    from truewrench.stream.stop import Stop
+    from truewrench.correction.contact.run import ContactRun
+    from truewrench.live.ros2 import Topics
+    from truewrench.live.stop import Stop
+    from truewrench.model.calibration import Calibration
+    from truewrench.model.rig import Rig
 
 __all__ = ["stream"]
 
@@ -89,15 +89,15 @@ def stream(
             raise UnsupportedError.at(None, "--tool", "--calibrate", "CALIBRATION or RIG as the argument")
         named = (wrench_topic, joint_topic, reliable) if ros2 else None
         return _contact(calibration, tool, delay, as_json, named, math.inf if seconds is None else seconds)
-    from truewrench.calibration import load_calibration
-    from truewrench.rig import load_rig
+    from truewrench.model.calibration import load_calibration
+    from truewrench.model.rig import load_rig
 
     made = None if calibration is None else load_calibration(calibration)
     settings = load_rig(rig) if rig is not None else made.rig if made is not None else None
     assert settings is not None
     topics = None
     if ros2:
-        from truewrench.stream.ros2 import OUTPUT, Topics
+        from truewrench.live.ros2 import OUTPUT, Topics
 
         topics = Topics(
             wrench_topic or settings.recording.wrench_topic,
@@ -128,8 +128,8 @@ def _contact(
     seconds: float,
 ) -> Outcome:
     from truewrench.cli.contacts import sensor_and_tool
-    from truewrench.contact.run import DELAY, ContactRun
-    from truewrench.stream.stop import Stop
+    from truewrench.correction.contact.run import DELAY, ContactRun
+    from truewrench.live.stop import Stop
 
     made, found, verdict = sensor_and_tool(source, tool)
     for reason in verdict["reasons"]:
@@ -137,8 +137,8 @@ def _contact(
     run = ContactRun(found, None, calibration=made, delay=DELAY if delay is None else delay)
     with Stop() as stop:
         if named is not None:
-            from truewrench.stream.ros2 import Topics
-            from truewrench.stream.ros2_contact import contact_topics
+            from truewrench.live.ros2 import Topics
+            from truewrench.live.ros2_contact import contact_topics
 
             topics = Topics(named[0], named[1], reliable=named[2])
             counts = contact_topics(run, found.rig, topics, stop, _Complaints(), seconds)
@@ -150,9 +150,9 @@ def _contact(
 
 
 def _contact_lines(run: ContactRun, n: int, stop: Stop, as_json: bool) -> dict[str, int]:
-    from truewrench.stream.contact_lines import contact_lines
-    from truewrench.stream.json_lines import INPUT
-    from truewrench.stream.lines import Output
+    from truewrench.live.contact_lines import contact_lines
+    from truewrench.live.json_lines import INPUT
+    from truewrench.live.lines import Output
 
     lines = contact_lines(run, n, Output(silent=as_json), stop, _Complaints())
     if lines.refused:
@@ -162,13 +162,13 @@ def _contact_lines(run: ContactRun, n: int, stop: Stop, as_json: bool) -> dict[s
 
 
 def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as_json: bool) -> Outcome:
-    from truewrench.stream.stop import Stop
+    from truewrench.live.stop import Stop
 
     for reason in calibration.verdict.reasons:
         _say(f"not to be used as it stands: {reason}")
     with Stop() as stop:
         if topics is not None:
-            from truewrench.stream.ros2 import correct_topic
+            from truewrench.live.ros2 import correct_topic
 
             counts = correct_topic(calibration, topics, stop, _Complaints(), seconds)
             figures = dataclasses.asdict(counts)
@@ -179,8 +179,8 @@ def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as
 
 
 def _correct_lines(calibration: Calibration, stop: Stop, as_json: bool) -> dict[str, int]:
-    from truewrench.stream.json_lines import INPUT, correct_lines
-    from truewrench.stream.lines import Output
+    from truewrench.live.json_lines import INPUT, correct_lines
+    from truewrench.live.lines import Output
 
     lines = correct_lines(calibration, Output(silent=as_json), stop, _Complaints())
     if lines.refused:
@@ -193,20 +193,20 @@ def _calibrate(
     rig: Rig, payload: str | None, folder: Path | None, topics: Topics | None, seconds: float, as_json: bool
 ) -> Outcome:
     from truewrench.cli.calibrations import write_report_beside
-    from truewrench.exports import write_exports
-    from truewrench.stream.session import CALIBRATION, RECORD, LiveCalibration, payload_of
-    from truewrench.stream.stop import Stop
-    from truewrench.summary import calibration_summary
+    from truewrench.io.exports import write_exports
+    from truewrench.live.session import CALIBRATION, RECORD, LiveCalibration, payload_of
+    from truewrench.live.stop import Stop
+    from truewrench.report.summary import calibration_summary
 
     with Stop() as stop, LiveCalibration(rig, payload_of(rig, payload)) as session:
         if topics is not None:
-            from truewrench.stream.ros2 import calibrate_topics
+            from truewrench.live.ros2 import calibrate_topics
 
             counts, final = calibrate_topics(session, folder, topics, stop, _Complaints(), seconds)
             figures = dataclasses.asdict(counts)
         else:
-            from truewrench.stream.json_lines import calibrate_lines
-            from truewrench.stream.lines import Output
+            from truewrench.live.json_lines import calibrate_lines
+            from truewrench.live.lines import Output
 
             lines, final = calibrate_lines(session, folder, Output(silent=as_json), stop, _Complaints())
             figures = {"lines": lines.read, "refused": lines.refused}

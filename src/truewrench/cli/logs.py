@@ -27,7 +27,7 @@ def inspect(
     """Show what is in a log: streams, rates, gaps, ranges; of a recording, its topics too."""
     from truewrench.inspection.log import inspect_log
     from truewrench.io.recordings.reader import is_recording
-    from truewrench.summary import log_summary
+    from truewrench.report.summary import log_summary
 
     if log.exists() and is_recording(log):
         return _inspect_recording(log)

@@ -15,7 +15,7 @@ from truewrench.cli.common import (
     RigArgument,
     progress_bar,
 )
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:
     from truewrench.simulation.arm import ArmRun
@@ -67,9 +67,9 @@ def plan(
     for option, value in options.items():
         if value is not None:
             raise InputError.at(None, option, "it without --tool", "--tool, which it belongs to")
+    from truewrench.model.rig import load_rig
     from truewrench.planning.planner import plan as run
     from truewrench.planning.words import plan_words
-    from truewrench.rig import load_rig
 
     settings = load_rig(rig)
     settings.check_motion("which a plan is made for")
@@ -102,8 +102,8 @@ def follow(
     debug: DebugOption = False,
 ) -> Outcome:
     """Turn a planned twist into motions of an arm's joints, within their limits."""
+    from truewrench.model.rig import load_rig
     from truewrench.planning.follow import follow_plan
-    from truewrench.rig import load_rig
 
     settings = load_rig(rig)
     settings.check_motion("which is to follow the plan")
@@ -132,7 +132,7 @@ def simulate(
     debug: DebugOption = False,
 ) -> Outcome:
     """Simulate a log, and write its truth beside it."""
-    from truewrench.rig import load_rig
+    from truewrench.model.rig import load_rig
 
     settings = load_rig(rig)
     simulated: ArmRun | SimulatedRun

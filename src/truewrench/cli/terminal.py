@@ -24,7 +24,7 @@ def show_outcome(outcome: Outcome, as_json: bool) -> None:
     if as_json:
         _print_json(outcome.status, outcome.verdict, outcome.outputs, outcome.figures)
     else:
-        from truewrench.summary import show
+        from truewrench.report.summary import show
 
         to = sys.stderr if outcome.aside else sys.stdout
         # a pipe has no width: do not break lines for it

@@ -18,11 +18,11 @@ from truewrench.cli.common import (
     progress_bar,
     report_left_out,
 )
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:
-    from truewrench.calibration import Calibration
-    from truewrench.rig import Rig
+    from truewrench.model.calibration import Calibration
+    from truewrench.model.rig import Rig
     from truewrench.tool.identify import Evidence
 
 __all__ = ["plan_for_tool", "tool"]
@@ -129,10 +129,10 @@ def plan_for_tool(
     pictures: bool,
 ) -> Outcome:
     """`plan --tool`."""
-    from truewrench.files import read_yaml
+    from truewrench.model.files import read_yaml
+    from truewrench.model.rig import load_rig
     from truewrench.planning.tool.plan import DWELL_DEFAULT, POSES, plan_tool
     from truewrench.planning.tool.words import tool_plan_words
-    from truewrench.rig import load_rig
 
     data, _ = read_yaml(source)
     stated = isinstance(data, dict) and "format" not in data and data.get("payloads")
@@ -158,9 +158,9 @@ def plan_for_tool(
 
 def _read(source: Path) -> Calibration | Rig:
     """A calibration or a rig, told apart by its `format`."""
-    from truewrench.calibration import load_calibration
-    from truewrench.files import read_yaml
-    from truewrench.rig.tool_rig import tool_rig
+    from truewrench.model.calibration import load_calibration
+    from truewrench.model.files import read_yaml
+    from truewrench.model.rig.tool_rig import tool_rig
 
     data, _ = read_yaml(source)
     if isinstance(data, dict) and "format" in data:

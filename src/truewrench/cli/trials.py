@@ -16,7 +16,7 @@ from truewrench.cli.common import (
     check_folder,
     progress_bar,
 )
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 __all__ = ["campaign", "demo"]
 
@@ -76,7 +76,7 @@ def campaign(
     from truewrench.campaign import campaign as run
     from truewrench.campaign.statistics import campaign_words
     from truewrench.io.plans import read_plan
-    from truewrench.rig import load_rig
+    from truewrench.model.rig import load_rig
 
     check_folder(output)
     settings = load_rig(rig)

@@ -15,11 +15,22 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.bound import bound
 from truewrench.estimation.ekf import EkfEstimate, estimate_ekf
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.least_squares import least_squares
-from truewrench.figures import (
+from truewrench.model.files import write_yaml
+from truewrench.model.rig import Rig
+from truewrench.motion.trajectory import (
+    Body,
+    WrenchMotion,
+    WrenchSinusoids,
+    excitation_alpha,
+    integrate_wrench,
+    rotation_matrix,
+)
+from truewrench.report.figures import (
     BLUE,
     GREEN,
     GREY,
@@ -34,17 +45,6 @@ from truewrench.figures import (
     path_figure,
     reading_error_figure,
 )
-from truewrench.files import write_yaml
-from truewrench.motion.trajectory import (
-    Body,
-    WrenchMotion,
-    WrenchSinusoids,
-    excitation_alpha,
-    integrate_wrench,
-    rotation_matrix,
-)
-from truewrench.pipeline import calibrate
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import SimulatedRun, simulate
 
 __all__ = ["NOISE", "Comparison", "Result", "compare", "run", "simulate_case"]

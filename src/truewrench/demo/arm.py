@@ -11,20 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import robots
-from truewrench.arm.robot import robot_of
-from truewrench.calibration import Calibration
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.campaign.trial import nees
-from truewrench.errors import UnsupportedError
-from truewrench.figures.arm import arm_figure, driven_figure, gain_figure
-from truewrench.files import write_yaml
 from truewrench.io.tables import read_log
-from truewrench.pipeline import calibrate
+from truewrench.judging.validation import Validation, validate
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import UnsupportedError
+from truewrench.model.files import write_yaml
+from truewrench.model.rig import Rig, load_rig
 from truewrench.planning.planner import plan as make_plan
 from truewrench.planning.result import Plan
-from truewrench.rig import Rig, load_rig
+from truewrench.report.figures.arm import arm_figure, driven_figure, gain_figure
+from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm import ArmRun, simulate_arm, simulate_plan
 from truewrench.simulation.arm.run import arm_with
-from truewrench.validation import Validation, validate
 
 __all__ = ["run_arm"]
 

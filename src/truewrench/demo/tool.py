@@ -14,16 +14,16 @@ import yaml
 from numpy.typing import NDArray
 
 from truewrench import robots
-from truewrench.contact.apply import apply_contact
-from truewrench.contact.log import contact as contact_of
-from truewrench.contact.run import ContactEvent
-from truewrench.figures.tool import body_figure, contact_figure
-from truewrench.files import atomic_output
+from truewrench.correction.contact.apply import apply_contact
+from truewrench.correction.contact.log import contact as contact_of
+from truewrench.correction.contact.run import ContactEvent
 from truewrench.io.tables import read_log
+from truewrench.model.files import atomic_output
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import load_tool_rig
 from truewrench.planning.tool.pictures import draw_tool_plan
 from truewrench.planning.tool.plan import ToolPlan, plan_tool
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import load_tool_rig
+from truewrench.report.figures.tool import body_figure, contact_figure
 from truewrench.simulation.arm import ArmRun, simulate_arm, simulate_plan
 from truewrench.simulation.effects import half_sine
 from truewrench.tool.exports import TARGETS, write_tool_exports

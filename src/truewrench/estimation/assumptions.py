@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig import PayloadSpec, Rig
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import PayloadSpec, Rig
 
 __all__ = ["FIRST_POSITION_NOISE", "INERTIA_ELEMENTS", "Assumption", "Assumptions", "statement"]
 

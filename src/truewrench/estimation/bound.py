@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from truewrench.arm.track import tracked_streams
-from truewrench.calibration import Bound
-from truewrench.errors import InputError
+from truewrench.estimation.motion_noise import twist_noise
 from truewrench.estimation.unknowns import Motion, Unknown, Wrench, unknowns_of, wrench_rates
-from truewrench.log import Log, Reference
+from truewrench.model.calibration import Bound
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log, Reference
+from truewrench.model.payload import payload_wrench
+from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.motion.spatial import cross_matrix, twist_adjoint
-from truewrench.motion_noise import twist_noise
-from truewrench.payload import payload_wrench
-from truewrench.rig import Rig
+from truewrench.robot.track import tracked_streams
 
 __all__ = ["NOISE", "Information", "bound", "information", "oracle_rms"]
 

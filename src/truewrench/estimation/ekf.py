@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.log import Log
-from truewrench.motion_noise import twist_covariance
-from truewrench.payload import core_payload
-from truewrench.rig import Rig
+from truewrench.estimation.motion_noise import twist_covariance
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.payload import core_payload
+from truewrench.model.rig import Rig
 
 __all__ = ["EkfEstimate", "estimate_ekf"]
 

@@ -23,8 +23,8 @@ from truewrench.estimation.estimate import (
 )
 from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 __all__ = ["estimate"]
 

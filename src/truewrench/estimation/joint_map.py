@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from truewrench.arm.robot import robot_of, rotation_of
-from truewrench.arm.screws import Screws
-from truewrench.errors import InputError
-from truewrench.log import Log
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
-from truewrench.rig import Rig
+from truewrench.robot.arm import robot_of, rotation_of
+from truewrench.robot.screws import Screws
 
 __all__ = ["BasePath", "JointMap", "joint_map"]
 

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration_parts import Assumed
-from truewrench.errors import InputError
 from truewrench.estimation.lasting_errors import Spread, spread_of_sizes, whitened
 from truewrench.estimation.wrench_errors import (
     Fit,
@@ -29,8 +27,10 @@ from truewrench.estimation.wrench_errors import (
 )
 from truewrench.estimation.wrench_regression import Problem
 from truewrench.estimation.wrench_rows import Rows, rows_by_kind
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.calibration_parts import Assumed
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 __all__ = ["KnownWrenchEstimate", "WrenchInformation", "estimate_from_known_wrench"]
 

@@ -14,12 +14,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.log import Log
+from truewrench.estimation.motion_noise import twist_noise
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.payload import payload_wrench
+from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments, smooth_twist
-from truewrench.motion_noise import twist_noise
-from truewrench.payload import payload_wrench
-from truewrench.rig import Rig
 
 __all__ = ["LeastSquaresEstimate", "least_squares"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from truewrench.calibration_parts import BlindTo
+from truewrench.model.calibration_parts import BlindTo
 
 __all__ = [
     "DelayShare",

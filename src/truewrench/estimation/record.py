@@ -14,16 +14,16 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from truewrench import _core
-from truewrench.arm.track import measured_twists
-from truewrench.attitude import attitude_of
-from truewrench.errors import InputError
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
 from truewrench.estimation.joint_map import JointMap, joint_map
-from truewrench.log import Log
+from truewrench.estimation.motion_noise import twist_noise
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.temperature import temperature_at
 from truewrench.motion.smooth import segments
-from truewrench.motion_noise import twist_noise
-from truewrench.rig import Rig
-from truewrench.temperature import temperature_at
+from truewrench.robot.attitude import attitude_of
+from truewrench.robot.track import measured_twists
 
 __all__ = ["Recorded", "recorded", "recorded_logs"]
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.attitude import attitude_at, attitude_of
-from truewrench.log import Log
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.spatial import cross_matrix
-from truewrench.rig import Rig
+from truewrench.robot.attitude import attitude_at, attitude_of
 
 __all__ = [
     "Motion",

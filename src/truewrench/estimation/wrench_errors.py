@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from truewrench.calibration_parts import Assumed
 from truewrench.estimation.lasting_errors import ErrorSize, Spread, find_sizes
 from truewrench.estimation.wrench_regression import Part, Problem, Solution, solve
 from truewrench.estimation.wrench_rows import Rows, consistent
+from truewrench.model.calibration_parts import Assumed
 
 __all__ = [
     "MOST_OUTLIERS",

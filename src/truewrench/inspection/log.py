@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
 from truewrench.io.cells import numbers
 from truewrench.io.table import ACCELERATION, ANGULAR_VELOCITY, ATTITUDE, GRAVITY, TWIST, Table
 from truewrench.io.tables import TimeReader, open_table
+from truewrench.model.errors import InputError
 
 __all__ = ["ColumnContent", "Gap", "LogContent", "Stream", "inspect_log"]
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
 from truewrench.inspection.log import GAP_PERIODS, ColumnContent, Gap
 from truewrench.io.recordings.choice import KEYS, commanded
 from truewrench.io.recordings.layout import Layout
 from truewrench.io.recordings.reader import Batch, Recording, Topic, open_recording
 from truewrench.io.recordings.streams import Clocks, clock_notes, role_of, samples_of
+from truewrench.model.errors import InputError
 
 __all__ = ["RecordingContent", "StreamContent", "TopicContent", "inspect_recording"]
 

@@ -1,1 +1,1 @@
-"""Readers and writers, one file format a module."""
+"""Readers and writers: tables, plans, recordings (rosbag2, MCAP, ROS 1), and the formats of others."""

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 __all__ = ["Column", "numbers", "to_nanoseconds"]
 

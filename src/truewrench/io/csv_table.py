@@ -10,10 +10,10 @@ from typing import BinaryIO
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from truewrench.calibration import AXES
-from truewrench.errors import InputError
 from truewrench.io.cells import Column, numbers, to_nanoseconds
 from truewrench.io.table import ACCELERATION, GRAVITY, SPECIFIC_FORCE, TWIST, Chunk, Table
+from truewrench.model.calibration import AXES
+from truewrench.model.errors import InputError
 
 __all__ = ["CsvChunk", "CsvTable"]
 

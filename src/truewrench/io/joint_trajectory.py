@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
-from truewrench.files import write_yaml
+from truewrench.model.errors import InputError
+from truewrench.model.files import write_yaml
 
 __all__ = ["write_joint_trajectory"]
 

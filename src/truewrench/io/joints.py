@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.arm.robot import robot_of
-from truewrench.errors import InputError
 from truewrench.io.table import Table
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
+from truewrench.robot.arm import robot_of
 
 __all__ = ["BASE_ATTITUDE", "BASE_TWIST", "check_attitude", "joint_groups"]
 

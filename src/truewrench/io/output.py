@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
-from truewrench.errors import InputError
-from truewrench.files import atomic_output
+from truewrench.model.errors import InputError
+from truewrench.model.files import atomic_output
 
 __all__ = ["is_parquet", "write_batches", "write_lines"]
 

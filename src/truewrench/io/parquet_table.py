@@ -8,9 +8,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from truewrench.errors import InputError
 from truewrench.io.cells import Column
 from truewrench.io.table import Chunk, Table
+from truewrench.model.errors import InputError
 
 __all__ = ["ParquetTable"]
 

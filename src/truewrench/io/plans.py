@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
 from truewrench.io.cells import numbers
 from truewrench.io.table import ACCELERATION, TWIST
 from truewrench.io.tables import TimeReader, open_table, require
+from truewrench.model.errors import InputError
 from truewrench.motion.trajectory import SplineTwist
 from truewrench.motion.trajectory_joint import SplineJoints
 

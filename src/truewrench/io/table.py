@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from truewrench.errors import InputError
 from truewrench.io.cells import Column
+from truewrench.model.errors import InputError
 
 __all__ = [
     "ACCELERATION",

@@ -12,9 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from truewrench.arm.track import track
-from truewrench.attitude import free_fall
-from truewrench.errors import InputError
 from truewrench.io.cells import numbers, to_nanoseconds
 from truewrench.io.csv_table import CsvTable
 from truewrench.io.joints import check_attitude, joint_groups
@@ -32,8 +29,11 @@ from truewrench.io.table import (
     Chunk,
     Table,
 )
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.robot.attitude import free_fall
+from truewrench.robot.track import track
 
 __all__ = [
     "ACCELERATION",

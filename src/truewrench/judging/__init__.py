@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-from truewrench.calibration_parts import AXES, Undetermined, Verdict
 from truewrench.estimation.estimate import Estimate
 from truewrench.judging.advice import advice
 from truewrench.judging.blind import blind_to
@@ -27,8 +26,9 @@ from truewrench.judging.words import (
     looks_fast,
     looks_slow,
 )
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.calibration_parts import AXES, Undetermined, Verdict
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 __all__ = ["Comparisons", "Judgement", "Suspicion", "blind_to", "findings", "judge", "setup_errors"]
 

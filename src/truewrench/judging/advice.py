@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.estimation.estimate import Estimate
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 
 __all__ = ["advice"]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from truewrench.estimation.estimate import Estimate, LogRows
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 __all__ = ["Looks", "fast_looks", "slow_looks"]
 

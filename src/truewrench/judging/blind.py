@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration_parts import BlindTo
 from truewrench.estimation import pose
 from truewrench.estimation.estimate import Estimate
-from truewrench.rig import Rig
+from truewrench.model.calibration_parts import BlindTo
+from truewrench.model.rig import Rig
 
 __all__ = ["blind_to"]
 

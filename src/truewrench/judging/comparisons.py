@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from truewrench.calibration_parts import AxisImprovement
 from truewrench.judging.setup_odds import Suspicion
+from truewrench.model.calibration_parts import AxisImprovement
 
 __all__ = ["Comparisons"]
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from truewrench.estimation.estimate import Estimate
 from truewrench.judging.words import CHANNELS, log_name
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 __all__ = ["largest_departure"]
 

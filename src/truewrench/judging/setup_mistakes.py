@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from truewrench.calibration_parts import AXES
+from truewrench.model.calibration_parts import AXES
 
 __all__ = [
     "Hypothesis",

@@ -36,8 +36,8 @@ from truewrench.judging.setup_mistakes import (
     turns,
 )
 from truewrench.judging.undetermined import undetermined_directions
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 __all__ = ["Suspicion", "payload_errors", "setup_errors", "suspected_setup_errors"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
-from truewrench.calibration_parts import Undetermined
+from truewrench.model.calibration_parts import Undetermined
 
 __all__ = ["undetermined_directions"]
 

@@ -13,12 +13,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.stats import poisson
 
-from truewrench.calibration_parts import Assumed
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
 from truewrench.estimation.estimate import Clock, Estimate, LogRows, Slow
 from truewrench.judging.attribution import WALK, Looks, fast_looks, slow_looks
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.calibration_parts import Assumed
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 
 __all__ = ["findings", "kinds_of_disturbances", "listed", "log_name", "looks_fast", "looks_slow"]
 

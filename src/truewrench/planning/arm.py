@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot
 from truewrench.planning.symbolic import at_point, force_to_move
+from truewrench.robot.arm import Robot
 
 __all__ = ["ArmExpressions", "arm_expressions", "has_link_inertias"]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 
+from truewrench.model.payload import payload_wrench
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import SplineTwist, attitude
-from truewrench.payload import payload_wrench
 from truewrench.planning.limits import Limits, Usage, usage_of
-from truewrench.rig import Rig
 
 __all__ = ["AXES", "TWIST_AXES", "Preview", "check_times", "check_twist", "place_usage", "wrench_usage"]
 

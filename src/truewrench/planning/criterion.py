@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 
 __all__ = ["PACKED", "Criterion", "packed"]
 

@@ -9,14 +9,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot, robot_of
-from truewrench.errors import InputError
 from truewrench.io.joint_trajectory import write_joint_trajectory
 from truewrench.io.plans import joint_columns, read_plan
 from truewrench.io.tables import write_table
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.resolved_rate import FollowedTwist, follow_twist, limits_of
-from truewrench.rig import Rig
+from truewrench.robot.arm import Robot, robot_of
 
 __all__ = ["FollowedPlan", "follow_plan"]
 

@@ -6,13 +6,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot
+from truewrench.model.payload import payload_wrench
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory_joint import SplineJoints
-from truewrench.payload import payload_wrench
 from truewrench.planning.check import Preview, check_times, place_usage, wrench_usage
 from truewrench.planning.joint_space import ArmOutputs, near_pairs
 from truewrench.planning.limits import Limits, Usage, clearance_usage, usage_of
-from truewrench.rig import Rig
+from truewrench.robot.arm import Robot
 
 __all__ = ["check_joints", "quick_usage"]
 

@@ -8,12 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import robot_of
-from truewrench.arm.track import track
 from truewrench.io.plans import joint_columns
-from truewrench.log import Log
+from truewrench.model.log import Log
+from truewrench.model.payload import payload_wrench
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
-from truewrench.payload import payload_wrench
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.joint_check import check_joints, quick_usage
 from truewrench.planning.joint_space import arm_outputs, joint_limits, joint_space
@@ -24,7 +23,8 @@ from truewrench.planning.result import Design
 from truewrench.planning.search import Effort, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
 from truewrench.planning.spread import spread_weight
-from truewrench.rig import Rig
+from truewrench.robot.arm import robot_of
+from truewrench.robot.track import track
 from truewrench.simulation.truth import begin, readings, stamps_of
 
 __all__ = ["design_joints", "simulated_joints"]

@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot
+from truewrench.model.rig import Rig
 from truewrench.planning.arm import ArmExpressions, arm_expressions, has_link_inertias
 from truewrench.planning.limits import Limits
 from truewrench.planning.optimise import Bounds, Space
 from truewrench.planning.symbolic import at_point, wrench_over_range
-from truewrench.rig import Rig
+from truewrench.robot.arm import Robot
 
 __all__ = ["ArmOutputs", "arm_outputs", "joint_limits", "joint_space", "near_pairs"]
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot, robot_of
-from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.plans import joint_columns
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import SplineTwist, integrate_wrench
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.joint_check import check_joints
@@ -20,7 +20,7 @@ from truewrench.planning.resolved_rate import follow_twist, limits_of
 from truewrench.planning.result import Design
 from truewrench.planning.search import Progress
 from truewrench.planning.wrench_plan import ONE_FREQUENCY, best_sinusoids, facts_of, scaled
-from truewrench.rig import Rig
+from truewrench.robot.arm import Robot, robot_of
 
 __all__ = ["design_joint_wrench"]
 

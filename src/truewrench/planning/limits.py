@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 
 __all__ = [
     "DEFAULT_WRENCH_FRACTION",

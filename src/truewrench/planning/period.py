@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
-from truewrench.rig import Rig
 
 __all__ = ["ROWS", "check_harmonics", "cycles_of", "plan_rows", "typical_velocity"]
 

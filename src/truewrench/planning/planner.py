@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.log import Log
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import SplineTwist, Trajectory
 from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.period import check_harmonics
@@ -18,7 +19,6 @@ from truewrench.planning.result import Design, Plan
 from truewrench.planning.search import Progress
 from truewrench.planning.twist_plan import design_twist
 from truewrench.planning.wrench_plan import design_wrench
-from truewrench.rig import Rig
 from truewrench.simulation.free_body import simulate
 
 __all__ = ["check_limits", "plan", "simulated_log"]

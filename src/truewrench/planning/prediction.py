@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration_parts import BlindTo, Undetermined
 from truewrench.estimation.bound import Information, information, oracle_rms
 from truewrench.estimation.pose import (
     DelayShare,
@@ -28,11 +27,12 @@ from truewrench.estimation.pose import (
     with_pose,
 )
 from truewrench.judging.undetermined import undetermined_directions
-from truewrench.log import Log
+from truewrench.model.calibration_parts import BlindTo, Undetermined
+from truewrench.model.log import Log
+from truewrench.model.rig import PayloadSpec, Rig, SimulateSpec
 from truewrench.motion.trajectory import SplineTwist, Trajectory
 from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.planning.check import Preview
-from truewrench.rig import PayloadSpec, Rig, SimulateSpec
 
 __all__ = ["HEAVIER", "LONGER", "POSE", "Prediction", "figures", "hidden", "ideal", "predict"]
 

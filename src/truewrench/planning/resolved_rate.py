@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot, robot_of
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import Trajectory
-from truewrench.rig import Rig
+from truewrench.robot.arm import Robot, robot_of
 
 __all__ = ["FollowedTwist", "JointLimits", "follow_twist", "limits_of"]
 

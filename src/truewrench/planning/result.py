@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration_parts import AXES, Verdict
-from truewrench.files import write_yaml
 from truewrench.io.joint_trajectory import write_joint_trajectory
 from truewrench.io.plans import joint_columns
 from truewrench.io.tables import write_table
+from truewrench.model.calibration_parts import AXES, Verdict
+from truewrench.model.files import write_yaml
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import SplineTwist, Trajectory, excitation_alpha
 from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.check import Preview
 from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures
-from truewrench.rig import Rig
 
 __all__ = ["FORMAT", "Design", "Plan", "alpha_of", "write_design"]
 

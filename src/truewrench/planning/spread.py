@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.model.rig import Rig
 from truewrench.planning.series import SeriesBasis
-from truewrench.rig import Rig
 
 __all__ = ["Spread", "spread_weight"]
 

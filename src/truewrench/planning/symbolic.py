@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 
 __all__ = ["at_point", "force_to_move", "total_derivative", "wrench_over_range"]
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.io.tables import ACCELERATION, TWIST
+from truewrench.model.payload import payload_wrench
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import SplineTwist
-from truewrench.payload import payload_wrench
 from truewrench.planning.check import check_twist
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.limits import Limits, Usage
@@ -20,7 +21,6 @@ from truewrench.planning.search import Found, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
 from truewrench.planning.spread import spread_weight
 from truewrench.planning.twist_space import pose_space, pose_twist, twist_space
-from truewrench.rig import Rig
 
 __all__ = ["design_twist", "twist_design"]
 

@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.model.rig import Rig
 from truewrench.planning.limits import Limits
 from truewrench.planning.optimise import Bounds, Space
 from truewrench.planning.series import FourierMotion
 from truewrench.planning.symbolic import at_point, total_derivative, wrench_over_range
-from truewrench.rig import Rig
 
 __all__ = ["pose_space", "pose_twist", "twist_space"]
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from truewrench.errors import UnsupportedError
+from truewrench.model.errors import UnsupportedError
+from truewrench.model.rig import PlanSpec, Rig
 from truewrench.motion.trajectory import Body, WrenchSinusoids, integrate_wrench
 from truewrench.planning.criterion import Criterion, packed
 from truewrench.planning.limits import Limits
@@ -18,7 +19,6 @@ from truewrench.planning.result import Design
 from truewrench.planning.search import Progress
 from truewrench.planning.sinusoids import Batch, Motions, integrated, without_drift
 from truewrench.planning.twist_plan import twist_design
-from truewrench.rig import PlanSpec, Rig
 
 __all__ = ["ONE_FREQUENCY", "Sinusoids", "best_sinusoids", "design_wrench", "facts_of", "scaled", "twist_of"]
 

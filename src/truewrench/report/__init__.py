@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from truewrench.calibration import Calibration
-from truewrench.evidence import Evidence
-from truewrench.files import atomic_output
+from truewrench.estimation.evidence import Evidence
+from truewrench.model.calibration import Calibration
+from truewrench.model.files import atomic_output
 from truewrench.report.page import page
 
 __all__ = ["write_report"]

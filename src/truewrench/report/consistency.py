@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import KnownWrenchEstimate
-from truewrench.evidence import Evidence
 from truewrench.report.series import Record, groups_of
 
 __all__ = ["CHANCE", "Consistency", "consistency"]

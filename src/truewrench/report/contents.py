@@ -9,9 +9,9 @@ import numpy as np
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from truewrench.calibration import AXES, UNDETERMINED, Calibration
 from truewrench.estimation.estimate import Estimate
-from truewrench.evidence import Evidence
+from truewrench.estimation.evidence import Evidence
+from truewrench.model.calibration import AXES, UNDETERMINED, Calibration
 from truewrench.report import findings, found, plots, tables
 from truewrench.report.consistency import CHANCE, consistency
 from truewrench.report.convergence import convergence

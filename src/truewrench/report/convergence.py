@@ -13,10 +13,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration import Calibration
 from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
-from truewrench.evidence import Evidence
+from truewrench.estimation.evidence import Evidence
+from truewrench.model.calibration import Calibration
 from truewrench.report.series import Record
 
 __all__ = ["Convergence", "convergence"]

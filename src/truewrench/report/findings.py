@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truewrench.calibration import AXES, Calibration
 from truewrench.judging import DISAGREE, MASKED
+from truewrench.model.calibration import AXES, Calibration
 from truewrench.report.consistency import CHANCE, Consistency
 from truewrench.report.convergence import Convergence
 from truewrench.report.statistics import Histogram, Spectrum

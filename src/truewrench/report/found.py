@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truewrench.calibration import Calibration
 from truewrench.estimation.estimate import Clock, Estimate, Slow
+from truewrench.model.calibration import Calibration
+from truewrench.report.summary import with_uncertainty
 from truewrench.report.tables import Cell, Row, Table
-from truewrench.summary import with_uncertainty
 
 __all__ = ["assumed_table", "found_table"]
 

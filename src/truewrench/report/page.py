@@ -24,8 +24,8 @@ from bokeh.resources import Resources
 from markupsafe import Markup
 
 from truewrench import _core
-from truewrench.calibration import Calibration
-from truewrench.evidence import Evidence
+from truewrench.estimation.evidence import Evidence
+from truewrench.model.calibration import Calibration
 from truewrench.report import findings, tables
 from truewrench.report.contents import Figure, sections
 

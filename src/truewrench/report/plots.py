@@ -16,7 +16,7 @@ from bokeh.models.sources import ColumnDataSource
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from truewrench.calibration import AXES
+from truewrench.model.calibration import AXES
 from truewrench.report.consistency import Consistency
 from truewrench.report.convergence import Convergence
 from truewrench.report.series import Record

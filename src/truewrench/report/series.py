@@ -9,15 +9,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration import Calibration
-from truewrench.errors import InputError
 from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import KnownWrenchEstimate
-from truewrench.evidence import Evidence
-from truewrench.log import Log
-from truewrench.split import held_out
-from truewrench.temperature import at_reference_temperature
-from truewrench.validation.residuals import residuals
+from truewrench.judging.validation.residuals import residuals
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.split import held_out
+from truewrench.model.temperature import at_reference_temperature
 
 __all__ = ["Record", "Series", "Span", "groups_of", "record_of"]
 

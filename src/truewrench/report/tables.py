@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from truewrench.calibration import AXES, Calibration, LogReport
-from truewrench.summary import with_uncertainty
+from truewrench.model.calibration import AXES, Calibration, LogReport
+from truewrench.report.summary import with_uncertainty
 
 __all__ = [
     "SOURCES",

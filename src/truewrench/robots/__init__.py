@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 __all__ = ["NAMES", "TOOL_RIGS", "path"]
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.log import Log
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
-from truewrench.rig import Rig
 from truewrench.simulation.imperfect import FineMotion, Hardware, integral_of
 from truewrench.simulation.truth import Truth, begin, readings, stamps_of, stated, write_run
 

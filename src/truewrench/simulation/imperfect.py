@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from truewrench.errors import InputError
-from truewrench.rig import Rig
-from truewrench.rig.imperfections import FilterSpec, ImperfectionsSpec
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
+from truewrench.model.rig.imperfections import FilterSpec, ImperfectionsSpec
 from truewrench.simulation.effects import (
     LowPass,
     dahl,

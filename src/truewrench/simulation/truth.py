@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.errors import InputError, UnsupportedError
-from truewrench.files import read_yaml, write_yaml
 from truewrench.io.table import GRAVITY, TWIST
 from truewrench.io.tables import write_table
-from truewrench.log import Log
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.files import read_yaml, write_yaml
+from truewrench.model.log import Log
+from truewrench.model.rig import PayloadSpec, Rig
+from truewrench.model.rig.fields import Fields
 from truewrench.motion.trajectory import Body
-from truewrench.rig import PayloadSpec, Rig
-from truewrench.rig.fields import Fields
 from truewrench.simulation.imperfect import Readout
 
 __all__ = [

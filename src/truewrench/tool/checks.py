@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS
 

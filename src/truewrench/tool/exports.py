@@ -16,8 +16,8 @@ import numpy.typing as npt
 import yaml
 from scipy.spatial.transform import Rotation
 
-from truewrench.errors import InputError
-from truewrench.files import atomic_output
+from truewrench.model.errors import InputError
+from truewrench.model.files import atomic_output
 from truewrench.tool.bodies import flange_body, flange_wrench
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import roll_pitch_yaw

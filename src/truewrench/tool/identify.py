@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.arm.track import tracked
-from truewrench.calibration import Calibration
-from truewrench.compensation import uncompensated
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.robot.compensation import uncompensated
+from truewrench.robot.track import tracked
 from truewrench.tool.bodies import joined, nearest_physical, total_body
 from truewrench.tool.checks import check_known, check_logs, check_session
 from truewrench.tool.held_out import held_out

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit

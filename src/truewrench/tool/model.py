@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
-from truewrench.files import read_yaml, write_yaml
-from truewrench.rig import Rig
-from truewrench.rig.elsewhere import within
-from truewrench.rig.fields import Fields
-from truewrench.rig.tool_rig import tool_rig
+from truewrench.model.errors import InputError
+from truewrench.model.files import read_yaml, write_yaml
+from truewrench.model.rig import Rig
+from truewrench.model.rig.elsewhere import within
+from truewrench.model.rig.fields import Fields
+from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.tool.parameters import (
     ELEMENTS,
     Layout,

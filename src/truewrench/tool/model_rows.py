@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 from truewrench.tool.bodies import total_body, weight
 from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, tilted
 from truewrench.tool.poses import Poses

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from truewrench import _core
-from truewrench.errors import InputError
 from truewrench.estimation.assumptions import Assumptions, statement
 from truewrench.estimation.record import recorded
-from truewrench.log import Log
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
-from truewrench.rig import Rig
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model_rows import MotionInformation
 from truewrench.tool.parameters import inertia_of, second_moments, symmetric

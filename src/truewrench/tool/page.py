@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.files import atomic_output
+from truewrench.model.files import atomic_output
 from truewrench.tool.identify import Evidence
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS, symmetric

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import robot_of
-from truewrench.attitude import attitude_of
-from truewrench.errors import InputError
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.temperature import temperature_at
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.temperature import temperature_at
+from truewrench.robot.arm import robot_of
+from truewrench.robot.attitude import attitude_of
 
 __all__ = ["Poses", "Split", "split_poses", "stands_still"]
 

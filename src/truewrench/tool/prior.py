@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration import Calibration
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
-from truewrench.log import Log
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import TILT_PRIOR, UNKNOWN, tool_rig
+from truewrench.model.calibration import Calibration
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import TILT_PRIOR, UNKNOWN, tool_rig
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import Layout
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 from truewrench.tool.poses import Poses
 
 __all__ = ["Recipe", "recipe"]

@@ -13,9 +13,9 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.attitude import free_fall
-from truewrench.log import Log
-from truewrench.rig import Rig
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.robot.attitude import free_fall
 from truewrench.tool.motion import measured_motions, regressor
 from truewrench.tool.poses import Poses
 from truewrench.tool.recipe import Recipe, recipe

@@ -6,10 +6,10 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from truewrench.errors import InputError
 from truewrench.io.recordings.reader import Topic
 from truewrench.io.recordings.streams import Stream, role_of
-from truewrench.rig import Rig
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 
 __all__ = ["KEYS", "commanded", "named_topic", "one_topic", "roles_of", "topics_in_words"]
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
 from truewrench.io.recordings.layout import Definitions
+from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from truewrench.arm.robot import robot_of
-from truewrench.calibration import AXES
-from truewrench.errors import InputError
 from truewrench.io.recordings.choice import KEYS, commanded, named_topic, one_topic, roles_of, topics_in_words
 from truewrench.io.recordings.reader import Recording, Topic
 from truewrench.io.recordings.streams import Stream, clock_notes, gather, role_of
 from truewrench.io.table import SPECIFIC_FORCE
-from truewrench.rig import Rig
+from truewrench.model.calibration import AXES
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
+from truewrench.robot.arm import robot_of
 
 __all__ = ["Selection", "select"]
 

@@ -10,7 +10,7 @@ from typing import IO
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
 
 __all__ = ["Spool"]
 

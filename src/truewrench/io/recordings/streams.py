@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
 from truewrench.io.recordings.layout import Layout, layouts_of
 from truewrench.io.recordings.reader import Batch, Recording, Topic
 from truewrench.io.recordings.spool import Spool
 from truewrench.io.table import ANGULAR_VELOCITY, GRAVITY, SPECIFIC_FORCE, TWIST
+from truewrench.model.errors import InputError
 
 __all__ = ["Clocks", "Stream", "clock_notes", "gather", "role_of", "samples_of"]
 

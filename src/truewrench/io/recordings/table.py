@@ -14,7 +14,7 @@ from truewrench.io.recordings.reader import open_recording, sha256_of
 from truewrench.io.recordings.selection import Selection, select
 from truewrench.io.recordings.spool import Spool
 from truewrench.io.table import Chunk, Table
-from truewrench.rig import Rig
+from truewrench.model.rig import Rig
 
 __all__ = ["RecordingTable"]
 

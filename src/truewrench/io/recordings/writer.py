@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.errors import InputError
-from truewrench.files import atomic_output
+from truewrench.model.errors import InputError
+from truewrench.model.files import atomic_output
 
 __all__ = ["McapWriter", "mcap_output"]
 

@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot
-from truewrench.rig.urdf import model_of
+from truewrench.model.rig.urdf import model_of
+from truewrench.robot.arm import Robot
 
 __all__ = ["Collisions", "collisions_of"]
 

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration import Calibration
-from truewrench.calibration_parts import Verdict
-from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.plans import joint_columns
 from truewrench.io.tables import ACCELERATION, GRAVITY, TWIST
+from truewrench.model.calibration import Calibration
+from truewrench.model.calibration_parts import Verdict
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import UNKNOWN
 from truewrench.motion.trajectory import SplineTwist, attitude
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.check import check_twist
@@ -29,8 +31,6 @@ from truewrench.planning.tool.directions import abba, spread, spread_among
 from truewrench.planning.tool.path import Timed, joint_path, route, twist_path
 from truewrench.planning.tool.postures import Reach, Stand, postures_towards, reach_of
 from truewrench.planning.tool.prediction import ToolPrediction, predict_motion, predict_poses
-from truewrench.rig import Rig
-from truewrench.rig.tool_rig import UNKNOWN
 from truewrench.tool.judge import APART, LIGHT, NARROW
 from truewrench.tool.poses import DWELL
 from truewrench.tool.prior import settings_of

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot, robot_of
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 from truewrench.planning.joint_space import ArmOutputs, arm_outputs, joint_limits
 from truewrench.planning.limits import Limits
 from truewrench.planning.tool.collisions import Collisions, collisions_of
 from truewrench.planning.tool.directions import axes_of
-from truewrench.rig import Rig
+from truewrench.robot.arm import Robot, robot_of
 
 __all__ = ["Reach", "Stand", "postures_towards", "reach_of"]
 

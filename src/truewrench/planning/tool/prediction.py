@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibration import Calibration
-from truewrench.log import Log
-from truewrench.rig import PayloadSpec, Rig
+from truewrench.model.calibration import Calibration
+from truewrench.model.log import Log
+from truewrench.model.rig import PayloadSpec, Rig
 from truewrench.tool.identify import DETERMINED, identify_tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.parameters import ELEMENTS, Layout, inertia_of, second_moments

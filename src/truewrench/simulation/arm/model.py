@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.errors import InputError, UnsupportedError
+from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.motion.trajectory import Body
 
 __all__ = ["Arm", "Reading", "arm_of"]

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot
-from truewrench.errors import InputError
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory_joint import SplineJoints
-from truewrench.rig import Rig
+from truewrench.robot.arm import Robot
 from truewrench.simulation.arm.model import Arm, Reading
 
 __all__ = ["default_motion"]

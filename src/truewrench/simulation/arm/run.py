@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.arm.robot import Robot, robot_of
-from truewrench.arm.track import track
-from truewrench.errors import InputError, UnsupportedError
 from truewrench.io.plans import read_joint_plan
-from truewrench.log import Log
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import Body
 from truewrench.motion.trajectory_joint import JointTrajectory
-from truewrench.rig import Rig
+from truewrench.robot.arm import Robot, robot_of
+from truewrench.robot.track import track
 from truewrench.simulation.arm.drive import Driven, drive, servo_for
 from truewrench.simulation.arm.model import Arm, Reading, arm_of
 from truewrench.simulation.arm.motion import default_motion

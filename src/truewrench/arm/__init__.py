@@ -1,1 +1,0 @@
-"""Arms: their joints, and what a log of joints says of the sensor."""

@@ -1,0 +1,396 @@
+"""From rig and logs to a calibration: estimate, judge, and put together what is said about it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.calibrating.known_wrench import (
+    compare_known_wrench,
+    judge_known_wrench,
+    known_wrench_figures,
+    known_wrench_reports,
+    wrench_is_known,
+)
+from truewrench.calibrating.still_poses import (
+    compare_still,
+    estimate_still,
+    judge_still,
+    only_still,
+    still_reports,
+)
+from truewrench.calibrating.unknown_bodies import (
+    known_logs,
+    known_payload,
+    notes_on_bodies,
+    scale_unknown,
+    with_first_guess,
+)
+from truewrench.estimation.assembly import assemble, assemble_motion, motion_figures
+from truewrench.estimation.bound import oracle_rms
+from truewrench.estimation.ekf import estimate_ekf
+from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.estimator import estimate as estimate_motion
+from truewrench.estimation.evidence import Evidence
+from truewrench.estimation.known_wrench import estimate_from_known_wrench
+from truewrench.estimation.least_squares import least_squares
+from truewrench.judging import Comparisons, findings, judge, setup_errors
+from truewrench.judging.channels import still_motion
+from truewrench.judging.validation.comparison import Comparison, compare_held_out, compare_in_sample
+from truewrench.model.calibration import Bound, Calibration, LogReport, Verdict
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.robot.compensation import uncompensated
+from truewrench.robot.track import tracked
+
+__all__ = ["calibrate"]
+
+Array = NDArray[np.float64]
+EstimatorName = Literal["map", "online", "ekf", "ls"]
+Progress = Callable[[str, float | None], None]
+Show = Callable[[Evidence], None]
+
+
+def calibrate(
+    rig: Rig,
+    logs: Log | Sequence[Log],
+    estimator: EstimatorName = "map",
+    *,
+    threads: int | None = None,
+    held_out: bool = True,
+    published: bool = False,
+    smooth: Literal["spline"] | None = None,
+    process_density: float | None = None,
+    progress: Progress | None = None,
+    evidence: Callable[[Evidence], None] | None = None,
+) -> Calibration:
+    """Calibrate gain and offset of a rig's sensor from one log or several.
+
+    Logs with reference wrenches need no motion: they are calibrated from by weighted total least squares.
+
+    Args:
+        rig: sensor, payloads and motion.
+        logs: pooled into one gain, with an offset for each (or one for all: `sensor.pool_offsets`).
+        estimator: `map`, `online`, or one of the references `ekf` and `ls`, whose verdict is never usable.
+        threads: of `map` and `online`, all by default; no effect on the result.
+        held_out: compare nominal and new gain on a part of the record that a second run of the estimator
+            does not see; without it they are compared on what was fitted, in half the time.
+        published: `ekf` starts from C = I and P = I in SI units.
+        smooth: `ls` differentiates a spline and not the samples.
+        process_density: of `ekf`.
+        progress: called with a phase and the share of it that is done, if known.
+        evidence: called once with what the calibration rests on, for a report.
+
+    Raises:
+        InputError: for logs that do not fit the rig.
+        UnsupportedError: for settings that no estimator can honour yet.
+    """
+    records = [logs] if isinstance(logs, Log) else list(logs)
+    if not records:
+        raise InputError.at(None, "", "no log", "at least one")
+    _check_supported(rig, estimator)
+    _check_options(
+        estimator,
+        published=published,
+        smooth=smooth,
+        process_density=process_density,
+    )
+    report = progress or (lambda phase, share: None)
+    show = evidence or (lambda found: None)
+    started = time.perf_counter()
+    if estimator in ("ekf", "ls") or rig.sensor.subtracted is not None:
+        records = tracked(rig, records)
+    records = uncompensated(rig, records)
+    if wrench_is_known(rig, records, estimator):
+        return _from_known_wrench(rig, records, held_out, report, show)
+    rig.check_motion("or reference wrenches in the log")
+    _check_motion(rig, estimator)
+    _check_bodies(rig, records, estimator)
+    if estimator == "map" and only_still(rig, records):
+        return _from_still_poses(rig, records, held_out, report, show)
+    report(f"estimating ({estimator})", None)
+    if estimator == "map" or estimator == "online":
+        return _from_motion(rig, records, estimator, threads, held_out, report, show)
+    return _from_reference(rig, records, estimator, published, smooth, process_density, started, show)
+
+
+def _from_motion(
+    rig: Rig,
+    logs: Sequence[Log],
+    estimator: Literal["map", "online"],
+    threads: int | None,
+    held_out: bool,
+    report: Progress,
+    show: Show,
+) -> Calibration:
+    clock = [time.perf_counter()]
+    online = estimator == "online"
+    stated, rig = rig, with_first_guess(rig, logs)
+    known = known_logs(rig, logs)
+    estimate = estimate_motion(rig, logs, threads=threads or 0, online=online)
+    clock.append(time.perf_counter())
+    provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
+
+    def without_the_part(kept: Sequence[Log]) -> Calibration | None:
+        kept = [*kept, *(log for log in logs if not known_payload(rig, log))]
+        again = estimate_motion(rig, kept, threads=threads or 0, online=online)
+        return assemble_motion(rig, kept, estimator, again, Verdict(True)) if again.solved else None
+
+    compared: Comparison | str = "not asked for"
+    if not estimate.solved:
+        compared = "nothing of the record could be fitted"
+    elif held_out and not known:
+        compared = "no payload is known, by which the gains could be compared"
+    elif held_out:
+        report("comparing", None)
+        undisturbed = [
+            _undisturbed(log, estimate, k) for k, log in enumerate(logs) if known_payload(rig, log)
+        ]
+        compared = compare_held_out(rig, undisturbed, without_the_part)
+    if isinstance(compared, str):
+        compared = compare_in_sample(rig, logs, estimate, provisional.inverse, compared)
+    clock.append(time.perf_counter())
+    report("judging", None)
+    comparisons = _comparisons(estimate, compared, rig, logs, known)
+    judgement = judge(estimate, comparisons, rig, logs)
+    assumed = findings(estimate, rig, logs)
+    clock.append(time.perf_counter())
+    show(Evidence(tuple(logs), estimate))
+    return replace(
+        provisional,
+        rig=stated,
+        verdict=judgement.verdict,
+        axes=judgement.axes,
+        assumed=assumed,
+        improvement=compared.improvement,
+        figures={
+            **motion_figures(rig, estimate),
+            "held_out": compared.figures,
+            "notes": [
+                *_log_notes(logs),
+                *still_motion(logs),
+                *judgement.notes,
+                *notes_on_bodies(rig, logs, estimate.payloads),
+            ],
+        },
+        timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
+    )
+
+
+def _comparisons(
+    estimate: Estimate, compared: Comparison, rig: Rig, logs: Sequence[Log], known: Sequence[Log]
+) -> Comparisons:
+    held_out = any(axis.held_out for axis in compared.improvement.values())
+    return Comparisons(
+        improvement=compared.improvement if held_out else {},
+        worse=(*compared.reasons, *scale_unknown(rig, logs)),
+        not_held_out="" if held_out else str(compared.figures.get("none_because", "nothing was compared")),
+        # of bodies that nobody knows, nothing tells a wrong unit from a wrong mass
+        setup=setup_errors(estimate, rig, known, partial(_plain, rig, known))
+        if estimate.solved and known
+        else (),
+    )
+
+
+def _plain(rig: Rig, logs: Sequence[Log]) -> tuple[Array, Array] | None:
+    """Gain and its covariance by least squares, which takes no departure for noise; None where it cannot."""
+    try:
+        # differences of noisy velocities would shrink the gain, which looks like a wrong unit
+        found = least_squares(rig, tracked(rig, logs), "spline")
+    except InputError:
+        return None
+    n = rig.sensor.n
+    scatter = np.repeat(np.sqrt(np.maximum(found.chi_square, 1.0)), 6)
+    return found.gain, found.covariance[: 6 * n, : 6 * n] * np.outer(scatter, scatter)
+
+
+def _undisturbed(log: Log, estimate: Estimate, k: int) -> Log:
+    """The log without the samples that were left out, cut where its offset steps."""
+    raw = log.raw.copy()
+    raw[estimate.rows[k].rows[estimate.rows[k].masked]] = np.nan
+    jumps = tuple(int(log.time_ns[0] + round(1e9 * step.time)) for step in estimate.steps[k])
+    return replace(log, raw=raw, offset_jumps_ns=jumps)
+
+
+def _from_known_wrench(
+    rig: Rig, logs: Sequence[Log], held_out: bool, report: Progress, show: Show
+) -> Calibration:
+    report("estimating (reference wrenches)", None)
+    clock = [time.perf_counter()]
+    estimate = estimate_from_known_wrench(rig, logs)
+    clock.append(time.perf_counter())
+    report("comparing", None)
+    compared = compare_known_wrench(rig, logs, estimate, held_out)
+    clock.append(time.perf_counter())
+    report("judging", None)
+    judgement = judge_known_wrench(rig, logs, estimate, compared)
+    clock.append(time.perf_counter())
+    show(Evidence(tuple(logs), estimate))
+    stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
+    wrenches = [
+        np.zeros((0, 6)) if log.reference is None else log.reference[rows]
+        for log, rows in zip(logs, estimate.rows, strict=True)
+    ]
+    figures = known_wrench_figures(rig, logs, estimate)
+    notes = [*_log_notes(logs), *figures.pop("notes"), *judgement.notes]
+    return assemble(
+        rig,
+        "reference",
+        estimate.gain,
+        estimate.covariance,
+        judgement.verdict,
+        known_wrench_reports(rig, logs, estimate),
+        offset_temperature=estimate.offset_temperature,
+        time_offset_std=rig.sensor.time_offset_prior,  # rows are synchronous: nothing was learnt of it
+        axes=judgement.axes,
+        assumed=estimate.findings,
+        improvement=compared.improvement,
+        bound=Bound(oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
+        figures={
+            **figures,
+            "held_out": compared.figures,
+            "notes": notes,
+        },
+        timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
+    )
+
+
+def _from_still_poses(
+    rig: Rig, logs: Sequence[Log], held_out: bool, report: Progress, show: Show
+) -> Calibration:
+    report("estimating (static poses)", None)
+    clock = [time.perf_counter()]
+    found = estimate_still(rig, logs)
+    estimate = found.estimate
+    clock.append(time.perf_counter())
+    report("comparing", None)
+    compared = compare_still(rig, logs, found, held_out)
+    clock.append(time.perf_counter())
+    judgement = judge_still(rig, logs, found, compared)
+    clock.append(time.perf_counter())
+    show(Evidence(tuple(logs), estimate))
+    provisional = assemble_motion(rig, logs, "map", estimate, judgement.verdict)
+    return replace(
+        provisional,
+        logs=tuple(still_reports(logs, found)),
+        time_offset_std=rig.sensor.time_offset_prior,  # at rest nothing tells it
+        axes=judgement.axes,
+        improvement=compared.improvement,
+        figures={
+            "poses": len(found.poses),
+            "chi_square": {name: s.chi_square for name, s in found.solutions.items()},
+            "offset_walk": {name: s.rate for name, s in found.solutions.items()},
+            "pose_repeatability": {name: s.repeatability for name, s in found.solutions.items()},
+            "held_out": compared.figures,
+            "notes": [
+                *_log_notes(logs),
+                *judgement.notes,
+                *notes_on_bodies(rig, logs, estimate.payloads),
+            ],
+        },
+        timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
+    )
+
+
+def _from_reference(
+    rig: Rig,
+    logs: Sequence[Log],
+    estimator: Literal["ekf", "ls"],
+    published: bool,
+    smooth: Literal["spline"] | None,
+    process_density: float | None,
+    started: float,
+    show: Show,
+) -> Calibration:
+    figures: dict[str, Any] = {}
+    if estimator == "ekf":
+        ekf = estimate_ekf(rig, logs, published=published, process_density=process_density)
+        show(Evidence(tuple(logs), ekf))
+        gain, covariance, offsets, samples = ekf.gain, ekf.covariance, ekf.offsets, ekf.samples
+        figures["nis"] = float(ekf.nis.sum() / max(1, int(ekf.degrees_of_freedom.sum())))
+    else:
+        ls = least_squares(rig, logs, smooth)
+        show(Evidence(tuple(logs), ls))
+        gain, covariance, offsets, samples = ls.gain, ls.covariance, ls.offsets, ls.samples
+        figures["chi_square"] = ls.chi_square.tolist()
+    n = rig.sensor.n
+    offset_std = np.sqrt(np.diag(covariance)[6 * n :])
+    reports = [
+        LogReport(
+            log.path,
+            log.sha256,
+            log.payload,
+            offset,
+            offset_std,
+            used=int(used),
+            dropped_rows=log.dropped_rows,
+            nan_counts=log.nan_counts,
+        )
+        for log, offset, used in zip(logs, offsets, samples, strict=True)
+    ]
+    return assemble(
+        rig,
+        estimator,
+        gain,
+        covariance,
+        Verdict(False, ("reference estimator",)),
+        reports,
+        figures=figures,
+        timings={"estimate": time.perf_counter() - started},
+    )
+
+
+def _log_notes(logs: Sequence[Log]) -> list[str]:
+    return [f"{log.path}: {note}" for log in logs for note in log.notes]
+
+
+def _check_supported(rig: Rig, estimator: EstimatorName) -> None:
+    def refuse(key: str, found: str, expected: str) -> InputError:
+        return UnsupportedError.at(rig.path, key, found, expected)
+
+    if estimator == "map" or estimator == "online":
+        return
+    sensor = rig.sensor
+    if sensor.lowpass_hz is not None:
+        found = f"{sensor.lowpass_hz:g}"
+        raise refuse("sensor.lowpass_hz", found, f"null: `{estimator}` knows no filtered sensor")
+
+
+def _check_motion(rig: Rig, estimator: EstimatorName) -> None:
+    """Refuse motions that an estimator does not know."""
+    if rig.motion.source == "imu" and estimator in ("ekf", "ls"):
+        expected = f"`twist` or `joints`: `{estimator}` knows no motion of an IMU"
+        raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
+
+
+def _check_bodies(rig: Rig, logs: Sequence[Log], estimator: EstimatorName) -> None:
+    """Refuse bodies that an estimator cannot find."""
+    if estimator == "map" or estimator == "online":
+        return
+    for log in logs:
+        if not known_payload(rig, log):
+            expected = f"a known payload: `{estimator}` takes it as exact"
+            raise UnsupportedError.at(rig.path, f"payloads.{log.payload}", "an unknown body", expected)
+
+
+def _check_options(estimator: EstimatorName, **options: Any) -> None:
+    belongs = {
+        "published": ("ekf",),
+        "process_density": ("ekf",),
+        "smooth": ("ls",),
+    }
+    for name, value in options.items():
+        if value and estimator not in belongs[name]:
+            raise UnsupportedError.at(
+                None,
+                name,
+                f"with estimator `{estimator}`",
+                f"this option with `{'` or `'.join(belongs[name])}` only",
+            )

@@ -1,0 +1,241 @@
+"""The true wrench beside the raw channels of a log, in one pass and constant memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.csv as pacsv
+
+from truewrench import _core
+from truewrench.io.cells import numbers
+from truewrench.io.csv_table import CsvTable
+from truewrench.io.output import is_parquet, write_batches, write_lines
+from truewrench.io.table import Chunk, Table
+from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
+from truewrench.model.calibration import AXES, Calibration
+from truewrench.model.errors import InputError
+
+__all__ = ["Applied", "Run", "apply", "corrector", "used_in_part", "without_temperature", "without_weight"]
+
+NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What was done: rows of the log, how many of them have a wrench, and what is worth a look."""
+
+    rows: int
+    corrected: int
+    notes: tuple[str, ...] = ()
+
+
+def apply(
+    calibration: Calibration,
+    log: str | Path,
+    output: str | Path,
+    *,
+    progress: Callable[[int], object] | None = None,
+) -> Applied:
+    """Write a log with the columns fx ... mz and fx_std ... mz_std added [N, N m].
+
+    The wrench acts at the sensor origin, along the sensor axes, in the sign of the rig's `sensor.feels`. All
+    columns of the log are kept as they are, from CSV to CSV to the letter; rows in which a raw channel has no
+    sample get empty cells. An offset that follows temperature is that of the latest reading in the column
+    `temperature`; before the first one no wrench is told, and without the column it is that of the reference.
+
+    Args:
+        calibration: gives the rig's channels, gain, offset and uncertainty.
+        log: CSV, Parquet, or a recording, whose rows are the union of the stamps of its streams.
+        output: CSV, or Parquet where the name ends so; appears whole or not at all.
+        progress: called with the number of rows done so far.
+
+    Raises:
+        InputError: naming file, row and column.
+    """
+    source = named_payload(log, calibration.rig)[0]
+    run = Run(calibration, source, output, progress)
+    table = run.table
+    for name in NEW_COLUMNS:
+        if name in table.names:
+            raise InputError.at(source, f"column `{name}`", "a column to be written", "a log without it")
+    if isinstance(table, CsvTable) and not is_parquet(output):
+        write_lines(output, run.lines(table))
+    else:
+        write_batches(output, run.batches())
+    return run.applied
+
+
+class Run:
+    """One pass over a log.
+
+    Args:
+        calibration: gives the rig's channels, gain, offset and uncertainty.
+        source: of the log, without a payload.
+        output: that will be written.
+        progress: called with the number of rows done so far.
+
+    Raises:
+        InputError: the log cannot be read, lacks channels, or is the output.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        source: Path,
+        output: str | Path,
+        progress: Callable[[int], object] | None,
+    ) -> None:
+        self.table: Table = open_table(source, calibration.rig, whole=False)
+        if Path(output).exists() and Path(output).samefile(source):
+            raise InputError.at(output, "", "the log itself", "another file to write")
+        self._rows = 0
+        self._corrected = 0
+        self._corrector = corrector(calibration, source)
+        self._withheld = np.tile(calibration.withheld, 2)
+        self._raw = raw_columns(self.table, calibration.n)
+        self._time = TimeReader(self.table)
+        self._warmth = _Warmth(calibration, self.table.names)
+        self._weighed = without_weight(calibration)
+        self._in_part = used_in_part(calibration)
+        self._progress = progress
+
+    @property
+    def applied(self) -> Applied:
+        """What has been done so far."""
+        notes = (*self.table.notes, *self._warmth.notes, *self._weighed, *self._in_part)
+        return Applied(self._rows, self._corrected, notes)
+
+    @property
+    def _read(self) -> list[str]:
+        return [self._time.name, *self._raw, *self._warmth.columns]
+
+    def samples(self) -> Iterator[tuple[npt.NDArray[np.int64], FloatArray, FloatArray]]:
+        """Stamps (N,), raw (N, n), wrenches and their sigma (N, 12), where all channels have a sample."""
+        for chunk in self.table.chunks(self._read):
+            time, raw, new = self._correct(chunk)
+            complete = ~np.isnan(new).all(axis=1)
+            yield time[complete], raw[complete], new[complete]
+        self._check_rows()
+
+    def lines(self, table: CsvTable) -> Iterator[bytes]:
+        """The log's own lines, the new cells at their ends."""
+        yield table.header + b"," + ",".join(NEW_COLUMNS).encode() + table.newline
+        for chunk in table.chunks(self._read):
+            cells = _as_csv(self._correct(chunk)[2])
+            yield b"".join(
+                line + b"," + new + table.newline for line, new in zip(chunk.lines, cells, strict=True)
+            )
+        self._check_rows()
+
+    def batches(self) -> Iterator[pa.RecordBatch]:
+        """The log's batches, the new columns at their ends."""
+        for chunk in self.table.chunks():
+            batch = chunk.batch()
+            for name, column in zip(NEW_COLUMNS, self._correct(chunk)[2].T, strict=True):
+                batch = batch.append_column(name, pa.array(column, from_pandas=True))
+            yield batch
+        self._check_rows()
+
+    def _correct(self, chunk: Chunk) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+        time = self._time.read(chunk)
+        raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
+        new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
+        compensated = self._warmth.without(chunk, raw)
+        complete = ~np.isnan(compensated).any(axis=1)
+        new[complete] = np.hstack(self._corrector.correct(compensated[complete]))
+        new[:, self._withheld] = np.nan
+        self._rows += chunk.rows
+        self._corrected += int(complete.sum())
+        if self._progress is not None:
+            self._progress(self._rows)
+        return time, raw, new
+
+    def _check_rows(self) -> None:
+        if self._rows == 0:
+            raise InputError.at(self.table.path, "", "no row", "at least one row below the header")
+
+
+class _Warmth:
+    """What of the offset follows the temperature, over consecutive chunks of a log."""
+
+    def __init__(self, calibration: Calibration, names: Sequence[str]) -> None:
+        slope = calibration.offset_temperature
+        self._slope = np.zeros(calibration.n) if slope is None else slope
+        self._reference = calibration.rig.temperature.reference
+        self._latest = np.nan
+        self.columns = ("temperature",) if self._slope.any() and "temperature" in names else ()
+        self.notes = () if self.columns else without_temperature(calibration)
+
+    def without(self, chunk: Chunk, raw: FloatArray) -> FloatArray:
+        """The channels (rows, n) of a chunk at the reference temperature; NaN before the first reading."""
+        if not self.columns:
+            return raw
+        readings = np.append(self._latest, numbers(chunk.column("temperature"))[0])
+        latest = np.maximum.accumulate(np.where(np.isnan(readings), 0, np.arange(readings.size)))
+        held = readings[latest]
+        self._latest = float(held[-1])
+        return raw - np.outer(held[1:] - self._reference, self._slope)
+
+
+def without_temperature(calibration: Calibration) -> tuple[str, ...]:
+    """What is worth saying where samples are corrected of which no temperature is known."""
+    if calibration.offset_temperature is None or not calibration.offset_temperature.any():
+        return ()
+    reference = f"{calibration.rig.temperature.reference:g} degC"
+    return (f"no `temperature`, which the offset follows: it is taken for that of {reference}",)
+
+
+def used_in_part(calibration: Calibration) -> tuple[str, ...]:
+    """What is worth saying where some axes of a calibration may be used and others not."""
+    axes = [axis for axis, held in zip(AXES, calibration.withheld, strict=True) if held]
+    return (f"{', '.join(axes)}: left empty, the calibration may not be used on them",) if axes else ()
+
+
+def without_weight(calibration: Calibration) -> tuple[str, ...]:
+    """What is worth saying where samples are corrected from which the driver has subtracted a weight."""
+    body = calibration.rig.sensor.subtracted
+    if body is None:
+        return ()
+    return (
+        f"the driver has subtracted the weight of {body.mass:g} kg (sensor.compensated), which is not added "
+        "back here: the wrench lacks it, and is off by that weight times what the gain departs from nominal",
+    )
+
+
+def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
+    """What turns raw samples into wrenches and their 1 sigma: of noise, gain, offset, u (10.3), d (10.2).
+
+    The gain is the tangent at no wrench; what a channel departs from it is part of sigma, and not corrected.
+
+    Raises:
+        InputError: naming the source of the samples, if the gain cannot be inverted.
+    """
+    scale, nothing = calibration.rig.sensor.channel_scale, np.zeros(calibration.n)
+    quadratic = discrepancy = nothing
+    if calibration.quadratic is not None and calibration.quadratic_std is not None:
+        quadratic = np.hypot(calibration.quadratic, calibration.quadratic_std) / scale
+    if calibration.discrepancy is not None:
+        discrepancy = calibration.discrepancy * scale
+    noise = calibration.rig.sensor.noise_array
+    try:
+        return _core.Corrector(
+            calibration.gain, calibration.offset, noise, calibration.covariance, quadratic, discrepancy
+        )
+    except ValueError as error:
+        raise InputError(f"{source}: cannot be corrected: {error}") from error
+
+
+def _as_csv(columns: FloatArray) -> list[bytes]:
+    names = [str(j) for j in range(columns.shape[1])]
+    batch = pa.RecordBatch.from_arrays([pa.array(column, from_pandas=True) for column in columns.T], names)
+    sink = pa.BufferOutputStream()
+    pacsv.write_csv(batch, sink, pacsv.WriteOptions(include_header=False))
+    lines: list[bytes] = sink.getvalue().to_pybytes().split(b"\n")
+    return lines[:-1]

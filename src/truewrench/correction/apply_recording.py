@@ -1,0 +1,105 @@
+"""The true wrench of a log as a recording, beside what the sensor said and what the motion predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.correction.apply import Applied, Run
+from truewrench.estimation.inertial import InertialMotion
+from truewrench.io.recordings.writer import mcap_output
+from truewrench.io.tables import named_payload, read_log
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
+
+__all__ = ["CORRECTED", "PREDICTED", "RAW", "apply_to_recording"]
+
+Array = NDArray[np.float64]
+
+RAW = "/truewrench/raw"
+CORRECTED = "/truewrench/corrected"
+STD = "/truewrench/corrected_std"
+PREDICTED = "/truewrench/predicted"
+
+_ROWS = 40_000  # of a log that are predicted at once
+_EDGE = 4.0  # times the usual variance: ends of splines, not written
+
+
+def apply_to_recording(
+    calibration: Calibration,
+    log: str | Path,
+    output: str | Path,
+    *,
+    predict: bool = True,
+    progress: Callable[[int], object] | None = None,
+) -> Applied:
+    """Write the raw channels, the true wrench, its 1 sigma and the payload's wrench by the motion as MCAP.
+
+    Raw channels are wrenches where there are six of them, otherwise arrays. The prediction comes from the
+    motion alone, with the payload as the rig states it; where motion or payload is not known, it is left out,
+    and a note says why.
+
+    Args:
+        calibration: gives the rig's channels, gain, offset and uncertainty, motion and payloads.
+        log: a table or a recording; `LOG@PAYLOAD` where the rig has several payloads.
+        output: appears whole or not at all.
+        predict: without it, memory does not grow with the log.
+        progress: called with the number of rows done so far.
+
+    Raises:
+        InputError: naming file, place and value.
+    """
+    rig = calibration.rig
+    run = Run(calibration, named_payload(log, rig)[0], output, progress)
+    notes: tuple[str, ...] = ()
+    predicted_time, predicted = np.empty(0, dtype=np.int64), np.empty((0, 6))
+    if predict:
+        try:
+            predicted_time, predicted = _predicted(rig, read_log(log, rig), calibration.time_offset)
+        except InputError as error:
+            notes = (f"no {PREDICTED}: {error}",)
+    frame = rig.motion.robot.sensor_frame if rig.motion.robot is not None else "sensor"
+    done = 0
+    with mcap_output(output, frame) as writer:
+        for time, raw, new in run.samples():
+            write_raw = writer.wrenches if raw.shape[1] == 6 else writer.arrays
+            write_raw(RAW, time, raw)
+            writer.wrenches(CORRECTED, time, new[:, :6])
+            writer.wrenches(STD, time, new[:, 6:])
+            until = int(np.searchsorted(predicted_time, time[-1], side="right")) if len(time) else done
+            if until > done:
+                writer.wrenches(PREDICTED, predicted_time[done:until], predicted[done:until])
+                done = until
+        if not run.applied.corrected:
+            raise InputError.at(run.table.path, "", "no row with all raw channels", "at least one")
+    applied = run.applied
+    return Applied(applied.rows, applied.corrected, (*applied.notes, *notes))
+
+
+def _predicted(rig: Rig, log: Log, time_offset: float) -> tuple[NDArray[np.int64], Array]:
+    """Stamps (M,) and wrenches (M, 6) where the motion tells the acceleration."""
+    times, wrenches = [np.empty(0, dtype=np.int64)], [np.empty((0, 6))]
+    for start in range(0, len(log.time_ns), _ROWS):
+        rows = np.zeros(len(log.time_ns), dtype=bool)
+        rows[start : start + _ROWS] = True
+        part = rows_of(log, rows)
+        chunks = InertialMotion(rig, part).wrench(time_offset, 0)
+        if not chunks:
+            continue
+        usual = np.median(np.concatenate([chunk.variance for chunk in chunks]), axis=0)
+        for chunk in chunks:
+            inside = (chunk.variance <= _EDGE * usual).all(axis=1)
+            times.append(part.time_ns[chunk.rows[inside]])
+            wrenches.append(chunk.wrench[inside])
+    if len(times) == 1:
+        raise InputError.at(
+            log.path, "", "no stretch of motion and raw channels", "at least some tenths of a second"
+        )
+    time = np.concatenate(times)
+    return time, np.concatenate(wrenches)

@@ -1,0 +1,154 @@
+"""Columns of a log, row by row, as motion and gravity of the sensor's origin."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST
+from truewrench.io.table import ANGULAR_VELOCITY, ATTITUDE, GRAVITY, SPECIFIC_FORCE, TWIST
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
+from truewrench.robot.arm import BaseMotion, robot_of, rotation_of
+
+__all__ = ["MotionColumns", "MotionRows"]
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Array]
+
+_HELD = 0.1  # [s] that positions of joints are carried on by velocities
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionRows:
+    """N rows; NaN where a row does not tell.
+
+    Attributes:
+        twist: (N, 6) of the sensor's origin, sensor axes; without v of an IMU [m/s, rad/s].
+        fall: (N, 3) free fall there [m/s^2]; of an IMU less its specific force.
+        turn: (N, 9) R_sensor_root row by row.
+        noise: (N, 36) covariance of the twist where it changes with the pose, else (0, 36).
+    """
+
+    twist: Array
+    fall: Array
+    turn: Array
+    noise: Array
+
+
+class MotionColumns:
+    """What the rig's source of motion needs of a table, and what it makes of it.
+
+    Joints tell twist and gravity of each row by itself: no spline is fitted. Velocities at rows without
+    positions are taken at the last ones, carried on by the velocities.
+
+    Args:
+        rig: of the tool.
+        names: columns that there are; None where rows come one by one, and any may come.
+        place: of the table, for messages.
+
+    Raises:
+        InputError: columns are missing, or the robot is at fault.
+    """
+
+    def __init__(self, rig: Rig, names: Collection[str] | None, place: Path | None = None) -> None:
+        self._rig, self._source = rig, rig.motion.source
+        self._place = place
+        motion = rig.motion
+        self.imu = self._source == "imu"
+        self.twist_noise, self.gravity_noise = np.zeros((6, 6)), np.zeros((3, 3))
+        self.attitude_known = False
+        if self._source == "joints":
+            self._robot = robot_of(rig)
+            self._q, self._q_time = np.full(self._robot.n, np.nan), 0
+            self._positions = tuple(f"q_{joint}" for joint in self._robot.joints)
+            self._velocities = tuple(f"dq_{joint}" for joint in self._robot.joints)
+            self._sigma = motion.noise_array if motion.noise is not None else np.zeros(self._robot.n)
+            self._base = self._present((*BASE_TWIST, *BASE_ATTITUDE), names)
+            needed = (*self._positions, *self._velocities)
+            self.attitude_known = True
+            optional: tuple[str, ...] = (*BASE_TWIST, *BASE_ATTITUDE)
+        elif self.imu:
+            needed, optional = (*ANGULAR_VELOCITY, *SPECIFIC_FORCE), ()
+            self.twist_noise[3:, 3:] = np.diag(motion.noise_array**2)
+            if motion.acceleration_noise is not None:
+                self.gravity_noise = np.diag(np.array(motion.acceleration_noise)[-3:] ** 2)
+        else:
+            needed, optional = TWIST, (*GRAVITY, *ATTITUDE)
+            if motion.noise is not None:
+                self.twist_noise = np.diag(motion.noise_array**2)
+            self.attitude_known = self._present(ATTITUDE, names)
+            told = self.attitude_known or self._present(GRAVITY, names)
+            if rig.in_gravity and not told:
+                expected = "gx gy gz or qw qx qy qz: gravity's direction in sensor axes"
+                raise InputError.at(place, "header", "nothing that tells it", expected)
+        missing = [] if names is None else [name for name in needed if name not in names]
+        if missing:
+            raise InputError.at(place, "header", f"no column `{missing[0]}`", f"{', '.join(needed)}")
+        self.columns = (*needed, *(name for name in optional if names is None or name in names))
+
+    @staticmethod
+    def _present(group: Collection[str], names: Collection[str] | None) -> bool:
+        return names is None or all(name in names for name in group)
+
+    def read(self, time_ns: NDArray[np.int64], columns: Columns) -> MotionRows:
+        """N rows, after those that were read before.
+
+        Args:
+            time_ns: (N,) stamps.
+            columns: (N,) each; those that are absent hold no sample.
+        """
+        count = len(time_ns)
+        if self._source == "joints":
+            return self._of_joints(time_ns, columns)
+        if self.imu:
+            omega, force = _group(columns, ANGULAR_VELOCITY, count), _group(columns, SPECIFIC_FORCE, count)
+            twist = np.hstack([np.zeros((count, 3)), omega])
+            return MotionRows(twist, -force, np.full((count, 9), np.nan), np.empty((0, 36)))
+        twist, fall = _group(columns, TWIST, count), _group(columns, GRAVITY, count)
+        turn = np.full((count, 9), np.nan)
+        attitude = _group(columns, ATTITUDE, count)
+        known = np.isfinite(attitude).all(axis=1) & (np.linalg.norm(np.nan_to_num(attitude), axis=1) > 0.5)
+        if known.any():
+            R = rotation_of(attitude[known]).transpose(0, 2, 1)
+            turn[known] = R.reshape(-1, 9)
+            unlogged = known & ~np.isfinite(fall).all(axis=1)
+            fall[unlogged] = turn[unlogged].reshape(-1, 3, 3) @ self._rig.gravity_array
+        return MotionRows(twist, fall, turn, np.empty((0, 36)))
+
+    def _of_joints(self, time_ns: NDArray[np.int64], columns: Columns) -> MotionRows:
+        count = len(time_ns)
+        q, qd = _group(columns, self._positions, count), _group(columns, self._velocities, count)
+        for k in range(count):  # a row without positions has the last ones, carried on
+            if np.isfinite(q[k]).all():
+                self._q, self._q_time = q[k].copy(), int(time_ns[k])
+            elif np.isfinite(qd[k]).all():
+                since = 1e-9 * (int(time_ns[k]) - self._q_time)
+                q[k] = self._q + since * qd[k] if since <= _HELD else np.nan
+        twist, fall = np.full((count, 6), np.nan), np.full((count, 3), np.nan)
+        turn, noise = np.full((count, 9), np.nan), np.full((count, 36), np.nan)
+        rows = np.flatnonzero(np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1))
+        base, R_inertial_root = None, np.tile(np.eye(3), (count, 1, 1))
+        if self._base:
+            carried, attitude = _group(columns, BASE_TWIST, count), _group(columns, BASE_ATTITUDE, count)
+            if np.isfinite(carried).any() or np.isfinite(attitude).any():
+                rows = rows[np.isfinite(np.hstack([carried, attitude])[rows]).all(axis=1)]
+                base = BaseMotion(carried[rows], np.zeros((rows.size, 6)))
+                R_inertial_root[rows] = rotation_of(attitude[rows])
+        if rows.size:
+            moved = self._robot.motion(q[rows], qd[rows], np.zeros_like(qd[rows]), base)
+            R = (R_inertial_root[rows] @ moved.R_root_sensor).transpose(0, 2, 1)
+            twist[rows], turn[rows] = moved.twist, R.reshape(-1, 9)
+            fall[rows] = R @ self._rig.gravity_array
+            J = self._robot.jacobian(q[rows]) * self._sigma
+            noise[rows] = (J @ J.transpose(0, 2, 1)).reshape(-1, 36)
+        return MotionRows(twist, fall, turn, noise)
+
+
+def _group(columns: Columns, names: Collection[str], count: int) -> Array:
+    nothing = np.full(count, np.nan)
+    return np.column_stack([np.asarray(columns.get(name, nothing), dtype=np.float64) for name in names])

@@ -1,0 +1,301 @@
+"""Rows of a log, all at once or as they come, to contact wrenches with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.correction.contact.motion import Columns, MotionColumns
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
+from truewrench.tool.model import Tool
+from truewrench.tool.parameters import channel_turn
+
+__all__ = [
+    "CAPACITY",
+    "DELAY",
+    "NEW_COLUMNS",
+    "ContactEvent",
+    "ContactRun",
+    "Contacts",
+    "View",
+    "check_same_sensor",
+    "contact_settings",
+]
+
+Array = NDArray[np.float64]
+
+DELAY = 0.01
+"""[s] half the length of the kernels: how long after a moment its wrench is known."""
+
+CAPACITY = 8192
+"""Rows after which one that has no wrench will never have one."""
+
+NEWEST_WINDOW = 0.02  # [s] of the kernels without delay
+LONGEST = 1.0  # [s] of a delay
+
+_AXES = ("cfx", "cfy", "cfz", "cmx", "cmy", "cmz")
+NEW_COLUMNS = (*_AXES, *(f"{axis}_std" for axis in _AXES), "contact_chi2")
+"""What a log gets: the wrench [N, N m], its 1 sigma, and its square in units of its covariance."""
+
+TARED = {
+    "in_contact": "the contact test, drift included, says that there is contact",
+    "nothing": "there is no contact wrench yet, or none since the last tare",
+    "singular": "the gain that would follow cannot be inverted",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Where and how a wrench is expressed.
+
+    Attributes:
+        at: (6,) x, y, z, roll, pitch, yaw of the point, and of its axes, in the sensor frame [m, rad].
+        axes: those of the sensor (of `at`), or of the root frame.
+    """
+
+    at: tuple[float, ...] = (0.0,) * 6
+    axes: Literal["sensor", "base"] = "sensor"
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is that of the sensor's origin and axes."""
+        return not any(self.at) and self.axes == "sensor"
+
+    def maps(self, R_sensor_root: Array) -> Array:
+        """(N, 6, 6) maps of wrenches at the sensor's origin, sensor axes; R_sensor_root is (N, 3, 3)."""
+        point, angles = np.array(self.at[:3]), np.array(self.at[3:])
+        R = channel_turn(angles)[0][None] if self.axes == "sensor" else R_sensor_root.transpose(0, 2, 1)
+        shift = np.eye(6)
+        x, y, z = point
+        shift[3:, :3] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn = np.zeros((len(R), 6, 6))
+        turn[:, :3, :3] = turn[:, 3:, 3:] = R
+        return np.broadcast_to(turn @ shift, (len(R_sensor_root), 6, 6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactEvent:
+    """A contact; what is closer than 0.1 s in time is one.
+
+    Attributes:
+        begin_ns: stamp of its first row above the limit.
+        end_ns: of its last one.
+        peak_force: largest norm of the force [N].
+        point: (3,) at the peak, of the wrench's axis, nearest to the tool's centre of mass; sensor frame [m].
+    """
+
+    begin_ns: int
+    end_ns: int
+    peak_force: float
+    point: tuple[float, ...]
+
+    def to_mapping(self) -> dict[str, object]:
+        """By the keys of a line of `stream`."""
+        return {
+            "event": "contact",
+            "begin_ns": self.begin_ns,
+            "end_ns": self.end_ns,
+            "peak_force": self.peak_force,
+            "point": list(self.point),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """Contact wrenches of M rows, in the sign of the rig's `sensor.feels`.
+
+    Attributes:
+        rows: (M,) their numbers, from 0 on.
+        time_ns: (M,) moments: centres of the kernels; without delay their newest samples.
+        wrench: (M, 6) [N, N m].
+        covariance: (M, 6, 6) of it.
+        chi2: (M,) wrench^T covariance^-1 wrench; above `_core.contact_limit` a contact.
+    """
+
+    rows: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    wrench: Array
+    covariance: Array
+    chi2: Array
+
+    @property
+    def columns(self) -> Array:
+        """(M, 13) in the order of `NEW_COLUMNS`."""
+        std = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return np.hstack([self.wrench, std, self.chi2[:, None]])
+
+
+class ContactRun:
+    """One pass over rows; twice the same rows give twice the same numbers, however they are cut into blocks.
+
+    Args:
+        tool: gain, offset, body and gravity with their joint covariance.
+        names: columns that the rows have; None where any may come.
+        calibration: of the sensor, for its quadratic terms and its offset's slope by temperature.
+        delay: half the length of the kernels [s]; 0: they end at the row.
+        view: where and how to express the wrench.
+        place: of the rows, for messages.
+
+    Raises:
+        InputError: columns are missing, or tool and calibration are of two sensors.
+    """
+
+    def __init__(
+        self,
+        tool: Tool,
+        names: Collection[str] | None,
+        *,
+        calibration: Calibration | None = None,
+        delay: float = DELAY,
+        view: View | None = None,
+        place: Path | None = None,
+    ) -> None:
+        if not 0.0 <= delay <= LONGEST:
+            raise InputError.at(None, "--delay", f"{delay:g}", f"seconds from 0 to {LONGEST:g}")
+        self.motion = MotionColumns(tool.rig, names, place)
+        self._view, self._n, self._rig = view or View(), tool.n, tool.rig
+        if self._view.axes == "base" and not self.motion.attitude_known:
+            expected = "joints, or the attitude qw qx qy qz: gravity alone leaves the turn about it open"
+            raise InputError.at(place, "--axes", "`base` without an attitude", expected)
+        settings = contact_settings(tool, calibration, self.motion)
+        self._slope = bool(np.any(settings.temperature_slope))
+        self._warm = self._slope and (names is None or "temperature" in names)
+        self._celsius = np.nan if self._warm and names is not None else tool.rig.temperature.reference
+        raw = tuple(f"raw_{i}" for i in range(tool.n))
+        self.columns = (*raw, *self.motion.columns, *(("temperature",) if self._warm else ()))
+        window = 2.0 * delay or NEWEST_WINDOW
+        try:
+            self._rows = _core.ContactRows(settings, window, delay == 0.0, self.motion.imu, CAPACITY)
+        except ValueError as error:
+            raise InputError(f"the tool cannot be used: {error}") from error
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is worth saying of all rows."""
+        if not self._slope or self._warm:
+            return ()
+        reference = f"{self._rig.temperature.reference:g} degC"
+        return (f"no `temperature`, which the offset follows: it is taken for that of {reference}",)
+
+    @property
+    def lag(self) -> int:
+        """Rows after which one has its wrench, as far as known."""
+        return int(self._rows.lag)
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether an event lasts."""
+        return bool(self._rows.in_contact)
+
+    def feed(self, time_ns: NDArray[np.int64], raw: Array, columns: Columns) -> Contacts:
+        """The wrenches that the next rows complete, of these and of earlier ones.
+
+        Args:
+            time_ns: (N,) stamps, increasing.
+            raw: (N, n) channels, NaN where there is no sample.
+            columns: (N,) each, of `self.columns`; those that are absent hold no sample.
+        """
+        motion = self.motion.read(time_ns, columns)
+        raw = self._with_weight(raw, motion.fall)
+        celsius = self._temperatures(columns, len(time_ns))
+        args = (raw, motion.twist, motion.fall, motion.turn, celsius, motion.noise)
+        stamps = np.ascontiguousarray(time_ns, dtype=np.int64)
+        return self._seen(self._rows.feed(stamps, *map(np.ascontiguousarray, args)))
+
+    def finish(self) -> Contacts:
+        """Those of the rows that still waited for others."""
+        return self._seen(self._rows.finish())
+
+    def events(self) -> list[ContactEvent]:
+        """Contacts that have ended since the last call."""
+        return [
+            ContactEvent(begin, end, peak, tuple(point.tolist()))
+            for begin, end, peak, point in self._rows.ended()
+        ]
+
+    def tare(self) -> tuple[bool, str]:
+        """Take the last wrench for that of no contact; whether that was accepted, and why not."""
+        answer = self._rows.tare()
+        return answer == "accepted", TARED.get(answer, "")
+
+    def _seen(self, found: tuple[Any, ...]) -> Contacts:
+        rows, time_ns, wrench, covariance, chi2, R_sensor_root = found
+        if not self._view.plain and len(wrench):
+            X = self._view.maps(R_sensor_root)
+            wrench = np.einsum("kij,kj->ki", X, wrench)
+            covariance = X @ covariance @ X.transpose(0, 2, 1)
+        return Contacts(rows.astype(np.int64), time_ns.astype(np.int64), wrench, covariance, chi2)
+
+    def _temperatures(self, columns: Mapping[str, Array], count: int) -> Array:
+        if not self._warm:
+            return np.full(count, self._celsius)
+        readings = np.append(self._celsius, columns.get("temperature", np.full(count, np.nan)))
+        latest = np.maximum.accumulate(np.where(np.isnan(readings), 0, np.arange(readings.size)))
+        held: Array = readings[latest]
+        self._celsius = float(held[-1])
+        return held[1:]
+
+    def _with_weight(self, raw: Array, fall: Array) -> Array:
+        """The channels with the weight that the driver has subtracted."""
+        sensor = self._rig.sensor
+        body = sensor.subtracted
+        if body is None:
+            return raw
+        weight = np.hstack([body.mass * fall, body.mass * np.cross(np.array(body.center_of_mass), fall)])
+        whole: Array = raw + sensor.sign * weight @ sensor.nominal_gain_array.T
+        return whole
+
+
+def contact_settings(
+    tool: Tool, calibration: Calibration | None, motion: MotionColumns
+) -> _core.ContactSettings:
+    """What the core needs to know.
+
+    Raises:
+        InputError: tool and calibration are of two sensors.
+    """
+    sensor = tool.rig.sensor
+    slope = tool.offset_temperature
+    settings = _core.ContactSettings()
+    settings.set_sensor(
+        np.ascontiguousarray(tool.gain), tool.offset, sensor.noise_array, sensor.feels == "payload_on_sensor"
+    )
+    settings.mass, settings.center_of_mass, settings.S = tool.mass, tool.center_of_mass, tool.S
+    settings.mounting, settings.tilt = tool.mounting, tool.tilt
+    settings.gravity, settings.covariance = tool.rig.gravity_array, tool.covariance
+    settings.offset_time_ns, settings.offset_walk = tool.offset_time_ns, tool.offset_walk
+    settings.pose_repeatability = tool.pose_repeatability
+    settings.time_offset, settings.time_offset_std = tool.time_offset, tool.time_offset_std
+    settings.twist_noise, settings.gravity_noise = motion.twist_noise, motion.gravity_noise
+    if calibration is not None:
+        check_same_sensor(tool, calibration.rig)
+        slope = calibration.offset_temperature if slope is None else slope
+        if calibration.quadratic is not None and calibration.quadratic_std is not None:
+            # the tool's gain is no tangent: what the curve adds is uncertain by its size
+            settings.quadratic_std = np.hypot(calibration.quadratic, calibration.quadratic_std)
+            settings.full_scale = sensor.channel_scale
+    if slope is not None:
+        settings.temperature_slope = slope
+        settings.temperature_reference = tool.rig.temperature.reference
+    return settings
+
+
+def check_same_sensor(tool: Tool, rig: Rig) -> None:
+    """Refuse a tool that was identified on another sensor.
+
+    Raises:
+        InputError: channels or sign differ.
+    """
+    for key in ("channels", "feels"):
+        of_tool, given = getattr(tool.rig.sensor, key), getattr(rig.sensor, key)
+        if of_tool != given:
+            found, expected = f"{of_tool} of the tool", f"{given}, as the rig says"
+            raise InputError.at(None, f"--tool: sensor.{key}", found, expected)

@@ -1,0 +1,366 @@
+"""Is a calibration better than the nominal gain, on data it has not seen, and is its sigma honest?
+
+The corrected wrench is held against the payload's wrench by a motion that the velocities alone give
+(inertial.py), so that no gain can bend the motion to its favour, or against reference wrenches where logs
+have them. Per wrench axis: the RMS residual of the nominal and of the new gain with a confidence interval of
+their ratio by a moving-block bootstrap, and whether the residual is as large, and as white, as the noise of
+sensor and motion (or reference) and the calibration's covariance say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from truewrench.judging.validation.residuals import LONGEST_LAG, Residuals, joined_columns, residuals
+from truewrench.judging.validation.residuals import tared as is_tared
+from truewrench.model.calibration import AXES, AxisImprovement, Calibration, Verdict
+from truewrench.model.errors import InputError
+from truewrench.model.files import write_yaml
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.robot.compensation import uncompensated
+from truewrench.robot.track import tracked
+
+__all__ = ["AxisValidation", "Validation", "validate", "worse"]
+
+Array = NDArray[np.float64]
+
+FORMAT = "truewrench-validation/1"
+CONFIDENCE = 0.99  # of the interval of the ratio of residuals
+DRAWS = 1000  # of the bootstrap
+CHANGE = 0.02  # a smaller relative gain counts as none,
+LOSS = 0.1  # and a smaller loss: the price of any gain's own sigma where the nominal one happens to be right
+LAGS = 10  # autocorrelations that are tested
+WHITE = 1e-6  # probability of autocorrelations as large as found
+CORRELATION = 0.1  # and the departure of one of them from what the motion explains
+CONTRADICTED = 1e-6  # probability of a normalised residual as far from 1 as found,
+TOO_LARGE, TOO_SMALL = 1.2, 0.8  # and its size, mean square over claimed variance
+SIGMA_95 = 1.959964
+COVERED = 0.90  # share of the samples within 95% limits that is still accepted, if it is
+COVERED_DEVIATE = 5.0  # as far below 95% in sigma, and the limits are mostly noise:
+NOISE_SHARE = 0.9  # an error of the gain, common to all samples, may take any share of them out at once
+
+
+@dataclass(frozen=True, slots=True)
+class AxisValidation:
+    """One wrench axis.
+
+    Attributes:
+        nominal: RMS residual with the nominal gain [N, N m].
+        new: with the calibration's.
+        ratio: new over nominal.
+        ratio_low: lower end of its confidence interval.
+        ratio_high: upper end.
+        better: true and false where the interval leaves no doubt and the change is worth it.
+        nis: mean squared residual over its claimed variance; 1 is honest.
+        nis_std: 1 sigma of that, by what is claimed.
+        nis_probability: of one so large or small, by what is claimed.
+        coverage: share of the samples within 1.96 claimed sigma.
+        coverage_deviate: how far below 95% that is, in units of what chance brings; 0 where the claimed
+            sigma is mostly the gain's own.
+        autocorrelation: the largest of the residual's at the first lags, beyond what the motion explains.
+        white_probability: of autocorrelations at the first lags as large as found.
+        keep: whether the new gain may be used on this axis: nothing found speaks against it.
+    """
+
+    nominal: float
+    new: float
+    ratio: float
+    ratio_low: float
+    ratio_high: float
+    better: Literal[True, False, "unsure"]
+    nis: float
+    nis_std: float
+    nis_probability: float
+    coverage: float
+    coverage_deviate: float
+    autocorrelation: float
+    white_probability: float
+    keep: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """What held-out data say of a calibration.
+
+    Attributes:
+        verdict: usable, or every reason why not.
+        axes: by wrench axis.
+        samples: rows compared.
+        block: length of the bootstrap's blocks [s].
+        tared: whether a constant was removed from the residuals of every log: its offset may be another.
+        time_offsets: per log, t_motion = t_sensor + time_offset [s].
+        logs: paths of the logs, empty for those that are not files.
+        held_out: whether none of the logs was calibrated with.
+        payload_seen: whether the payloads of all logs are among those calibrated with.
+    """
+
+    verdict: Verdict
+    axes: Mapping[str, AxisValidation]
+    samples: int
+    block: float
+    tared: bool
+    time_offsets: tuple[float, ...]
+    logs: tuple[str, ...]
+    held_out: bool
+    payload_seen: bool
+
+    @property
+    def improvement(self) -> dict[str, AxisImprovement]:
+        """The same as a calibration holds it."""
+        return {
+            name: AxisImprovement(axis.nominal, axis.new, self.held_out, axis.better)
+            for name, axis in self.axes.items()
+        }
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain numbers and texts, as validation.yaml holds them."""
+        return {
+            "format": FORMAT,
+            "verdict": {"usable": self.verdict.usable, "reasons": list(self.verdict.reasons)},
+            "axes": {name: asdict(axis) for name, axis in self.axes.items()},
+            "samples": self.samples,
+            "block": self.block,
+            "confidence": CONFIDENCE,
+            "tared": self.tared,
+            "held_out": self.held_out,
+            "payload_seen": self.payload_seen,
+            "logs": [
+                {"path": path, "time_offset": offset}
+                for path, offset in zip(self.logs, self.time_offsets, strict=True)
+            ],
+        }
+
+    def write_yaml(self, path: str | Path) -> None:
+        """Write validation.yaml; the file appears whole or not at all."""
+        write_yaml(path, self.to_mapping())
+
+
+def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, seed: int = 0) -> Validation:
+    """Judge a calibration by logs, which should not be those it was made with.
+
+    Args:
+        calibration: its gain, covariance and time offset are judged.
+        rig: sensor noise, payloads and motion of these logs.
+        logs: one or several; each keeps a constant and, where the rig has a prior for it, a time offset of
+            its own.
+        seed: of the bootstrap.
+
+    Raises:
+        InputError: for a rig of another sensor, or logs without enough rows.
+    """
+    records = [logs] if isinstance(logs, Log) else list(logs)
+    if not records:
+        raise InputError.at(None, "", "no log", "at least one")
+    _check_same_sensor(calibration, rig)
+    rig.check_motion("by which a calibration is validated")
+    for log in records:
+        if rig.payloads[log.payload].unknown:
+            expected = "a known payload, by which the gains are compared"
+            raise InputError.at(rig.path, f"payloads.{log.payload}", "an unknown body", expected)
+    records = uncompensated(rig, tracked(rig, records))
+    parts = [residuals(calibration, rig, log) for log in records]
+    tared = is_tared(rig)
+    used = {report.sha256 for report in calibration.logs if report.sha256}
+    payloads = {report.payload for report in calibration.logs}
+    block = max(_block(part) for part in parts)
+    old, new = (np.concatenate([getattr(part, name) for part in parts]) for name in ("old", "new"))
+    ratios = _bootstrap(old, new, min(block, max(1, len(old) // 5)), seed)
+    systematic = joined_columns([part.systematic for part in parts])
+    axes = {
+        name: _axis(i, parts, old[:, i], new[:, i], ratios[:, i], systematic[:, i])
+        for i, name in enumerate(AXES)
+    }
+    reasons = [reason for name, axis in axes.items() for reason in _reasons(name, axis)]
+    if not np.isfinite(calibration.inverse).all():
+        reasons = ["the gain of the calibration has no inverse"]
+    if not calibration.verdict.usable:
+        own = "; ".join(calibration.verdict.reasons) or "no reason given"
+        reasons.insert(0, f"the calibration itself is not to be used as it stands: {own}")
+    return Validation(
+        Verdict(not reasons, tuple(reasons)),
+        axes,
+        samples=len(old),
+        block=block * parts[0].period,
+        tared=tared,
+        time_offsets=tuple(part.time_offset for part in parts),
+        logs=tuple("" if log.path is None else str(log.path) for log in records),
+        held_out=not any(log.sha256 in used for log in records),
+        payload_seen=all(log.payload in payloads for log in records),
+    )
+
+
+def _check_same_sensor(calibration: Calibration, rig: Rig) -> None:
+    theirs, ours = calibration.rig.sensor, rig.sensor
+    for key, found, expected in (
+        ("sensor.channels", ours.n, theirs.n),
+        ("sensor.feels", ours.feels, theirs.feels),
+    ):
+        if found != expected:
+            raise InputError.at(rig.path, key, f"{found}", f"{expected}, as in the calibration")
+
+
+def _block(part: Residuals) -> int:
+    """Rows of about one period of the motion: four times the first zero of the wrench's autocorrelation."""
+    longest = 1
+    for series in part.wrench.T:
+        size = 2 * len(series)
+        correlation = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2)[: len(series)]
+        below = np.flatnonzero(correlation <= 0.0)
+        longest = max(longest, 4 * int(below[0]) if below.size else len(series))
+    return max(10, min(longest, len(part.wrench) // 5))
+
+
+def _bootstrap(old: Array, new: Array, block: int, seed: int) -> Array:
+    """(DRAWS, 6) ratios of RMS residuals in moving blocks drawn with replacement."""
+    squares = np.concatenate([old**2, new**2], axis=1)
+    total = np.cumsum(np.concatenate([np.zeros((1, 12)), squares, squares[: block - 1]]), axis=0)
+    sums = total[block:] - total[:-block]  # (M, 12), circular
+    draws = max(1, round(len(old) / block))
+    chosen = np.random.default_rng(seed).integers(len(sums), size=(DRAWS, draws))
+    drawn = np.zeros((DRAWS, 12))
+    for k in range(draws):
+        drawn += sums[chosen[:, k]]
+    tiny = np.finfo(np.float64).tiny
+    return np.asarray(np.sqrt((drawn[:, 6:] + tiny) / (drawn[:, :6] + tiny)))
+
+
+def _axis(
+    i: int, parts: Sequence[Residuals], old: Array, new: Array, ratios: Array, systematic: Array
+) -> AxisValidation:
+    nominal, rms = (float(np.sqrt(np.mean(x**2))) for x in (old, new))
+    ratio = rms / max(nominal, np.finfo(np.float64).tiny)
+    low, high = (float(np.quantile(ratios, q)) for q in ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2))
+    noise = np.concatenate([part.noise[:, i] for part in parts])
+    nominal_noise = np.concatenate([part.nominal_noise[:, i] for part in parts])
+    # the right gain may turn more of the sensor's noise into this axis: that is no loss
+    turned = max(1.0, float(np.sqrt(np.mean(noise) / np.mean(nominal_noise))))
+    better: Literal[True, False, "unsure"] = "unsure"
+    if high < 1.0 and ratio < 1.0 / (1.0 + CHANGE):
+        better = True
+    elif low > turned and ratio > turned * (1.0 + LOSS):
+        better = False
+    variance = noise + np.sum(systematic**2, axis=1)
+    found, expected = _correlations(parts, i)
+    # cumulants of the mean of u^2: noise correlated in time, and errors common to the whole record
+    share = float(np.mean(noise / variance))
+    freedom = len(new) / (1.0 + 2.0 * float(np.sum(expected[1:] ** 2)))
+    common = np.linalg.eigvalsh((systematic / variance[:, None]).T @ systematic / len(new))
+    spread = 2.0 * share**2 / freedom + 2.0 * float(np.sum(common**2))
+    skew = 8.0 * share**3 / freedom**2 + 8.0 * float(np.sum(common**3))
+    nis = float(np.mean(new**2 / variance))
+    lag, probability = _whiteness(found, expected, len(new))
+    coverage = float(np.mean(np.abs(new) <= SIGMA_95 * np.sqrt(variance)))
+    below = (0.95 - coverage) * float(np.sqrt(freedom / (0.95 * 0.05)))
+    axis = AxisValidation(
+        nominal,
+        rms,
+        ratio,
+        low,
+        high,
+        better,
+        nis,
+        float(np.sqrt(spread)),
+        _probability(nis, spread, skew, share, freedom),
+        coverage,
+        below if share > NOISE_SHARE else 0.0,
+        lag,
+        probability,
+    )
+    return replace(axis, keep=not _reasons("", axis))
+
+
+def _probability(nis: float, spread: float, skew: float, share: float, freedom: float) -> float:
+    """Of a mean square so far from 1, a weighted sum of chi-squares of the given cumulants.
+
+    From above by a chi-square of the same three cumulants (Hall, Buckley and Eagleson). From below against
+    a calibration without any error: however uncertain the gain, it may happen to be right.
+    """
+    if nis > 1.0:
+        k = 8.0 * spread**3 / skew**2
+        return float(chi2.sf(k + np.sqrt(2.0 * k / spread) * (nis - 1.0), k))
+    return float(chi2.cdf(freedom * nis / share, freedom))
+
+
+def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
+    """Autocovariance of an axis' residual over its noise, (LAGS + 1,) found and (LONGEST_LAG + 1,) expected.
+
+    What the gain's own error can do to it, a constant and a share of every wrench axis, is taken out before.
+    """
+    found, expected, total = np.zeros(LAGS + 1), np.zeros(LONGEST_LAG + 1), 0
+    for part in parts:
+        size = len(part.new)
+        design = np.column_stack([part.wrench, np.ones(size)])
+        rest = part.new[:, i] - design @ np.linalg.lstsq(design, part.new[:, i])[0]
+        u = rest / np.sqrt(part.noise[:, i])
+        pairs = np.zeros(LAGS + 1)
+        for lag in range(LAGS + 1):
+            count = 0
+            for begin, end in zip(part.begin, (*part.begin[1:], size), strict=True):
+                pairs[lag] += u[begin : end - lag] @ u[begin + lag : end]
+                count += end - begin - lag
+            pairs[lag] /= max(1, count)
+        found += size * pairs
+        expected += size * part.lagged[:, i] / np.mean(part.noise[:, i])
+        total += size
+    expected /= total
+    expected[0] = 1.0
+    return found / total, expected
+
+
+def _whiteness(found: Array, expected: Array, size: int) -> tuple[float, float]:
+    """Largest autocorrelation beyond the expected one, and the probability of the first ones (Bartlett)."""
+    c = expected.copy()
+    c[0] = max(1.0, float(found[0]))
+    reach = np.arange(-LONGEST_LAG, LONGEST_LAG + 1)
+
+    def at(lag: NDArray[np.int64]) -> Array:
+        known = np.abs(lag) <= LONGEST_LAG
+        return np.where(known, c[np.where(known, np.abs(lag), 0)], 0.0)
+
+    lags = range(1, LAGS + 1)
+    covariance = np.array(
+        [[np.sum(at(reach) * at(reach + m - k) + at(reach + m) * at(reach - k)) for m in lags] for k in lags]
+    )
+    excess = found[1:] - expected[1 : LAGS + 1]
+    statistic = size * float(excess @ np.linalg.solve(covariance, excess))
+    return float(excess[np.argmax(np.abs(excess))] / c[0]), float(chi2.sf(statistic, LAGS))
+
+
+def worse(name: str, axis: AxisValidation) -> str:
+    """The reason against a gain that is worse than the nominal one on an axis."""
+    return (
+        f"{name} is worse than with the nominal gain: residual {axis.ratio:.3g} times as large "
+        f"({axis.ratio_low:.3g} to {axis.ratio_high:.3g})"
+    )
+
+
+def _reasons(name: str, axis: AxisValidation) -> list[str]:
+    reasons = []
+    if axis.better is False:
+        reasons.append(worse(name, axis))
+    if axis.nis_probability < CONTRADICTED and not TOO_SMALL < axis.nis < TOO_LARGE:
+        how = "larger" if axis.nis > 1.0 else "smaller"
+        reasons.append(
+            f"the residual of {name} is {how} than its claimed sigma: normalised squares of {axis.nis:.3g} "
+            f"instead of 1, {100 * axis.coverage:.0f} % of the samples within "
+            "95 % limits"
+        )
+    elif axis.coverage < COVERED and axis.coverage_deviate > COVERED_DEVIATE:
+        reasons.append(
+            f"only {100 * axis.coverage:.0f} % of the residuals of {name} lie within 95 % limits: "
+            "they are not normally distributed (contact, outliers, a jump of the offset)"
+        )
+    if axis.white_probability < WHITE and abs(axis.autocorrelation) > CORRELATION:
+        reasons.append(
+            f"the residual of {name} is not white: autocorrelation {axis.autocorrelation:+.2f} beyond what "
+            "the motion explains (filtered sensor, contact, vibration, wrong clock)"
+        )
+    return reasons

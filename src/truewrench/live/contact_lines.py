@@ -1,0 +1,113 @@
+"""JSON lines with the contact wrench: an answer a line, the numbers of `apply`; tares and events between."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from truewrench.correction.contact.run import NEW_COLUMNS, ContactRun, Contacts
+from truewrench.live.json_lines import Lines
+from truewrench.live.json_rows import LineError, Row, motion_of, read_row, tare_of
+from truewrench.live.lines import Output, batches
+from truewrench.live.stop import Stop
+
+__all__ = ["LiveContact", "contact_lines"]
+
+Complain = Callable[[str], None]
+
+
+class LiveContact:
+    """Rows one by one.
+
+    Args:
+        run: that has seen no row yet.
+    """
+
+    def __init__(self, run: ContactRun) -> None:
+        self.run = run
+        self._rows = 0
+
+    def feed(self, time_ns: int, raw: tuple[float, ...], motion: dict[str, float]) -> Contacts | None:
+        """The wrench of the row that is a constant number of rows earlier, where it has one."""
+        columns = {name: np.array([value]) for name, value in motion.items()}
+        found = self.run.feed(np.array([time_ns], dtype=np.int64), np.array([raw]), columns)
+        self._rows += 1
+        # with the first of all, older ones become known too: their rows have been answered
+        expected = self._rows - 1 - max(1, self.run.lag)
+        if not len(found.rows) or found.rows[-1] < expected:
+            return None
+        return Contacts(
+            found.rows[-1:], found.time_ns[-1:], found.wrench[-1:], found.covariance[-1:], found.chi2[-1:]
+        )
+
+    def events(self) -> list[dict[str, Any]]:
+        """Contacts that have ended, as lines."""
+        return [event.to_mapping() for event in self.run.events()]
+
+    def tare(self) -> dict[str, Any]:
+        """Tare now: the answer as a line."""
+        accepted, reason = self.run.tare()
+        return {"event": "tare", "accepted": accepted, "reason": reason}
+
+
+def contact_lines(
+    run: ContactRun, n: int, output: Output, stop: Stop, complain: Complain, source: int | None = None
+) -> Lines:
+    """Write the contact wrench for every line, until the input ends or `stop`.
+
+    A line has raw channels, motion, or both. `{"tare": true}` is answered by a line with `event`; contacts
+    that have ended have such lines, too.
+
+    Args:
+        run: that has seen no row yet.
+        n: raw channels.
+        output: of the answers.
+        stop: ends it.
+        complain: is told of wrong lines.
+        source: file descriptor of the input; standard input by default.
+    """
+    for note in run.notes:
+        complain(note)
+    live, lines, last = LiveContact(run), Lines(output, complain), -math.inf
+    nothing = (math.nan,) * n
+
+    def use(line: bytes) -> None:
+        nonlocal last
+        if tare_of(line):
+            output.write(json.dumps(live.tare()))
+            return
+        row = read_row(line, n)
+        if row.time_ns <= last:
+            raise LineError(
+                f"`{row.stamp[0]}`: {row.time_ns} ns after {last} ns, expected time that increases"
+            )
+        motion = motion_of(row)
+        if row.raw is None and not motion:
+            raise LineError("found neither channels nor motion, expected columns of a log")
+        last = row.time_ns
+        output.write(_line(row, live.feed(row.time_ns, row.raw or nothing, motion)))
+        for event in live.events():
+            output.write(json.dumps(event))
+
+    for batch in batches(sys.stdin.fileno() if source is None else source, stop):
+        for line in batch:
+            lines.take(line, use)
+        if output.closed:
+            break
+    run.finish()
+    for event in live.events():
+        output.write(json.dumps(event))
+    return lines
+
+
+def _line(row: Row, found: Contacts | None) -> str:
+    data: dict[str, float | int | None] = dict([row.stamp])
+    if found is None:
+        return json.dumps(data | dict.fromkeys(NEW_COLUMNS) | {"contact_time_ns": None})
+    data.update(zip(NEW_COLUMNS, found.columns[0].tolist(), strict=True))
+    return json.dumps(data | {"contact_time_ns": int(found.time_ns[0])})

@@ -1,0 +1,171 @@
+"""JSON lines on standard input and output: wrenches of samples, or a calibration from them."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from truewrench.correction.apply import corrector, used_in_part, without_temperature, without_weight
+from truewrench.live.json_rows import LineError, Row, motion_of, read_row
+from truewrench.live.lines import Output, batches
+from truewrench.live.progress import Progress
+from truewrench.live.stop import Stop
+from truewrench.model.calibration import AXES, Calibration
+from truewrench.model.errors import InputError
+
+if TYPE_CHECKING:  # all that an estimate needs takes a second to import
+    from truewrench.live.session import LiveCalibration
+
+__all__ = ["INPUT", "Lines", "calibrate_lines", "correct_lines"]
+
+INPUT = "standard input"
+
+_KEYS = (*AXES, *(f"{axis}_std" for axis in AXES))
+_POLL = 0.2  # [s] between looks at a running estimate, where no line arrives
+
+Complain = Callable[[str], None]
+
+
+class Lines:
+    """What every line goes through.
+
+    Attributes:
+        read: lines so far, blank ones left out.
+        refused: how many of them were wrong.
+        first: number and fault of the first of these.
+    """
+
+    def __init__(self, output: Output, complain: Complain) -> None:
+        self.read = 0
+        self.refused = 0
+        self.first = ""
+        self._number = 0
+        self._output = output
+        self._complain = complain
+
+    def take(self, line: bytes, use: Callable[[bytes], None]) -> None:
+        """Use one line; where it is wrong, say so in its place."""
+        self._number += 1
+        if not line.strip():
+            return
+        self.read += 1
+        try:
+            use(line)
+        except LineError as error:
+            words = f"line {self._number}: {error}"
+            self.first = self.first or words
+            self.refused += 1
+            self._output.write(json.dumps({"line": self._number, "error": str(error)}))
+            self._complain(f"{INPUT}: {words}")
+
+
+def correct_lines(
+    calibration: Calibration, output: Output, stop: Stop, complain: Complain, source: int | None = None
+) -> Lines:
+    """Write the true wrench and its 1 sigma for every line, until the input ends or `stop`.
+
+    A line that is wrong gives `{"line": ..., "error": ...}` in its place, and never a wrench. One whose
+    channels are null, which have no sample, gives nulls.
+
+    Raises:
+        InputError: the gain of the calibration cannot be inverted.
+    """
+    correct = corrector(calibration, INPUT).correct
+    withheld = [*calibration.withheld, *calibration.withheld]
+    for note in (
+        *without_temperature(calibration),
+        *without_weight(calibration),
+        *used_in_part(calibration),
+    ):
+        complain(note)
+    n = calibration.n
+    sample = np.empty((1, n))
+    lines, last = Lines(output, complain), -math.inf
+
+    def use(line: bytes) -> None:
+        nonlocal last
+        row = read_row(line, n)
+        if row.raw is None:
+            raise LineError(f"found no channel, expected `raw`, or raw_0 to raw_{n - 1}")
+        if row.time_ns <= last:
+            raise LineError(
+                f"`{row.stamp[0]}`: {row.time_ns} ns after {last} ns, expected time that increases"
+            )
+        sample[0] = row.raw
+        if math.isnan(sum(row.raw)):
+            values: list[float] = [math.nan] * len(_KEYS)
+        else:
+            wrench, std = correct(sample)
+            values = [*wrench[0].tolist(), *std[0].tolist()]
+            if not all(map(math.isfinite, values)):
+                raise LineError("found channels of such a size that no wrench can be told")
+            values = [math.nan if held else x for held, x in zip(withheld, values, strict=True)]
+        last = row.time_ns
+        output.write(_line(row, values))
+
+    for batch in batches(sys.stdin.fileno() if source is None else source, stop):
+        for line in batch:
+            lines.take(line, use)
+        if output.closed:
+            break
+    return lines
+
+
+def _line(row: Row, values: list[float]) -> str:
+    data: dict[str, float | None] = dict([row.stamp])
+    data.update((key, None if math.isnan(x) else x) for key, x in zip(_KEYS, values, strict=True))
+    return json.dumps(data)
+
+
+def calibrate_lines(
+    session: LiveCalibration,
+    folder: Path | None,
+    output: Output,
+    stop: Stop,
+    complain: Complain,
+    source: int | None = None,
+) -> tuple[Lines, Progress]:
+    """Feed a calibration until the input ends or `stop`, then finish it in a folder.
+
+    What is known on the way, and the result, go to the output.
+
+    Raises:
+        InputError: no calibration can be made of the lines.
+    """
+    n = session.rig.sensor.n
+    channels = tuple(f"raw_{i}" for i in range(n))
+    lines = Lines(output, complain)
+
+    def use(line: bytes) -> None:
+        row = read_row(line, n)
+        values = motion_of(row)
+        if row.raw is not None:
+            values |= zip(channels, row.raw, strict=True)
+        if not values:
+            raise LineError("found neither channels nor motion, expected columns of a log")
+        try:
+            session.record.add(tuple(values), row.time_ns, values.values())
+        except InputError as error:
+            raise LineError(str(error)) from None
+
+    for batch in batches(sys.stdin.fileno() if source is None else source, stop, _POLL):
+        for line in batch:
+            lines.take(line, use)
+        progress = session.poll()
+        if progress is not None:
+            output.write(_progress(progress))
+        if output.closed:
+            break
+    final = session.finish(folder)
+    output.write(_progress(final))
+    return lines, final
+
+
+def _progress(progress: Progress) -> str:
+    return json.dumps(progress.to_mapping(), allow_nan=False)

@@ -1,0 +1,78 @@
+"""What a live calibration knows by now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.model.calibration import Calibration
+
+__all__ = ["Progress"]
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What a part of the record says.
+
+    Attributes:
+        time_ns: of its last sample.
+        seconds: its length.
+        samples: how many there are.
+        calibration: None where there is not enough to estimate from.
+        reason: why there is none.
+        final: whether it is the result.
+    """
+
+    time_ns: int
+    seconds: float
+    samples: int
+    calibration: Calibration | None = None
+    reason: str = ""
+    final: bool = False
+
+    @property
+    def usable(self) -> bool:
+        """Whether the calibration may be used as it stands."""
+        return self.calibration is not None and self.calibration.verdict.usable
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why not, if not."""
+        return [self.reason] if self.calibration is None else list(self.calibration.verdict.reasons)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """For programs."""
+        data: dict[str, Any] = {
+            "time_ns": self.time_ns,
+            "seconds": self.seconds,
+            "samples": self.samples,
+            "final": self.final,
+            "usable": self.usable,
+            "reasons": self.reasons,
+        }
+        found = self.calibration
+        if found is None:
+            return data
+        return data | {
+            "undetermined": [direction.words for direction in found.verdict.undetermined],
+            "rms": None if found.bound is None else _finite(found.bound.rms),
+            "fits": found.figures.get("fits"),
+            "knot_spacing": found.figures.get("knot_spacing"),
+            "gain": _lists(found.gain),
+            "gain_std": _lists(found.gain_std),
+            "offset": _lists(found.offset),
+            "offset_std": _lists(found.offset_std),
+        }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _lists(values: npt.NDArray[np.float64]) -> Any:
+    plain = values.astype(object)
+    plain[~np.isfinite(values)] = None
+    return plain.tolist()

@@ -1,0 +1,285 @@
+"""ROS 2 topics: wrenches of the sensor's messages, or a calibration from sensor and motion."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from truewrench import _core
+from truewrench.correction.apply import corrector, used_in_part, without_temperature, without_weight
+from truewrench.io.recordings.choice import KEYS
+from truewrench.live.progress import Progress
+from truewrench.live.ros2_node import Node, finish, lost, ros_type, taken, unreliable
+from truewrench.live.ros2_sources import SensorSource, Source, motion_sources
+from truewrench.live.ros2_types import (
+    DiagnosticArray,
+    DiagnosticStatus,
+    Header,
+    KeyValue,
+    Time,
+    WrenchStamped,
+)
+from truewrench.live.stop import Stop
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
+
+if TYPE_CHECKING:  # all that an estimate needs takes a second to import
+    from truewrench.live.session import LiveCalibration
+
+__all__ = ["OUTPUT", "Counts", "Topics", "calibrate_topics", "correct_topic"]
+
+OUTPUT = "/truewrench/wrench"
+"""Topic of the corrected wrench."""
+
+STD = "_std"
+"""What the topic of its 1 sigma ends in."""
+
+DIAGNOSTICS = "/diagnostics"
+
+_WAIT = 0.1  # [s] after which an end that was asked for is noticed at the latest
+_PATIENCE = 10.0  # [s] for a topic to appear
+_SILENCE = 5.0  # [s] without any message, which is told
+_RESTART = 1_000_000_000  # [ns] back in time, which is another run of the source and no disorder
+_PERIOD = 1.0  # [s] of diagnostics
+_OK, _WARNING = 0, 1
+
+Complain = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """What to subscribe to and publish; None is found by its type."""
+
+    wrench: str | None = None
+    motion: str | None = None
+    output: str = OUTPUT
+    reliable: bool = False
+
+
+@dataclass(slots=True)
+class Counts:
+    """Messages of the sensor (or of sensor and motion).
+
+    Attributes:
+        received: those that arrived.
+        used: those that became a wrench, or part of the record.
+        refused: those that were wrong.
+        lost: those that did not arrive, where the middleware knows.
+    """
+
+    received: int = 0
+    used: int = 0
+    refused: int = 0
+    lost: int = 0
+
+
+class _Order:
+    """Stamps that increase; a source that begins again, far back, is let through."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+
+    def check(self, stamp: int) -> None:
+        last = self._last
+        if last is not None and last - _RESTART < stamp <= last:
+            raise InputError(f"stamp: found {stamp} ns after {last} ns, expected time that increases")
+        self._last = stamp
+
+
+class _Wrenches:
+    """The true wrench on a topic, and its 1 sigma on another, where somebody listens."""
+
+    def __init__(self, node: Node, topic: str, n: int) -> None:
+        self._wrench = node.writer(topic, WrenchStamped)
+        self._std = node.writer(topic + STD, WrenchStamped)
+        self._raw = np.empty((1, n))
+        self.withheld = np.zeros(6, dtype=np.bool_)  # axes that are NaN in every message
+
+    def write(
+        self, correct: _core.Corrector, header: Header, channels: Sequence[float], with_std: bool
+    ) -> None:
+        """Publish the wrench of a sample.
+
+        Raises:
+            InputError: there is none.
+        """
+        self._raw[0] = channels
+        wrench, std = correct.correct(self._raw)
+        values = wrench[0].tolist()
+        if not math.isfinite(sum(values)):
+            raise InputError("found channels of such a size that no wrench can be told")
+        told = np.where(self.withheld, np.nan, [values, std[0]])
+        self._wrench.write(WrenchStamped.of(header, told[0].tolist()))
+        if with_std:
+            self._std.write(WrenchStamped.of(header, told[1].tolist()))
+
+    @property
+    def std_wanted(self) -> bool:
+        """Whether anybody listens to the 1 sigma."""
+        return bool(self._std.get_matched_subscriptions())
+
+    def finish(self) -> None:
+        """Wait for what is still under way."""
+        finish(self._wrench)
+
+
+def correct_topic(
+    calibration: Calibration, topics: Topics, stop: Stop, complain: Complain, seconds: float = math.inf
+) -> Counts:
+    """Publish the true wrench of every message of the sensor, with its header, until `stop`.
+
+    A message that is wrong (channels that are not finite, no stamp, one that does not lie after the last) is
+    counted and told, and nothing is published in its place.
+
+    Raises:
+        InputError: no topic is found, or the gain cannot be inverted.
+    """
+    correct = corrector(calibration, "ROS 2")  # before a topic is waited for
+    for note in (
+        *without_temperature(calibration),
+        *without_weight(calibration),
+        *used_in_part(calibration),
+    ):
+        complain(note)
+    sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
+    node = Node()
+    name = _sensor_topic(node, sensor, topics, stop)
+    wrenches = _Wrenches(node, topics.output, calibration.n)
+    wrenches.withheld = calibration.withheld
+    reader = node.reader(name, sensor.kind, topics.reliable)
+    begun = time.monotonic()
+    silent = True
+    while not stop.requested and time.monotonic() - begun < seconds:
+        node.wait(_WAIT)
+        with_std = wrenches.std_wanted
+        for message, info in taken(reader):
+            counts.received += 1
+            try:
+                _, stamp, channels = sensor.read(message, info)
+                order.check(stamp)
+                wrenches.write(correct, sensor.header(message, info), channels, with_std)
+            except InputError as error:
+                counts.refused += 1
+                complain(f"{name}: {error}")
+            else:
+                counts.used += 1
+        silent = _told_silence(silent, counts, begun, node, [(name, sensor, reader)], complain)
+    wrenches.finish()
+    counts.lost = lost(reader)
+    return counts
+
+
+def _sensor_topic(node: Node, sensor: SensorSource, topics: Topics, stop: Stop) -> str:
+    own = {topics.output, topics.output + STD}
+    name = topics.wrench or node.find(sensor.kind, own, _PATIENCE, stop)
+    if name.strip("/") in {topic.strip("/") for topic in own}:
+        raise InputError.at(None, "--output-topic", f"`{name}`", "another topic than the sensor's own")
+    return name
+
+
+def _told_silence(
+    silent: bool,
+    counts: Counts,
+    begun: float,
+    node: Node,
+    readers: Sequence[tuple[str, Source, Any]],
+    complain: Complain,
+) -> bool:
+    """Whether silence may still have to be told of."""
+    if not silent or counts.received or time.monotonic() - begun < _SILENCE:
+        return silent and not counts.received
+    for name, source, reader in readers:
+        published = node.topics().get(f"/{name.strip('/')}", set())
+        wanted = ros_type(source.kind)
+        if not published:
+            why = "nobody publishes it"
+        elif wanted not in published:
+            why = f"it carries {', '.join(published)}, expected {wanted}"
+        elif unreliable(reader):
+            why = "its publisher is not reliable: leave --reliable out"
+        else:
+            why = "its publisher is silent"
+        complain(f"{name}: no message for {_SILENCE:g} s: {why}")
+    return False
+
+
+def calibrate_topics(
+    session: LiveCalibration,
+    folder: Path | None,
+    topics: Topics,
+    stop: Stop,
+    complain: Complain,
+    seconds: float = math.inf,
+) -> tuple[Counts, Progress]:
+    """Feed a calibration from the sensor's topic and the motion's until `stop`, then finish it in a folder.
+
+    What is known on the way, and the result, are published as diagnostics. As soon as an estimate may be
+    used, wrenches are published by the latest such.
+
+    Raises:
+        InputError: no topic is found, or no calibration can be made of what arrived.
+    """
+    rig, counts = session.rig, Counts()
+    sensor, others = SensorSource(rig), motion_sources(rig)
+    node = Node()
+    names = [_sensor_topic(node, sensor, topics, stop)]
+    for k, source in enumerate(others):
+        given = getattr(rig.recording, KEYS[source.role]) if k else topics.motion
+        names.append(given or node.find(source.kind, set(), _PATIENCE, stop))
+    writer = node.writer(DIAGNOSTICS, DiagnosticArray)
+    wrenches = _Wrenches(node, topics.output, rig.sensor.n)
+    correct: _core.Corrector | None = None  # of the latest estimate that may be used
+    readers = [
+        (name, source, node.reader(name, source.kind, topics.reliable))
+        for name, source in zip(names, [sensor, *others], strict=True)
+    ]
+    begun = time.monotonic()
+    told, progress, silent = begun, Progress(0, 0.0, 0, reason="no estimate yet"), True
+    while not stop.requested and time.monotonic() - begun < seconds:
+        node.wait(_WAIT)
+        with_std = correct is not None and wrenches.std_wanted
+        for topic, source, reader in readers:
+            for message, info in taken(reader):
+                counts.received += 1
+                try:
+                    columns, stamp, values = source.read(message, info)
+                    if columns:
+                        session.record.add(columns, stamp, values)
+                        counts.used += 1
+                    if correct is not None and source is sensor:
+                        wrenches.write(correct, sensor.header(message, info), values, with_std)
+                except InputError as error:
+                    counts.refused += 1
+                    complain(f"{topic}: {error}")
+        found = session.poll()
+        if found is not None and found.calibration is not None and found.usable:
+            correct = corrector(found.calibration, "ROS 2")
+            wrenches.withheld = found.calibration.withheld
+        if found is not None or time.monotonic() - told > _PERIOD:
+            told, progress = time.monotonic(), found or progress
+            writer.write(_diagnostics(rig, progress))
+        silent = _told_silence(silent, counts, begun, node, readers, complain)
+    counts.lost = sum(lost(reader) for *_, reader in readers)
+    final = session.finish(folder)
+    writer.write(_diagnostics(rig, final))
+    finish(writer)
+    return counts, final
+
+
+def _diagnostics(rig: Rig, progress: Progress) -> DiagnosticArray:
+    name = "" if rig.path is None else rig.path.stem
+    level, message = (_OK, "usable") if progress.usable else (_WARNING, "; ".join(progress.reasons))
+    values = [
+        KeyValue(key, value if isinstance(value, str) else json.dumps(value))
+        for key, value in progress.to_mapping().items()
+    ]
+    status = DiagnosticStatus(level, "truewrench: calibration", message, name, values)
+    return DiagnosticArray(Header(Time.of(time.time_ns())), [status])

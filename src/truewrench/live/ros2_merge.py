@@ -1,0 +1,89 @@
+"""Messages of several topics as rows of one table, in the order of their stamps."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from truewrench.model.errors import InputError
+
+__all__ = ["MergedRow", "Merger"]
+
+_PATIENCE = 0.05  # [s] after which a topic that is late is no longer waited for
+
+
+@dataclass(order=True)
+class MergedRow:
+    """What was measured at one time.
+
+    Attributes:
+        time_ns: stamp.
+        values: by column.
+        header: of the sensor's message; None where it has none at this time.
+        arrived: when its first message came, on the clock of the caller [s].
+    """
+
+    time_ns: int
+    values: dict[str, float] = field(default_factory=dict, compare=False)
+    header: Any = field(default=None, compare=False)
+    arrived: float = field(default=0.0, compare=False)
+
+
+class Merger:
+    """Rows come out once every topic that is waited for has gone past them, or after some patience.
+
+    What comes from other topics (a temperature) goes with the next row.
+
+    Args:
+        awaited: names of topics that are waited for: sensor, motion and gravity.
+    """
+
+    def __init__(self, awaited: Sequence[str]) -> None:
+        self._newest: dict[str, float] = dict.fromkeys(awaited, -math.inf)
+        self._heap: list[MergedRow] = []
+        self._carried: dict[str, float] = {}
+        self._at: dict[int, MergedRow] = {}
+        self._last = -math.inf
+
+    def add(
+        self,
+        topic: str,
+        time_ns: int,
+        columns: Sequence[str],
+        values: Sequence[float],
+        header: Any,
+        now: float,
+    ) -> None:
+        """A message.
+
+        Raises:
+            InputError: rows after it have come out already.
+        """
+        if topic not in self._newest:
+            self._carried.update(zip(columns, values, strict=True))
+            return
+        if time_ns <= self._last:
+            raise InputError(
+                f"stamp: found {time_ns} ns after {self._last:.0f} ns, expected time that increases"
+            )
+        row = self._at.get(time_ns)
+        if row is None:
+            row = self._at[time_ns] = MergedRow(time_ns, arrived=now)
+            heapq.heappush(self._heap, row)
+        row.values.update(zip(columns, values, strict=True))
+        row.header = header or row.header
+        self._newest[topic] = max(self._newest[topic], time_ns)
+
+    def rows(self, now: float) -> Iterator[MergedRow]:
+        """Those that are complete by now."""
+        until = min(self._newest.values())
+        while self._heap and (self._heap[0].time_ns <= until or now - self._heap[0].arrived > _PATIENCE):
+            row = heapq.heappop(self._heap)
+            del self._at[row.time_ns]
+            self._last = row.time_ns
+            row.values.update(self._carried)
+            self._carried.clear()
+            yield row

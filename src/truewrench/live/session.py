@@ -1,0 +1,167 @@
+"""A calibration while its log still grows (docs/live.md).
+
+On the way `online` (of joints: `map`) is run on the record so far, anew whenever that has grown by a quarter,
+so that all runs together cost a few times the last; what is written at the end is `map` on the whole record.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy.typing as npt
+
+from truewrench.calibrating.pipeline import calibrate
+from truewrench.estimation.evidence import Evidence
+from truewrench.io.tables import read_log, write_table
+from truewrench.live.progress import Progress
+from truewrench.live.record import Record
+from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
+from truewrench.model.files import atomic_output
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.robot.arm import robot_of
+
+__all__ = ["CALIBRATION", "RECORD", "LiveCalibration", "payload_of"]
+
+Columns = Mapping[str, npt.NDArray[Any]]
+
+FIRST = 2.0  # [s] of record for a first estimate
+GROWTH = 1.25  # of the record between two
+
+CALIBRATION = "calibration.yaml"
+"""File of the result,"""
+
+RECORD = "record.parquet"
+"""and of what it rests on."""
+
+
+def payload_of(rig: Rig, named: str | None) -> str:
+    """The payload that the arm carries: the one named, else the rig's `default` or only one.
+
+    Raises:
+        InputError: there is no such payload, or none is named of several.
+    """
+    rig.check_motion("which a live calibration needs")
+    known = ", ".join(rig.payloads)
+    if named is not None and named not in rig.payloads:
+        raise InputError.at(rig.path, "--payload", f"`{named}`", f"a payload of the rig, one of: {known}")
+    if named is None and "default" not in rig.payloads and len(rig.payloads) > 1:
+        raise InputError.at(rig.path, "--payload", "nothing", f"what the arm carries, one of: {known}")
+    return named or ("default" if "default" in rig.payloads else next(iter(rig.payloads)))
+
+
+class LiveCalibration:
+    """A record that grows, and estimates on the way; a context that ends with the estimates in work.
+
+    Attributes:
+        rig: as given.
+        record: to be fed.
+        evidence: of the result, for a report on it.
+    """
+
+    def __init__(self, rig: Rig, payload: str) -> None:
+        if rig.motion.source == "joints":
+            robot_of(rig)  # a fault of the robot is told before the first sample
+        self.rig = rig
+        self.record = Record()
+        self.evidence: list[Evidence] = []
+        self._payload = payload
+        self._worker = ThreadPoolExecutor(1)
+        self._running: Future[Progress] | None = None
+        self._next = FIRST
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._worker.shutdown(wait=True, cancel_futures=True)
+
+    def poll(self) -> Progress | None:
+        """An estimate that has just been finished, if any; begins the next when it is due."""
+        if self._running is not None:
+            if not self._running.done():
+                return None
+            progress = self._running.result()
+            self._running = None
+            return progress
+        seconds = self.record.seconds
+        if seconds >= self._next:
+            self._next = GROWTH * seconds
+            self._running = self._worker.submit(self._estimate, self.record.columns(), self.record.samples)
+        return None
+
+    def finish(self, folder: Path | None) -> Progress:
+        """The calibration from the whole record, as `calibrate` makes it of a log.
+
+        Args:
+            folder: gets the record, which the result names as its log, and `calibration.yaml`; without one
+                neither is kept.
+
+        Raises:
+            InputError: no calibration can be made from the record; then nothing is written.
+        """
+        if self._running is not None:
+            self._running.cancel()
+        columns = self.record.columns()
+        if not len(columns["time_ns"]):
+            raise InputError("no sample has arrived: there is nothing to calibrate from")
+        target = None if folder is None else folder / RECORD
+        with self._written(columns) as path:
+            log = replace(self._read(path), path=target)
+            calibration = calibrate(self.rig, log, "map", evidence=self.evidence.append)
+            if target is not None:
+                with atomic_output(target) as whole:
+                    shutil.copyfile(path, whole)
+                calibration.write_yaml(target.with_name(CALIBRATION))
+        return self._progress(columns, self.record.samples, calibration, final=True)
+
+    def _estimate(self, columns: Columns, samples: int) -> Progress:
+        try:
+            with self._written(columns) as path:
+                log = replace(self._read(path), path=None)
+            way: Literal["map", "online"] = "map" if self.rig.motion.source == "joints" else "online"
+            found = calibrate(self.rig, log, way, threads=1, held_out=False)
+        except InputError as error:
+            return self._progress(columns, samples, reason=str(error))
+        except Exception as error:  # no fault on the way may cost the record
+            return self._progress(columns, samples, reason=f"internal fault: {type(error).__name__}: {error}")
+        return self._progress(columns, samples, found)
+
+    @contextmanager
+    def _written(self, columns: Columns) -> Iterator[Path]:
+        """The record as a file, which is how logs are read."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / RECORD
+            write_table(path, columns)
+            yield path
+
+    def _read(self, path: Path) -> Log:
+        try:
+            return read_log(f"{path}@{self._payload}", self.rig)
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), "the record so far")) from None
+
+    @staticmethod
+    def _progress(
+        columns: Columns,
+        samples: int,
+        calibration: Calibration | None = None,
+        reason: str = "",
+        final: bool = False,
+    ) -> Progress:
+        first, last = columns["time_ns"][[0, -1]]
+        return Progress(int(last), 1e-9 * float(last - first), samples, calibration, reason, final)

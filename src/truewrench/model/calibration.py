@@ -1,0 +1,399 @@
+"""What a calibration knows: gain and offset with their uncertainty, and the verdict on using them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.model.calibration_parts import (
+    AXES,
+    KINDS,
+    Assumed,
+    AxisImprovement,
+    BlindTo,
+    Bound,
+    LogReport,
+    Undetermined,
+    Verdict,
+)
+from truewrench.model.errors import InputError
+from truewrench.model.files import read_yaml, write_yaml
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.elsewhere import within
+from truewrench.model.rig.fields import Fields
+
+__all__ = [
+    "AXES",
+    "FORMAT",
+    "KINDS",
+    "UNDETERMINED",
+    "Assumed",
+    "AxisImprovement",
+    "BlindTo",
+    "Bound",
+    "Calibration",
+    "LogReport",
+    "Undetermined",
+    "Verdict",
+    "load_calibration",
+]
+
+FORMAT = "truewrench/1"
+"""What the first line of a calibration file says."""
+
+UNDETERMINED = 0.5
+"""Of the prior's sigma: what is less certain than that was not determined by the data."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Gain and offset of raw = gain @ w + offset, in SI and raw units, and everything said about them.
+
+    Attributes:
+        gain: (n, 6), w in the sign of the rig's `sensor.feels`.
+        gain_std: (n, 6) 1 sigma.
+        offset: (n,) of the last log at its end, at the reference temperature.
+        offset_std: (n,) 1 sigma.
+        inverse: (6, n) noise-weighted generalised inverse of `gain`; NaN when the gain has none.
+        covariance: (7n, 7n) of [gain row by row, offset].
+        verdict: whether and why (not) to use it.
+        logs: one report per log.
+        rig: the settings it was made with.
+        estimator: `map`, `online`, `ekf` or `ls`.
+        improvement: per wrench axis; empty when it was not judged.
+        bound: None for estimators that do not compute it.
+        offset_temperature: (n,) slope of the offset per K, None without a temperature column.
+        time_offset: of the last log [s].
+        time_offset_std: its 1 sigma [s].
+        payload_posterior: what the data say of each payload, by name; empty when payloads are taken as exact.
+        axes: which wrench axes may be used, by name; empty where the estimator does not say.
+        assumed: every alternative that the estimate needed beside the rig as stated.
+        quadratic: (n,) quadratic term of each channel at full scale, fraction of range; None where the
+            estimator has none. `gain` is the tangent at w = 0.
+        quadratic_std: (n,) its 1 sigma, likewise.
+        discrepancy: (n,) what of each channel follows neither wrench nor noise, 1 sigma, fraction of range.
+        figures: what the estimator reports of its fit, by name.
+        timings: seconds spent, by phase.
+        version: of the package that made it.
+        created: ISO 8601 time, UTC.
+    """
+
+    gain: FloatArray
+    gain_std: FloatArray
+    offset: FloatArray
+    offset_std: FloatArray
+    inverse: FloatArray
+    covariance: FloatArray
+    verdict: Verdict
+    logs: tuple[LogReport, ...]
+    rig: Rig
+    estimator: str
+    improvement: Mapping[str, AxisImprovement] = field(default_factory=dict)
+    bound: Bound | None = None
+    offset_temperature: FloatArray | None = None
+    time_offset: float = 0.0
+    time_offset_std: float = 0.0
+    payload_posterior: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    axes: Mapping[str, bool] = field(default_factory=dict)
+    assumed: tuple[Assumed, ...] = ()
+    quadratic: FloatArray | None = None
+    quadratic_std: FloatArray | None = None
+    discrepancy: FloatArray | None = None
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    timings: Mapping[str, float] = field(default_factory=dict)
+    version: str = ""
+    created: str = ""
+
+    @property
+    def n(self) -> int:
+        """Number of raw channels."""
+        return int(self.gain.shape[0])
+
+    @property
+    def gain_std_normalised(self) -> FloatArray:
+        """(n, 6) 1 sigma of the gains, in units of their channel's full scale over their axis' range."""
+        sensor = self.rig.sensor
+        return self.gain_std * sensor.range_array / sensor.channel_scale[:, None]
+
+    @property
+    def gain_determined(self) -> npt.NDArray[np.bool_]:
+        """(n, 6) whether the data and not the prior say what the gain is: its sigma is at most half of it."""
+        determined: npt.NDArray[np.bool_] = (
+            self.gain_std_normalised <= UNDETERMINED * self.rig.sensor.gain_prior
+        )
+        return determined
+
+    def wrench(self, raw: npt.ArrayLike, temperature: npt.ArrayLike | None = None) -> FloatArray:
+        """The true wrench, (N, 6) [N, N m], of raw samples (N, n); NaN where a channel has none.
+
+        NaN on `withheld` axes, too.
+
+        Args:
+            raw: samples.
+            temperature: (N,) [degC], which the offset follows; None: that of the reference.
+        """
+        offset = self.offset
+        if temperature is not None and self.offset_temperature is not None:
+            above = np.asarray(temperature, dtype=np.float64) - self.rig.temperature.reference
+            offset = offset + above[..., None] * self.offset_temperature
+        wrench: FloatArray = (np.asarray(raw, dtype=np.float64) - offset) @ self.inverse.T
+        wrench[..., self.withheld] = np.nan
+        return wrench
+
+    @property
+    def withheld(self) -> npt.NDArray[np.bool_]:
+        """(6,) wrench axes that are not to be used, of a calibration that is good for others."""
+        usable = np.array([self.axes.get(axis, False) for axis in AXES])
+        return ~usable if usable.any() else np.zeros(6, dtype=np.bool_)
+
+    def contact(self, log: Log, tool: Any, **options: Any) -> Any:
+        """What the sensor felt beyond a tool, row by row: a `truewrench.correction.contact.log.Contact`.
+
+        Args:
+            log: with motion and, in gravity, its direction.
+            tool: a `Tool`, identified on this sensor.
+            **options: `delay` and `view` of `truewrench.correction.contact.log.contact`.
+        """
+        # by name: tools stand on calibrations, and not the other way round
+        return import_module("truewrench.correction.contact.log").contact(log, tool, self, **options)
+
+    def write_yaml(self, path: str | Path) -> None:
+        """Write `calibration.yaml`, every number to its last bit; the file appears whole or not at all."""
+        mapping = self.to_mapping()
+        write_yaml(path, mapping | {"rig": within(mapping["rig"], self.rig, path)})
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Numbers, arrays and texts by the keys of `calibration.yaml`."""
+        return {
+            "format": FORMAT,
+            "verdict": {
+                "usable": self.verdict.usable,
+                "reasons": list(self.verdict.reasons),
+                "undetermined": [
+                    {"direction": u.direction, "words": u.words} for u in self.verdict.undetermined
+                ],
+                "blind_to": [asdict(blind) for blind in self.verdict.blind_to],
+            },
+            "axes": self.axes,
+            "assumed": [asdict(assumed) for assumed in self.assumed],
+            "gain": self.gain,
+            "gain_std": self.gain_std,
+            "gain_determined": self.gain_determined.tolist(),
+            "offset": self.offset,
+            "offset_std": self.offset_std,
+            "offset_temperature": self.offset_temperature,
+            "time_offset": self.time_offset,
+            "time_offset_std": self.time_offset_std,
+            "inverse": self.inverse,
+            "quadratic": self.quadratic,
+            "quadratic_std": self.quadratic_std,
+            "discrepancy": self.discrepancy,
+            "improvement": {"axes": {axis: asdict(judged) for axis, judged in self.improvement.items()}},
+            "bound": None if self.bound is None else asdict(self.bound),
+            "payload_posterior": self.payload_posterior,
+            "logs": [_of_log(log) for log in self.logs],
+            "figures": self.figures,
+            "timings": self.timings,
+            "estimator": self.estimator,
+            "version": self.version,
+            "created": self.created,
+            "rig": self.rig.to_mapping(),
+            "covariance": self.covariance,
+        }
+
+
+def _of_log(log: LogReport) -> dict[str, Any]:
+    return {
+        "path": None if log.path is None else str(log.path),
+        "sha256": log.sha256,
+        "payload": log.payload,
+        "offset": log.offset,
+        "offset_std": log.offset_std,
+        "time_offset": log.time_offset,
+        "samples": {"used": log.used, "masked": log.masked, "rejected": log.rejected},
+        "disturbances": [list(interval) for interval in log.disturbances],
+        "dropped_rows": log.dropped_rows,
+        "nan_counts": log.nan_counts,
+    }
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read and validate a `calibration.yaml`.
+
+    Raises:
+        InputError: naming file, line, key, what was found and what was expected.
+    """
+    data, locate = read_yaml(path)
+    return _from_fields(Fields(data, path, locate))
+
+
+def _from_fields(top: Fields) -> Calibration:
+    if top.data.get("format") != FORMAT:
+        raise top.error("format", f"`{FORMAT}`")
+    try:
+        rig = Rig.from_mapping(top.section("rig").data, f"{top.path}: rig")
+    except InputError as error:
+        raise InputError(f"{error}\n(the `rig` of a calibration must be a valid rig)") from error
+    n = rig.sensor.n
+    verdict = top.section("verdict")
+    calibration = Calibration(
+        gain=top.array("gain", (n, 6)),
+        gain_std=top.array("gain_std", (n, 6)),
+        offset=top.array("offset", (n,)),
+        offset_std=top.array("offset_std", (n,)),
+        inverse=top.array("inverse", (6, n), nan_allowed=True),
+        covariance=_covariance(top, n),
+        verdict=Verdict(
+            usable=verdict.flag("usable"),
+            reasons=tuple(verdict.texts("reasons")),
+            undetermined=tuple(
+                Undetermined(direction=item.array("direction", (6 * n,)), words=item.text("words"))
+                for item in verdict.sections("undetermined")
+            ),
+            blind_to=tuple(_blind_to(item) for item in _listed(verdict, "blind_to")),
+        ),
+        logs=tuple(_log_report(log, n) for log in top.sections("logs")),
+        rig=rig,
+        estimator=top.text("estimator"),
+        improvement={
+            axis: _improvement(top.section("improvement").section("axes").section(axis))
+            for axis in top.section("improvement").section("axes").data
+        },
+        bound=None
+        if top.get("bound") is None
+        else Bound(top.section("bound").number("oracle_rms"), top.section("bound").number("rms")),
+        offset_temperature=None
+        if top.get("offset_temperature") is None
+        else top.array("offset_temperature", (n,)),
+        time_offset=top.number("time_offset"),
+        time_offset_std=top.number("time_offset_std"),
+        payload_posterior=top.section("payload_posterior").data,
+        axes=_axes(top),
+        assumed=tuple(_assumed(item) for item in _listed(top, "assumed")),
+        quadratic=_per_channel(top, "quadratic", n),
+        quadratic_std=_per_channel(top, "quadratic_std", n, positive=True),
+        discrepancy=_per_channel(top, "discrepancy", n, positive=True),
+        figures=top.section("figures").data if "figures" in top.data else {},
+        timings=top.section("timings").data if "timings" in top.data else {},
+        version=top.text("version"),
+        created=top.text("created"),
+    )
+    if "gain_determined" in top.data and top.data["gain_determined"] != calibration.gain_determined.tolist():
+        expected = "n rows of six: true where `gain_std` is at most half of the prior"
+        raise top.error("gain_determined", expected, "something else")
+    if calibration.verdict.usable:
+        scale = rig.sensor.range_array
+        product = calibration.inverse @ calibration.gain * scale / scale[:, None]
+        if not np.allclose(product, np.eye(6), atol=1e-6):
+            raise top.error("inverse", "the generalised inverse of `gain`", "another matrix")
+    return calibration
+
+
+def _listed(fields: Fields, key: str) -> list[Fields]:
+    """A list of mappings; empty in files from before there was one."""
+    return fields.sections(key) if key in fields.data else []
+
+
+def _per_channel(top: Fields, key: str, n: int, *, positive: bool = False) -> FloatArray | None:
+    """As many numbers as channels; None where there are none, as in files from before there were any."""
+    if top.data.get(key) is None:
+        return None
+    values = top.array(key, (n,))
+    if positive and (values < 0.0).any():
+        raise top.error(key, "numbers of at least 0", f"{values.min():g}")
+    return values
+
+
+def _axes(top: Fields) -> dict[str, bool]:
+    if not top.data.get("axes"):
+        return {}
+    axes = top.section("axes")
+    if set(axes.data) != set(AXES):
+        raise top.error("axes", f"each of {', '.join(AXES)}, or none", ", ".join(map(str, axes.data)))
+    return {axis: axes.flag(axis) for axis in AXES}
+
+
+def _assumed(item: Fields) -> Assumed:
+    sigma = None if item.data.get("sigma") is None else _size(item, "sigma")
+    return Assumed(
+        what=item.text("what"),
+        where=item.text("where"),
+        value=item.number("value"),
+        sigma=sigma,
+        evidence=item.text("evidence"),
+    )
+
+
+def _blind_to(item: Fields) -> BlindTo:
+    kind = item.text("kind")
+    if kind not in KINDS:
+        raise item.error("kind", f"one of {', '.join(KINDS)}")
+    return BlindTo(kind, _size(item, "size"), _size(item, "effect"), item.text("words"))
+
+
+def _size(item: Fields, key: str) -> float:
+    value = item.number(key)
+    if value < 0.0:
+        raise item.error(key, "a number of at least 0")
+    return value
+
+
+def _covariance(top: Fields, n: int) -> FloatArray:
+    covariance = top.array("covariance", (7 * n, 7 * n))
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    correlation = covariance / np.outer(scale, scale).clip(min=np.finfo(np.float64).tiny)
+    if np.abs(correlation - correlation.T).max() > 1e-9:
+        raise top.error("covariance", "a symmetric matrix", "a matrix that is not symmetric")
+    smallest = float(np.linalg.eigvalsh(correlation).min())
+    if smallest < -1e-9:
+        found = f"a correlation of eigenvalue {smallest:.3g}"
+        raise top.error("covariance", "a positive semidefinite matrix", found)
+    return covariance
+
+
+def _log_report(log: Fields, n: int) -> LogReport:
+    samples = log.section("samples")
+    return LogReport(
+        path=None if log.get("path") is None else Path(log.text("path")),
+        sha256=log.text("sha256"),
+        payload=log.text("payload"),
+        offset=log.array("offset", (n,)),
+        offset_std=log.array("offset_std", (n,)),
+        time_offset=log.number("time_offset"),
+        used=samples.count("used"),
+        # `gated` until masks were called so
+        masked=_counts(samples.section("masked" if "masked" in samples.data else "gated")),
+        rejected=_counts(samples.section("rejected")),
+        disturbances=_intervals(log),
+        dropped_rows=log.count("dropped_rows"),
+        nan_counts=_counts(log.section("nan_counts")),
+    )
+
+
+def _intervals(log: Fields) -> tuple[tuple[float, float], ...]:
+    if log.get("disturbances") is None:
+        return ()
+    rows = log.array("disturbances", (len(log.data["disturbances"]), 2))
+    return tuple((float(begin), float(end)) for begin, end in rows)
+
+
+def _counts(reasons: Fields) -> dict[str, int]:
+    return {reason: reasons.count(reason) for reason in reasons.data}
+
+
+def _improvement(axis: Fields) -> AxisImprovement:
+    better = axis.get("better")
+    if better is not True and better is not False and better != "unsure":
+        raise axis.error("better", "true, false or `unsure`")
+    return AxisImprovement(
+        nominal=axis.number("nominal"), new=axis.number("new"), held_out=axis.flag("held_out"), better=better
+    )

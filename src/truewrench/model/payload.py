@@ -1,0 +1,37 @@
+"""The wrench of a rig's payload for whole records, by the core's Newton-Euler equations ([A00] 5-8)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.model.rig import PayloadSpec, Rig
+
+__all__ = ["core_payload", "payload_wrench"]
+
+Array = NDArray[np.float64]
+
+
+def core_payload(spec: PayloadSpec) -> _core.Payload:
+    """A payload as the core takes it."""
+    return _core.Payload(spec.mass, spec.center_of_mass_array, spec.inertia_matrix)
+
+
+def payload_wrench(rig: Rig, payload: str, twist: Array, acceleration: Array, gravity: Array) -> Array:
+    """Wrench (N, 6) as the sensor feels it, at its origin and with the sign of `sensor.feels`.
+
+    Args:
+        rig: the rig.
+        payload: name of the payload that is carried.
+        twist: twist (N, 6) of the logged point (`motion.of`), sensor axes.
+        acceleration: its component-wise derivative (N, 6).
+        gravity: acceleration of free fall in sensor axes (N, 3).
+    """
+    spec = rig.payloads[payload]
+    at_mass = [twist, acceleration]
+    if rig.motion.of == "sensor":  # v_C = v_S + Omega x c, and so for the derivatives
+        lever = spec.center_of_mass_array
+        at_mass = [np.column_stack([x[:, :3] + np.cross(x[:, 3:], lever), x[:, 3:]]) for x in at_mass]
+    wrench: Array = _core.payload_wrench(core_payload(spec), *map(np.ascontiguousarray, (*at_mass, gravity)))
+    return rig.sensor.sign * wrench

@@ -1,0 +1,30 @@
+"""A rig inside another file, whose folder its relative paths are then relative to."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from truewrench.model.rig import Rig
+
+__all__ = ["within"]
+
+
+def within(mapping: dict[str, Any], rig: Rig, path: str | Path) -> dict[str, Any]:
+    """The mapping of a rig as a file at `path` may hold it: its URDF is named from there.
+
+    Args:
+        mapping: of the rig, or part of it; left as it is.
+        rig: of a file of its own; without one paths stay as they are.
+        path: of the file that will hold the mapping.
+    """
+    robot, urdf = rig.motion.robot, rig.urdf_path
+    if robot is None or urdf is None or rig.path is None or Path(robot.urdf).is_absolute():
+        return mapping
+    try:
+        found = os.path.relpath(urdf.resolve(), Path(path).resolve().parent)
+    except ValueError:  # another drive
+        found = str(urdf.resolve())
+    motion = {**mapping["motion"], "robot": {**mapping["motion"]["robot"], "urdf": Path(found).as_posix()}}
+    return {**mapping, "motion": motion}

@@ -1,0 +1,118 @@
+"""Typed access to the keys of a file that the package wrote, with errors that name the place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from truewrench.model.errors import InputError
+from truewrench.model.files import Locate
+from truewrench.model.rig.strict import key_path, shown
+
+__all__ = ["Fields"]
+
+
+class Fields:
+    """One mapping of a file, and where in the file it stands.
+
+    Every accessor raises InputError naming file, line, key, what was found and what was expected.
+    """
+
+    def __init__(
+        self, data: Any, path: str | Path, locate: Locate, place: tuple[str | int, ...] = ()
+    ) -> None:
+        self.path = path
+        self._locate = locate
+        self._place = place
+        if not isinstance(data, dict):
+            raise self._error(place, "a mapping", shown(data))
+        self.data: dict[str, Any] = data
+
+    def error(self, key: str, expected: str, found: str | None = None) -> InputError:
+        """The error of one key of this mapping."""
+        return self._error((*self._place, key), expected, found or shown(self.data.get(key)))
+
+    def _error(self, place: Sequence[str | int], expected: str, found: str) -> InputError:
+        line = self._locate(place)
+        return InputError.at(f"{self.path}:{line}" if line else self.path, key_path(place), found, expected)
+
+    def get(self, key: str) -> Any:
+        """The value of a required key."""
+        if key not in self.data:
+            raise self.error(key, "this key", "nothing")
+        return self.data[key]
+
+    def section(self, key: str) -> Fields:
+        """A mapping."""
+        return Fields(self.get(key), self.path, self._locate, (*self._place, key))
+
+    def sections(self, key: str) -> list[Fields]:
+        """A list of mappings."""
+        return [
+            Fields(item, self.path, self._locate, (*self._place, key, i))
+            for i, item in enumerate(self._list(key))
+        ]
+
+    def _list(self, key: str) -> list[Any]:
+        value = self.get(key)
+        if not isinstance(value, list):
+            raise self.error(key, "a list")
+        return value
+
+    def text(self, key: str) -> str:
+        """Text."""
+        value = self.get(key)
+        if not isinstance(value, str):
+            raise self.error(key, "text")
+        return value
+
+    def texts(self, key: str) -> list[str]:
+        """A list of texts."""
+        for i, item in enumerate(self._list(key)):
+            if not isinstance(item, str):
+                raise self._error((*self._place, key, i), "text", shown(item))
+        return self._list(key)
+
+    def flag(self, key: str) -> bool:
+        """True or false."""
+        value = self.get(key)
+        if not isinstance(value, bool):
+            raise self.error(key, "true or false")
+        return value
+
+    def count(self, key: str) -> int:
+        """A whole number of at least 0."""
+        value = self.get(key)
+        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            raise self.error(key, "a whole number of at least 0")
+        return value
+
+    def number(self, key: str) -> float:
+        """A finite number."""
+        return float(self.array(key, ()))
+
+    def array(
+        self, key: str, shape: tuple[int, ...], *, nan_allowed: bool = False
+    ) -> npt.NDArray[np.float64]:
+        """Finite numbers, and NaN where it is allowed, in nested lists of the given shape."""
+        place = (*self._place, key)
+        self._check(self.get(key), place, shape, nan_allowed)
+        return np.array(self.data[key], dtype=np.float64)
+
+    def _check(
+        self, value: Any, place: tuple[str | int, ...], shape: tuple[int, ...], nan_allowed: bool
+    ) -> None:
+        if not shape:
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not number or not (np.isfinite(value) or (nan_allowed and np.isnan(value))):
+                raise self._error(place, "a finite number", shown(value))
+            return
+        if not isinstance(value, list) or len(value) != shape[0]:
+            found = f"{len(value)} entries" if isinstance(value, list) else shown(value)
+            raise self._error(place, f"a list of {shape[0]}", found)
+        for i, item in enumerate(value):
+            self._check(item, (*place, i), shape[1:], nan_allowed)

@@ -1,0 +1,253 @@
+"""Field types of the settings, and error messages that say where, what was found and what was expected."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from pydantic import (
+    AfterValidator,
+    AllowInfNan,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Strict,
+    StringConstraints,
+    Tag,
+    ValidationError,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from truewrench.model.errors import InputError
+from truewrench.model.files import Locate
+
+__all__ = [
+    "Listed",
+    "Mapped",
+    "Matrix",
+    "NonNegative",
+    "NonNegatives",
+    "Number",
+    "Numbers",
+    "Positive",
+    "PositiveInteger",
+    "Positives",
+    "Section",
+    "SixNumbers",
+    "SixPositives",
+    "Switch",
+    "Switched",
+    "Text",
+    "ThreeNumbers",
+    "WholeNumber",
+    "Word",
+    "Zero",
+    "choice",
+    "input_error",
+    "key_path",
+    "of_length",
+    "refuse",
+    "shown",
+    "word_or_number",
+]
+
+
+class Section(BaseModel):
+    """One mapping of a settings file: immutable, and no key that it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+
+def refuse(key: str, found: str, expected: str) -> PydanticCustomError:
+    """The error of one key (`noise`, `channels.2`) of a section, for validators that look at several keys."""
+    return PydanticCustomError("refused", "{expected}", {"key": key, "found": found, "expected": expected})
+
+
+def shown(value: object) -> str:
+    """A value as a person wrote it, cut where it is long."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if value is None:
+        return "nothing"
+    if isinstance(value, str):
+        text = f"the text {value!r}"
+    elif isinstance(value, Mapping):
+        keys = [str(key) if str(key).isprintable() else repr(key) for key in value]
+        text = f"a mapping with {', '.join(keys) or 'no key'}"
+    elif isinstance(value, float) and not math.isfinite(value):
+        text = {"nan": "NaN"}.get(str(value), str(value))
+    else:
+        text = str(list(value)) if isinstance(value, tuple) else str(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+_Sized = TypeVar("_Sized", bound=Sequence[Any])
+
+
+def of_length(n: int, what: str) -> Callable[[_Sized], _Sized]:
+    """A validator that wants `n` entries; `what` names them."""
+
+    def check(value: _Sized) -> _Sized:
+        if len(value) != n:
+            entries = "1 entry" if len(value) == 1 else f"{len(value)} entries"
+            raise PydanticCustomError("length", "{expected}", {"found": entries, "expected": f"{n}: {what}"})
+        return value
+
+    return check
+
+
+def word_or_number(word: str, number: str, least: float = -math.inf) -> BeforeValidator:
+    """A validator that wants one word, or a finite number of at least `least`; `number` says so."""
+
+    def check(value: Any) -> Any:
+        finite = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if value != word and not (finite and value >= least):
+            raise refuse("", shown(value), f"`{word}` or {number}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def _for_all_or_each(value: Any) -> Any:
+    def positive(x: Any) -> bool:
+        return isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x) and x > 0
+
+    if isinstance(value, list | tuple):
+        asked = [x for x in value if x is not None]
+        if len(value) == 6 and asked and all(positive(x) for x in asked):
+            return tuple(None if x is None else float(x) for x in value)
+    elif positive(value):
+        return float(value)
+    expected = "a number greater than 0, or six, one per wrench axis, null where an axis is not asked for"
+    raise refuse("", shown(value), expected)
+
+
+Number = Annotated[float, Strict(), AllowInfNan(False)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+Switch = Annotated[bool, Strict()]
+Text = Annotated[str, Strict(), StringConstraints(min_length=1)]
+WholeNumber = Annotated[int, Strict(), Field(ge=0)]
+PositiveInteger = Annotated[int, Strict(), Field(ge=1)]
+Numbers = tuple[Number, ...]
+Positives = tuple[Positive, ...]
+NonNegatives = tuple[NonNegative, ...]
+ThreeNumbers = Annotated[Numbers, AfterValidator(of_length(3, "x, y, z"))]
+SixNumbers = Annotated[Numbers, AfterValidator(of_length(6, "one per axis"))]
+SixPositives = Annotated[Positives, AfterValidator(of_length(6, "one per axis"))]
+ForAllOrEach = Annotated[float | tuple[float | None, ...], BeforeValidator(_for_all_or_each)]
+Matrix = tuple[SixNumbers, ...]
+
+
+def _choice(value: Any) -> str | None:
+    if isinstance(value, bool):
+        return "<switch>"
+    if isinstance(value, (int, float)):
+        return "<zero>" if value == 0 else None
+    if isinstance(value, (Mapping, BaseModel)):  # read, and about to be written
+        return "<mapping>"
+    return "<word>" if isinstance(value, str) else "<list>"
+
+
+def choice(expected: str) -> Discriminator:
+    """Tells apart the fields that hold a `Word`, a `Zero`, a `Listed`, a `Mapped` or a `Switched` value."""
+    return Discriminator(_choice, custom_error_type="choice", custom_error_message=expected)
+
+
+Word, Zero, Listed, Mapped = Tag("<word>"), Tag("<zero>"), Tag("<list>"), Tag("<mapping>")
+Switched = Tag("<switch>")
+_TAGS = (
+    *("<word>", "<zero>", "<list>", "<mapping>", "<switch>"),
+    *("[key]", "<body>", "<urdf>", "<franka>", "<ur>"),
+)
+
+
+def input_error(
+    error: ValidationError, model: type[BaseModel], path: str | Path | None, locate: Locate | None = None
+) -> InputError:
+    """Every problem that pydantic found, one line each, in the words of the settings file."""
+    problems = [_problem(details, model, path, locate) for details in error.errors(include_url=False)]
+    return InputError("\n".join(problems), problems=problems)
+
+
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "finite_number": "a finite number",
+    "string_type": "text",
+    "string_too_short": "text that is not empty",
+    "tuple_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+}
+
+
+def _problem(
+    details: ErrorDetails, model: type[BaseModel], path: str | Path | None, locate: Locate | None
+) -> str:
+    keys = [key for key in details["loc"] if key not in _TAGS]
+    context: dict[str, Any] = details.get("ctx", {})
+    kind = details["type"]
+    if kind == "refused":
+        keys += [int(part) if part.isdigit() else part for part in context["key"].split(".") if part]
+    place = key_path(keys)
+    line = locate(keys) if locate else None
+    file = "" if path is None else f"{path}:{line}" if line else f"{path}"
+    where = ": ".join(part for part in (file, place) if part)
+    if kind == "missing":
+        without = ", which only `reference_noise` makes up for (logs with ref_*)"
+        return f"{where}: missing required key{without if place in ('motion', 'payloads') else ''}"
+    if kind == "extra_forbidden":
+        known = list(_fields_at(model, details["loc"][:-1]))
+        near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.0)[0]
+        return f"{where}: unknown key `{keys[-1]}`; nearest known key: `{near}`"
+    if kind in ("refused", "length"):
+        return f"{where}: found {context['found']}, expected {context['expected']}"
+    return f"{where}: found {shown(details['input'])}, expected {_expectation(kind, context, details['msg'])}"
+
+
+def _expectation(kind: str, context: Mapping[str, Any], message: str) -> str:
+    if kind == "greater_than":
+        return f"a number greater than {context['gt']:g}"
+    if kind == "greater_than_equal":
+        return f"a number of at least {context['ge']:g}"
+    if kind == "less_than_equal":
+        return f"a number of at most {context['le']:g}"
+    if kind == "literal_error":
+        return str(context["expected"]).replace("'", "`")
+    return _EXPECTED.get(kind, message)
+
+
+def key_path(keys: Sequence[int | str]) -> str:
+    """`sensor.noise[3]` from ("sensor", "noise", 3)."""
+    text = ""
+    for key in keys:
+        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
+    return text
+
+
+def _fields_at(model: type[BaseModel], keys: Sequence[int | str]) -> Iterator[str]:
+    """The keys that the section at a key path knows."""
+    here: Any = model
+    for key in keys:
+        if isinstance(here, type) and issubclass(here, BaseModel):
+            here = here.model_fields[str(key)].annotation
+        elif key in _TAGS:
+            here = next(option for option in get_args(here) if Tag(str(key)) in get_args(option))
+        else:  # dict[str, Section]
+            here = get_args(here)[-1]
+        if get_origin(here) is Annotated:
+            here = get_args(here)[0]
+        if get_origin(here) in (Union, UnionType):
+            options = [option for option in get_args(here) if option is not type(None)]
+            here = options[0] if len(options) == 1 else here
+    if isinstance(here, type) and issubclass(here, BaseModel):
+        yield from (field.alias or name for name, field in here.model_fields.items())

@@ -1,0 +1,41 @@
+"""What of a sensor's offset follows its temperature."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+
+__all__ = ["at_reference_temperature", "temperature_at"]
+
+Array = NDArray[np.float64]
+
+
+def temperature_at(log: Log, time_ns: NDArray[np.int64]) -> Array | None:
+    """(M,) temperatures [degC] at these stamps, linear between readings; None where the log has none."""
+    if log.temperature is None:
+        return None
+    known = np.isfinite(log.temperature)
+    if not known.any():
+        return None
+    origin = log.time_ns[0]  # stamps since 1970 have more digits than a double
+    at, time = (time_ns - origin) * 1e-9, (log.time_ns[known] - origin) * 1e-9
+    return np.asarray(np.interp(at, time, log.temperature[known]))
+
+
+def at_reference_temperature(slope: Array | None, rig: Rig, log: Log) -> Log:
+    """The log with channels that read what they would at the rig's reference temperature.
+
+    Args:
+        slope: (n,) of the offset per K, as a calibration holds it; None: nothing follows.
+        rig: whose temperature the offset is given at.
+        log: without a temperature nothing is known to follow.
+    """
+    at = None if slope is None else temperature_at(log, log.time_ns)
+    if slope is None or at is None:
+        return log
+    return replace(log, raw=log.raw - np.outer(at - rig.temperature.reference, slope))

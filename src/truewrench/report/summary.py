@@ -1,0 +1,302 @@
+"""Results in words and tables that a person reads in a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich import box
+from rich.console import Console, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from truewrench.inspection.log import LogContent
+from truewrench.io.exports import Exports
+from truewrench.judging.validation import Validation
+from truewrench.model.calibration import AXES, Calibration, LogReport
+
+__all__ = [
+    "calibration_summary",
+    "exports_summary",
+    "log_summary",
+    "show",
+    "validation_summary",
+    "with_uncertainty",
+]
+
+SHOWN = 10  # rows that are named one by one
+FEW = 5  # remarks, likewise
+
+_UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
+
+
+def show(console: Console, parts: Iterator[RenderableType]) -> None:
+    """Print the parts of a summary, an empty line between two."""
+    for i, part in enumerate(parts):
+        if i:
+            console.print()
+        console.print(part, markup=False)  # names from files are not ours to interpret
+
+
+def with_uncertainty(value: float, std: float) -> str:
+    """`1.0023 ± 0.0004`: as many digits as the uncertainty deserves, which is two of its own."""
+    if std == 0 or not math.isfinite(std) or not math.isfinite(value):
+        return f"{value:.6g} ± {std:.2g}"
+    decimals = 1 - math.floor(math.log10(std))
+    if decimals > 8 or abs(value) >= 1e7 or std >= 1e7:
+        return f"{value:.4e} ± {std:.1e}"
+    decimals = max(decimals, 0)
+    return f"{round(value, decimals) + 0.0:.{decimals}f} ± {std:.{decimals}f}"  # + 0.0: no minus zero
+
+
+def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
+    """The verdict first, then gain, offset, what they improve, and what they rest on."""
+    yield _verdict(calibration)
+    yield from _beside_the_model(calibration)
+    for axes in (AXES[:3], AXES[3:]):
+        yield _gain(calibration, axes)
+    if not calibration.gain_determined.all():
+        yield Text("In brackets: not determined by the data, believed as before.")
+    yield _offset(calibration)
+    if calibration.improvement:
+        yield _improvement(calibration)
+    yield _accuracy(calibration)
+    if len(calibration.figures.get("limited_by", {})) > 1:
+        yield _limits(calibration)
+    yield _logs(calibration)
+    for log in calibration.logs:
+        if log.disturbances:
+            yield _disturbances(log)
+    if calibration.figures.get("outliers"):
+        yield _outliers(calibration)
+    if calibration.timings:
+        spent = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in calibration.timings.items())
+        yield Text(f"Time: {spent}")
+
+
+def _verdict(calibration: Calibration) -> RenderableType:
+    verdict = calibration.verdict
+    text = Text()
+    if verdict.usable:
+        text.append("USABLE", style="bold green")
+        text.append(": gain and offset may be used as they stand.")
+    else:
+        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
+    for reason in verdict.reasons:
+        text.append(f"\n  - {reason}")
+    unfit = [axis for axis, fit in calibration.axes.items() if not fit]
+    if unfit:
+        text.append(f"\nAxes that may not be used: {', '.join(unfit)}.")
+    if verdict.undetermined:
+        text.append("\nThe data do not determine:")
+        for words, count in Counter(direction.words for direction in verdict.undetermined).items():
+            text.append(f"\n  - {words}" + (f" ({count} directions)" if count > 1 else ""))
+    for note in calibration.figures.get("notes", ()):
+        text.append(f"\nNote: {note}")
+    return text
+
+
+def _beside_the_model(calibration: Calibration) -> Iterator[RenderableType]:
+    """What was assumed beside the rig as stated, and what would have left no trace; a few lines, or none."""
+    lines = []
+    for assumed in calibration.assumed:
+        value = f"{assumed.value:.4g}"
+        if assumed.sigma is not None:
+            value = with_uncertainty(assumed.value, assumed.sigma)
+        evidence = f" ({assumed.evidence})" if assumed.evidence else ""
+        lines.append(f"{assumed.what}, {assumed.where}: {value}{evidence}")
+    if lines:
+        yield _items("Assumed beside the rig as stated:", lines)
+    if calibration.verdict.blind_to:
+        yield _items(
+            "What this record could not have shown:", [b.words for b in calibration.verdict.blind_to]
+        )
+
+
+def _items(title: str, lines: Sequence[str]) -> RenderableType:
+    more = [f"and {len(lines) - FEW} more, in calibration.yaml"] if len(lines) > FEW else []
+    return Text("\n  - ".join([title, *lines[:FEW], *more]))
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column(columns[0], overflow="fold")
+    for column in columns[1:]:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table
+
+
+def _gain(calibration: Calibration, axes: Sequence[str]) -> RenderableType:
+    table = _table(f"Gain, raw per {_UNITS[axes[0]]} (± 1 sigma)", ["channel", *axes])
+    columns = [AXES.index(axis) for axis in axes]
+    for i, channel in enumerate(calibration.rig.sensor.channels):
+        cells = [with_uncertainty(calibration.gain[i, j], calibration.gain_std[i, j]) for j in columns]
+        known = calibration.gain_determined[i, columns]
+        table.add_row(
+            Text(channel),
+            *(Text(cell if sure else f"({cell})") for cell, sure in zip(cells, known, strict=True)),
+        )
+    return table
+
+
+def _offset(calibration: Calibration) -> RenderableType:
+    table = _table("Offset, raw (± 1 sigma)", ["channel", "at the end of the last log"])
+    for i, channel in enumerate(calibration.rig.sensor.channels):
+        table.add_row(Text(channel), with_uncertainty(calibration.offset[i], calibration.offset_std[i]))
+    return table
+
+
+def _improvement(calibration: Calibration) -> RenderableType:
+    held_out = all(axis.held_out for axis in calibration.improvement.values())
+    data = "held-out data" if held_out else "the data it was fitted to"
+    why = calibration.figures.get("held_out", {}).get("none_because")
+    if why:
+        data += f": {why}"
+    table = _table(f"RMS error on {data}", ["axis", "nominal gain", "new gain", "better"])
+    words = {True: "yes", False: "no", "unsure": "unsure"}
+    for name, axis in calibration.improvement.items():
+        unit = _UNITS.get(name, "")
+        better = words[axis.better]
+        table.add_row(name, f"{axis.nominal:.4g} {unit}", f"{axis.new:.4g} {unit}", better)
+    return table
+
+
+def _accuracy(calibration: Calibration) -> RenderableType:
+    stated = float(np.sqrt(np.mean(calibration.gain_std_normalised**2)))
+    text = f"Accuracy: {100 * stated:.2g} % of full scale (1 sigma, RMS over the gains)"
+    if calibration.bound is not None:
+        ratio = stated / calibration.bound.oracle_rms
+        known = "wrench" if calibration.estimator == "reference" else "motion"
+        text += f", {ratio:.2f} times what a perfectly known {known} would give"
+    return Text(text + ".")
+
+
+def _limits(calibration: Calibration) -> RenderableType:
+    """What each source of uncertainty contributes to the gains on a wrench axis."""
+    sources = calibration.figures["limited_by"]
+    names = [name.replace("_", " ").replace("center", "centre") for name in sources]
+    table = _table("What limits the accuracy (1 sigma, % of range)", ["axis", *names])
+    for axis in AXES:
+        table.add_row(axis, *(f"{100 * by_axis[axis]:.2g}" for by_axis in sources.values()))
+    return table
+
+
+def _logs(calibration: Calibration) -> RenderableType:
+    table = _table("Logs", ["path", "payload", "samples used", "left out"])
+    for log in calibration.logs:
+        reasons = {**log.masked, **log.rejected}
+        left_out = ", ".join(f"{count} ({reason})" for reason, count in reasons.items() if count) or "none"
+        table.add_row(Text(str(log.path or "-")), Text(log.payload), str(log.used), Text(left_out))
+    return table
+
+
+def _disturbances(log: LogReport) -> RenderableType:
+    shown = ", ".join(f"{begin:.4g}-{end:.4g} s" for begin, end in log.disturbances[:SHOWN])
+    more = len(log.disturbances) - SHOWN
+    rest = f" and {more} more" if more > 0 else ""
+    return Text(f"Left out of {log.path or 'the log'} as contact or outliers: {shown}{rest}.")
+
+
+def _outliers(calibration: Calibration) -> RenderableType:
+    found = [
+        f"row {outlier['row']} ({outlier['time']:.6g} s) of {calibration.logs[outlier['log']].path or '-'}"
+        for outlier in calibration.figures["outliers"]
+    ]
+    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    return Text(f"Rows left out because they contradict the others: {', '.join(found[:SHOWN])}{more}.")
+
+
+def exports_summary(exports: Exports) -> Iterator[RenderableType]:
+    """What files in the formats of others lose or could not hold; nothing where there is nothing to say."""
+    lines = [
+        f"{name} cannot hold the whole gain: within the range it errs by up to {_largest(loss.worst)}, "
+        f"RMS {_largest(loss.rms)} (without calibration {_largest(loss.rms_before)})."
+        for name, loss in exports.loss.items()
+    ]
+    lines += [f"No {name}: {reason}." for name, reason in exports.left_out.items()]
+    if lines:
+        yield Text("\n".join(lines))
+
+
+def _largest(error: NDArray[np.float64]) -> str:
+    return f"{error[:3].max():.3g} N and {error[3:].max():.3g} N m"
+
+
+def validation_summary(validation: Validation) -> Iterator[RenderableType]:
+    """The verdict first, then the axes, and what the comparison rests on."""
+    text = Text()
+    if validation.verdict.usable:
+        better = [name for name, axis in validation.axes.items() if axis.better is True]
+        text.append("HOLDS", style="bold green")
+        text.append(f": better than the nominal gain on {', '.join(better) or 'no axis'}, worse on none.")
+    else:
+        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
+    for reason in validation.verdict.reasons:
+        text.append(f"\n  - {reason}")
+    yield text
+    data = "held-out data" if validation.held_out else "data it was calibrated with"
+    columns = [
+        "axis",
+        "nominal gain",
+        "new gain",
+        "ratio (99 %)",
+        "better",
+        "square / claimed",
+        "within 95 %",
+        "keep",
+    ]
+    table = _table(f"RMS residual on {data}", columns)
+    words = {True: "yes", False: "no", "unsure": "unsure"}
+    for name, axis in validation.axes.items():
+        unit = _UNITS[name]
+        table.add_row(
+            name,
+            f"{axis.nominal:.4g} {unit}",
+            f"{axis.new:.4g} {unit}",
+            f"{axis.ratio_low:.3f} - {axis.ratio_high:.3f}",
+            words[axis.better],
+            with_uncertainty(axis.nis, axis.nis_std),
+            f"{100 * axis.coverage:.1f} %",
+            "yes" if axis.keep else "no",
+        )
+    yield table
+    basis = f"{validation.samples} samples in blocks of {validation.block:.3g} s"
+    yield Text(
+        f"Compared: {basis}, each log with a constant of its own." if validation.tared else f"{basis}."
+    )
+
+
+def log_summary(content: LogContent) -> Iterator[RenderableType]:
+    """Streams with their rates and gaps, then every column with its range."""
+    yield Text(f"{content.path}: {content.rows} rows in {content.duration:.6g} s")
+    titles = ["stream", "columns", "samples", "rate, Hz", "jitter", "gaps", "longest gap, s"]
+    streams = _table("Streams", titles)
+    for stream in content.streams:
+        longest = max((gap.duration for gap in stream.gaps), default=0.0)
+        streams.add_row(
+            stream.name,
+            str(len(stream.columns)),
+            str(stream.samples),
+            f"{stream.rate:.6g}",
+            f"{100 * stream.jitter:.2g} %",
+            str(len(stream.gaps)),
+            f"{longest:.4g}" if stream.gaps else "-",
+        )
+    yield streams
+    columns = _table("Columns", ["column", "smallest", "largest", "numbers", "empty", "NaN"])
+    for stream in content.streams:
+        for column in stream.columns:
+            columns.add_row(
+                Text(column.name),
+                f"{column.smallest:.6g}",
+                f"{column.largest:.6g}",
+                str(column.numbers),
+                str(column.empty),
+                str(column.nan),
+            )
+    yield columns
+    if content.unknown:
+        yield Text(f"Columns without a meaning here: {', '.join(content.unknown)}")
