@@ -14,7 +14,7 @@ from playwright.sync_api import sync_playwright
 import truewrench as tw
 from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.evidence import Evidence
-from truewrench.report import write_report
+from truewrench.report.page import write_report
 from truewrench.simulation.free_body import simulate
 
 HERE = Path(__file__).parent

@@ -13,6 +13,8 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from truewrench import model
+
 if TYPE_CHECKING:
     from truewrench import robots
     from truewrench.calibrating.pipeline import calibrate
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from truewrench.model.rig.ati_cal import AtiCalibration, read_ati_cal
     from truewrench.planning.planner import plan
     from truewrench.planning.result import Plan
-    from truewrench.report import write_report
+    from truewrench.report.page import write_report
     from truewrench.simulation.arm import simulate_arm
     from truewrench.simulation.free_body import simulate
     from truewrench.simulation.truth import read_truth
@@ -64,7 +66,7 @@ _HOMES = {
     "simulate_arm": "simulation.arm",
     "validate": "judging.validation",
     "write_exports": "io.exports",
-    "write_report": "report",
+    "write_report": "report.page",
 }
 
 __all__ = [
@@ -108,3 +110,10 @@ def __getattr__(name: str) -> Any:
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
+
+
+def _contact(*arguments: Any, **options: Any) -> Any:
+    return import_module(f"{__name__}.correction.contact.log").contact(*arguments, **options)
+
+
+model.contact = _contact

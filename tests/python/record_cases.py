@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from truewrench import _core as built
+from truewrench import _core
 from truewrench.estimation.record import recorded_logs
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -21,16 +19,6 @@ RigOf = Callable[..., Rig]
 
 HONEST = 2.5  # NEES per gain of one record
 G = [0, 0, -9.81]
-
-
-def core() -> Any:
-    """The core; while the built one is older, a development module `_dev` on the path of modules."""
-    if hasattr(built, "Statement"):
-        return built
-    try:
-        return importlib.import_module("_dev")
-    except ImportError:
-        pytest.skip("the core is to be rebuilt (make .venv/.built)")
 
 
 def rig_with(settings: dict[str, Any], **changes: Any) -> Rig:
@@ -48,14 +36,14 @@ def rig_with(settings: dict[str, Any], **changes: Any) -> Rig:
 
 def estimate(rig: Rig, *logs: Log) -> Any:
     assumed, statement, streams = recorded_logs(rig, logs)
-    settings = core().Settings()
+    settings = _core.Settings()
     settings.discrepancy = assumed.discrepancy
-    return core().estimate(statement, streams, settings)
+    return _core.estimate(statement, streams, settings)
 
 
 def nees(found: Any, rig: Rig, truth: Truth) -> float:
     """Of the normalised gain, per gain; 1 is honest."""
-    assert found.status == core().Status.ok
+    assert found.status == _core.Status.ok
     true = truth.gain * rig.sensor.range_array / rig.sensor.channel_scale[:, None]
     error = np.asarray(found.fit.theta)[: true.size] - true.ravel()
     return float(error @ np.linalg.solve(np.asarray(found.gain_covariance), error)) / true.size

@@ -15,8 +15,8 @@ from bags import Bag, record
 from rosbags.highlevel import AnyReader
 
 from truewrench.cli import main
+from truewrench.correction import apply_recording
 from truewrench.correction.apply import apply
-from truewrench.correction.apply import recording as apply_recording
 from truewrench.correction.apply_recording import CORRECTED, PREDICTED, RAW, STD, apply_to_recording
 from truewrench.io.recordings import reader, spool
 from truewrench.io.tables import write_table

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from record_cases import HONEST, G, RigOf, arm_with, base_log, core, estimate, masked, nees, rig_with
+from record_cases import HONEST, G, RigOf, arm_with, base_log, estimate, masked, nees, rig_with
 
-from truewrench.estimation import assumptions as assumptions_module
-from truewrench.estimation import record as record_module
+from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions
 from truewrench.estimation.record import recorded, recorded_logs
 from truewrench.model.errors import InputError
@@ -20,13 +19,6 @@ from truewrench.model.split import rows_of
 from truewrench.motion.trajectory import Trajectory, attitude
 from truewrench.simulation.free_body import simulate
 from truewrench.simulation.truth import Truth
-
-
-@pytest.fixture(autouse=True)
-def with_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (record_module, assumptions_module):
-        monkeypatch.setattr(module, "_core", core())
-
 
 # What is assumed
 
@@ -258,7 +250,7 @@ def test_few_rows_are_told_by_the_estimator(settings: dict[str, Any], arm_rig: R
         (imu, of_imu),
         (arm, replace(base_log(arm, np.arange(0.0, 1.0, 0.01), 7), base_twist=None, base_attitude=None)),
     ):
-        assert estimate(rig, rows_of(log, np.arange(len(log.time_ns)) < rows)).status != core().Status.ok
+        assert estimate(rig, rows_of(log, np.arange(len(log.time_ns)) < rows)).status != _core.Status.ok
 
 
 def test_log_of_no_rows_is_refused(settings: dict[str, Any]) -> None:

@@ -6,11 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from record_cases import HONEST, Array, RigOf, arm_with, base_log, core, estimate, nees
+from record_cases import HONEST, Array, RigOf, arm_with, base_log, estimate, nees
 from scipy.spatial.transform import Rotation
 
-from truewrench.estimation import assumptions as assumptions_module
-from truewrench.estimation import record as record_module
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions
 from truewrench.estimation.joint_map import joint_map
 from truewrench.estimation.record import recorded, recorded_logs
@@ -20,12 +18,6 @@ from truewrench.robot.screws import Screws
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.free_body import wrench_on_sensor
 from truewrench.simulation.truth import Truth, stated
-
-
-@pytest.fixture(autouse=True)
-def with_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (record_module, assumptions_module):
-        monkeypatch.setattr(module, "_core", core())
 
 
 def states(robot: Robot, rows: int, seed: int) -> tuple[Array, Array, Array]:

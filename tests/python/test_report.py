@@ -24,7 +24,7 @@ from truewrench.model.calibration import AXES, Assumed, BlindTo, Calibration, Lo
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-from truewrench.report import write_report
+from truewrench.report.page import write_report
 from truewrench.simulation.free_body import simulate
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import truewrench as tw
-from truewrench import report as package
+from truewrench.report import page as package
 from truewrench.cli import main
 from truewrench.estimation.assembly import assemble_motion, motion_figures
 from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step

@@ -116,7 +116,7 @@ def write_report_beside(
     target = calibration_file.with_name("report.html")
     try:
         target.unlink(missing_ok=True)  # of an earlier calibration: it would contradict this one
-        from truewrench.report import write_report
+        from truewrench.report.page import write_report
 
         for found in evidence:
             write_report(target, calibration, found)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from truewrench import model
 from truewrench.model.calibration_parts import (
     AXES,
     KINDS,
@@ -164,7 +164,7 @@ class Calibration:
             **options: `delay` and `view` of `truewrench.correction.contact.log.contact`.
         """
         # by name: tools stand on calibrations, and not the other way round
-        return import_module("truewrench.correction.contact.log").contact(log, tool, self, **options)
+        return model.contact(log, tool, self, **options)
 
     def write_yaml(self, path: str | Path) -> None:
         """Write `calibration.yaml`, every number to its last bit; the file appears whole or not at all."""

@@ -26,10 +26,11 @@ from markupsafe import Markup
 from truewrench import _core
 from truewrench.estimation.evidence import Evidence
 from truewrench.model.calibration import Calibration
+from truewrench.model.files import atomic_output
 from truewrench.report import findings, tables
 from truewrench.report.contents import Figure, sections
 
-__all__ = ["page"]
+__all__ = ["page", "write_report"]
 
 _FOLDER = Path(__file__).parent
 
@@ -119,3 +120,10 @@ def _template() -> jinja2.Template:
         undefined=jinja2.StrictUndefined,
     )
     return environment.get_template("report.html.j2")
+
+
+def write_report(path: str | Path, calibration: Calibration, evidence: Evidence) -> None:
+    """Write the report of a calibration; the file appears whole or not at all."""
+    text = page(calibration, evidence)
+    with atomic_output(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")

@@ -1,0 +1,73 @@
+"""How densely the knots lie, where the seconds that tell it are few (METHOD 10.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from record_cases import estimate, light_rig, nees
+
+import truewrench as tw
+from truewrench.motion.trajectory import HarmonicTwist, Trajectory
+
+Array = NDArray[np.float64]
+
+QUICK, BEGIN, END = 2.0 * np.pi * 8.0, 10.0, 38.0  # [rad/s], [s]
+
+
+@dataclass(frozen=True)
+class Shaken:
+    """A slow motion that is shaken at 8 Hz for most of its time, by `size` [m/s, rad/s]."""
+
+    slow: HarmonicTwist
+    size: float
+
+    @property
+    def duration(self) -> float:
+        return self.slow.duration
+
+    def twist(self, time: Array) -> Array:
+        window, _ = self._window(time)
+        return self.slow.twist(time) + (self.size * window * np.sin(QUICK * time))[:, None]
+
+    def acceleration(self, time: Array) -> Array:
+        window, rate = self._window(time)
+        shaken = self.size * (rate * np.sin(QUICK * time) + QUICK * window * np.cos(QUICK * time))
+        return self.slow.acceleration(time) + shaken[:, None]
+
+    @staticmethod
+    def _window(time: Array) -> tuple[Array, Array]:
+        angle = np.pi * np.clip((time - BEGIN) / (END - BEGIN), 0.0, 1.0)
+        return np.sin(angle) ** 2, np.sin(2.0 * angle) * np.pi / (END - BEGIN)
+
+
+@pytest.fixture(scope="module")
+def slow() -> HarmonicTwist:
+    rng = np.random.default_rng(2)
+    frequency = np.tile(np.array([0.2, 0.37, 0.53, 0.71, 0.9, 1.1])[:, None], (1, 6))
+    return HarmonicTwist(
+        0.25 * rng.uniform(0.2, 0.7, (6, 6)), frequency, rng.uniform(0, 2 * np.pi, (6, 6)), 40
+    )
+
+
+def found_of(motion: Trajectory) -> tuple[Any, float]:
+    """The estimate, and its NEES per gain."""
+    rig = light_rig(seconds=40, rate=100, discrepancy=0)
+    run = tw.simulate(rig, motion)
+    found = estimate(rig, run.log)
+    return found, nees(found, rig, run.truth)
+
+
+def test_a_motion_that_is_shaken_gets_finer_ones(slow: HarmonicTwist) -> None:
+    found, error = found_of(Shaken(slow, 0.02))
+    assert found.fit.spacing(0) < 0.05
+    assert error < 1.6
+
+
+def test_a_smooth_motion_keeps_the_coarsest(slow: HarmonicTwist) -> None:
+    found, error = found_of(slow)
+    assert found.fit.spacing(0) == 0.05
+    assert error < 1.6
