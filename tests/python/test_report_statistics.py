@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import truewrench as tw
-from truewrench.report import page as package
 from truewrench.cli import main
 from truewrench.estimation.assembly import assemble_motion, motion_figures
 from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step
@@ -20,6 +19,7 @@ from truewrench.model.calibration import AXES, Calibration, Verdict, load_calibr
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig, load_rig
 from truewrench.model.split import rows_of
+from truewrench.report import page as package
 from truewrench.report.consistency import consistency
 from truewrench.report.convergence import convergence
 from truewrench.report.findings import helps
