@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import random
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -50,6 +51,17 @@ SETTINGS: dict[str, Any] = {
     },
     "motion": {"source": "twist", "of": "com", "noise": [1e-3] * 6},
 }
+
+
+@pytest.fixture
+def ros2_graph(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ROS 2 of its own for every test, on loopback, with patience: machines under test are busy."""
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 99)))
+    monkeypatch.setattr("truewrench.live.ros2._PATIENCE", 60.0)
+    monkeypatch.setattr("truewrench.live.ros2_contact._PATIENCE", 60.0)
 
 
 @pytest.fixture(scope="session")

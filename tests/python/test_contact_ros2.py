@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import threading
 import time
 from dataclasses import replace
@@ -39,14 +38,7 @@ PERIOD = 2_000_000
 BEGIN = 1_700_000_000_000_000_000
 
 
-@pytest.fixture(autouse=True)
-def graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ROS 2 of its own, on loopback."""
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 99)))
-    monkeypatch.setattr("truewrench.live.ros2_contact._PATIENCE", 60.0)
+pytestmark = pytest.mark.usefixtures("ros2_graph")
 
 
 def tool_and_rows() -> tuple[Tool, Any, Any, dict[str, Any]]:

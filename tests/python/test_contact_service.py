@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
-import random
 import signal
 import subprocess
 import sys
@@ -66,13 +65,7 @@ for _ in sys.stdin:
 """
 
 
-@pytest.fixture(autouse=True)
-def graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ROS 2 of its own, on loopback."""
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 99)))
+pytestmark = pytest.mark.usefixtures("ros2_graph")
 
 
 class Caller:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import yaml
+from record_cases import light_rig
 from rigs import changed, two_payloads
 
 import truewrench as tw
@@ -317,3 +318,21 @@ def test_a_log_in_another_unit_is_refused_with_its_name(rig: Rig, run: Simulated
     named = {1e3: "mN for N", 1e-3: "kN for N", 9.80665: "N for kgf"}[factor]
     assert not verdict.usable
     assert any(named in reason for reason in verdict.reasons), verdict.reasons
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_arm_at_rest_teaches_nothing_and_is_told_so(seed: int) -> None:
+    rig = light_rig(seconds=8, rate=100)
+    log = simulate(rig).log
+    rng = np.random.default_rng(seed)
+    at_rest = replace(
+        log,
+        twist=rng.normal(0.0, rig.motion.noise_array, log.raw.shape),
+        raw=rng.normal(0.0, rig.sensor.noise_array, log.raw.shape),
+    )
+    found = calibrate(rig, at_rest)
+    assert not found.verdict.usable
+    assert "nothing was learnt" in found.verdict.reasons[0]
+    departure = (found.gain - rig.sensor.nominal_gain_array) * rig.sensor.range_array
+    departure /= rig.sensor.channel_scale[:, None]
+    assert np.abs(departure).max() < 0.5 * found.gain_std_normalised.min()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
-import random
 import signal
 import subprocess
 import sys
@@ -43,14 +42,7 @@ needs_rclpy = pytest.mark.skipif(
 Peer = Callable[..., "subprocess.Popen[str]"]
 
 
-@pytest.fixture(autouse=True)
-def graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ROS 2 of its own for every test, on loopback."""
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 99)))
-    monkeypatch.setattr("truewrench.live.ros2._PATIENCE", 60.0)  # machines under test are busy
+pytestmark = pytest.mark.usefixtures("ros2_graph")
 
 
 def start_peer(script: str = "ros2_peer.py", **asked: Any) -> subprocess.Popen[str]:

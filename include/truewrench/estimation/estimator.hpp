@@ -83,10 +83,12 @@ class Estimator {
       out.status = Status::not_factorizable;
       return out;
     }
-    seek_steps(robust, steps, out);
+    // what the samples do not resolve is refused: no discrepancy and no step is looked for in it
+    const bool resolved = std::find(out.unresolved.begin(), out.unresolved.end(), 1) == out.unresolved.end();
+    if (resolved) seek_steps(robust, steps, out);
     set_mask(*robust);
-    Rows best = fit_rows(*robust, steps, out, false);
-    repair(best, steps, out);
+    Rows best = fit_rows(*robust, steps, out, resolved ? Slow::asked : Slow::never);
+    if (resolved) repair(best, steps, out);
     finish(best, out);
     return out;
   }
@@ -155,15 +157,16 @@ class Estimator {
     SpacingSearch whole = search_of(pieces_[l], 1.0);
     std::size_t found = 0;
     const std::shared_ptr<Fit> coarsest = whole.fit(0);
-    bool finer = true;
     const double duration = lasting(pieces_[l]);
     if (coarsest && duration > 2.0 * constants::pilot) {
       const Piece part = worst_part(*coarsest);
       SpacingSearch pilot = search_of({part}, duration / (part.end - part.begin));
-      finer = pilot.best() > 0;
+      const std::size_t tried = pilot.best();
       out.fits += pilot.fits();
+      if (tried > 0) found = whole.better(tried) ? tried : whole.best();
+    } else {
+      found = whole.best();
     }
-    if (finer) found = whole.best();
     out.fits += whole.fits();
     unresolved = found + 1 == ladder.size();
     chosen.push_back(ladder[found]);
@@ -207,9 +210,11 @@ class Estimator {
       }
   }
 
-  // FIT on the unmasked rows: without d, then in both forms of d where (10.9), or `force`, asks for it.
+  enum class Slow { never, asked, always };  // whether d is tried: by (10.9)
+
+  // FIT on the unmasked rows: without d, then in both forms of d.
   Rows fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out,
-                bool force) const {
+                Slow slow) const {
     auto plain = std::make_shared<Fit>(rig_, bare(like), steps, settings_.threads);
     plain->start_from(like).run();
     ++out.fits;
@@ -222,7 +227,7 @@ class Estimator {
     const Eigen::MatrixXd P = plain->covariance();
     out.share = 0.0;
     for (int i = 0; i < 6 * n; ++i) out.share = std::max(out.share, rows.added(i, i) / P(i, i));
-    if (out.share <= 1.0 && !force) return rows;
+    if (slow == Slow::never || (slow == Slow::asked && out.share <= 1.0)) return rows;
     for (const Form form : {Form::matern, Form::walk}) {
       auto d = std::make_shared<Fit>(rig_, bare(*plain), steps, settings_.threads);
       for (LogFit& log : d->logs()) log.sizes.form = form;
@@ -261,7 +266,7 @@ class Estimator {
       for (; l < steps.size(); ++l)
         if ((t = best_step(*best.fit, l))) break;
       if (t && best.fit->logs()[0].sizes.form == Form::none) {  // d must be in V before a step is sought
-        best = fit_rows(*best.fit, steps, out, true);
+        best = fit_rows(*best.fit, steps, out, Slow::always);
         t = best_step(*best.fit, l);
       }
       if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) return;
@@ -271,8 +276,8 @@ class Estimator {
       auto robust = robust_from(*best.fit, trial_steps, out);
       if (robust->failed) return;
       set_mask(*robust);
-      const Rows trial = fit_rows(*robust, trial_steps, out, false);
-      const Rows bare_ = fit_rows(*robust, steps, out, true);
+      const Rows trial = fit_rows(*robust, trial_steps, out, Slow::asked);
+      const Rows bare_ = fit_rows(*robust, steps, out, Slow::always);
       double blocks = 0.0;
       for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
       if (trial.fit->failed || !(trial.fit->deviance <= bare_.fit->deviance - 2.0 * std::log(blocks))) return;

@@ -81,7 +81,8 @@ inline double Fit::resize() {
         if (m_count[i][r] > 0.0)
           resize_factor(z.motion_factor[i][r], m_squares[i][r], m_count[i][r], m_trace[i][r]);
     for (Eigen::Index j = 0; j < z.q.size(); ++j) {
-      const double to = std::max(energy[j], 1e-16) / std::max(size[j] - q_trace[j] / z.q[j], 1.0);
+      const double to =
+          smoothness_found(*log.log, static_cast<int>(j), log.h, energy[j], size[j] - q_trace[j] / z.q[j]);
       const double ratio = std::clamp(to / z.q[j], 1e-3, 1e3);
       z.q[j] *= ratio;
       move = std::max(move, 0.5 * std::abs(std::log(ratio)));

@@ -140,12 +140,16 @@ class SpacingSearch {
         if (i > now && i < ladder_.size()) fit(i);
       std::size_t best = now;
       for (const auto& [i, one] : fits_)
-        if (cost(i) < cost(best) && (i <= now || !fits_[now] || cost_alone(i) < cost_alone(now) ||
-                                     moves(one->logs()[0], fits_[now]->logs()[0])))
-          best = i;
+        if (cost(i) < cost(best) && follows(i, now)) best = i;
       if (best <= now) return now;
       now = best;
     }
+  }
+
+  // Whether an h is better than the coarsest.
+  bool better(std::size_t i) {
+    fit(0);
+    return fit(i) && cost(i) < cost(0) && follows(i, 0);
   }
 
   // ROBUST at a spacing, without the memory of its factorisation; null where none came to an end.
@@ -224,6 +228,11 @@ class SpacingSearch {
     fit->release();
     ++count_;
     return !fit->failed && std::isfinite(fit->deviance) ? fit : nullptr;
+  }
+
+  bool follows(std::size_t i, std::size_t now) {
+    return i <= now || !fits_[now] || cost_alone(i) < cost_alone(now) ||
+           moves(fits_[i]->logs()[0], fits_[now]->logs()[0]);
   }
 
   // Whether finer knots follow what moves, where the motion alone does not ask for them: its noise is found smaller, in no group

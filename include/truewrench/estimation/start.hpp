@@ -164,7 +164,7 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
           factor[i][r] = to;
         }
     for (int j = 0; j < M; ++j) {
-      const double to = std::max(energy[j], 1e-16) / std::max(size[j] - trace[j] / z.q[j], 1.0);
+      const double to = smoothness_found(recorded, j, log.h, energy[j], size[j] - trace[j] / z.q[j]);
       move = std::max(move, std::abs(std::log(to / z.q[j])));
       q[j] *= std::clamp(to / z.q[j], 1e-3, 1e3);
     }

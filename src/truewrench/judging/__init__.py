@@ -127,7 +127,7 @@ def _unsolved(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
     ]
     return dropped or [
         "the record could not be solved: it holds no stretch in which the sensor and its motion were both "
-        "logged long enough"
+        "logged long enough, or in all of them hardly anything moved"
     ]
 
 
