@@ -60,22 +60,18 @@ class Estimator {
       }
     }
     // h, log by log
-    std::vector<double> h;
-    std::shared_ptr<Fit> robust;
+    std::vector<std::shared_ptr<Fit>> alone;
     for (std::size_t l = 0; l < count; ++l) {
-      bool unresolved = false;
-      robust = choose_spacing(l, h, unresolved, out);
-      if (!robust) {
+      alone.push_back(choose_spacing(l, out));
+      if (!alone.back()) {
         out.status = Status::not_factorizable;
         return out;
       }
-      out.unresolved[l] = unresolved ? 1 : 0;
     }
     std::vector<std::vector<double>> steps(count);
+    std::shared_ptr<Fit> robust = alone.front();
     if (count > 1) {
-      std::vector<LogFit> logs;
-      for (std::size_t l = 0; l < count; ++l) logs.push_back(log_fit(l, pieces_[l], h[l]));
-      robust = started(std::move(logs), steps, true);
+      robust = together(alone);
       robust->run();
       ++out.fits;
     }
@@ -135,19 +131,20 @@ class Estimator {
     return out;
   }
 
-  // START.
-  std::shared_ptr<Fit> started(std::vector<LogFit> logs, const std::vector<std::vector<double>>& steps,
-                               bool cauchy) const {
-    auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
-    fit->robust = true;
-    for (std::size_t l = 0; l < fit->logs().size(); ++l) motion_alone(fit->logs()[l], fit->layout(), l);
-    regress(*fit, cauchy);
-    return fit;
+  // START of logs pooled, each with the motion and the sizes of its own fit.
+  std::shared_ptr<Fit> together(const std::vector<std::shared_ptr<Fit>>& alone) const {
+    std::vector<LogFit> logs;
+    for (const auto& fit : alone) logs.push_back(std::move(bare(*fit)[0]));
+    auto pooled = std::make_shared<Fit>(rig_, std::move(logs), std::vector<std::vector<double>>(alone.size()),
+                                        settings_.threads);
+    for (std::size_t l = 0; l < alone.size(); ++l) pooled->logs()[l].sizes = alone[l]->logs()[0].sizes;
+    pooled->robust = true;
+    regress(*pooled, true);
+    return pooled;
   }
 
-  // h of a log, appended to `chosen`, and its fit (10.2).
-  std::shared_ptr<Fit> choose_spacing(std::size_t l, std::vector<double>& chosen, bool& unresolved,
-                                      Estimate& out) const {
+  // ROBUST of one log at the h that is best for it (10.2).
+  std::shared_ptr<Fit> choose_spacing(std::size_t l, Estimate& out) const {
     const std::vector<double> ladder = spacings(motion_period(*recorded_[l]));
     const auto search_of = [&](const std::vector<Piece>& pieces, double repeated) {
       return SpacingSearch(
@@ -168,8 +165,7 @@ class Estimator {
       found = whole.best();
     }
     out.fits += whole.fits();
-    unresolved = found + 1 == ladder.size();
-    chosen.push_back(ladder[found]);
+    out.unresolved[l] = found + 1 == ladder.size() ? 1 : 0;
     return whole.fit(found);
   }
 
