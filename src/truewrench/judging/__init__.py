@@ -19,7 +19,9 @@ from truewrench.judging.departure import largest_departure
 from truewrench.judging.setup_odds import Suspicion, setup_errors
 from truewrench.judging.undetermined import undetermined_directions
 from truewrench.judging.words import (
+    MOST,
     findings,
+    kinds_of_disagreement,
     kinds_of_disturbances,
     listed,
     log_name,
@@ -144,14 +146,15 @@ def _nothing_learnt(estimate: Estimate) -> str:
 def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
     """What of the record speaks against the result: unresolved, masked, in disagreement; a singular gain."""
     reasons = []
+    named: list[str] = []
     for k in np.flatnonzero(estimate.unresolved):
         reasons.append(
             f"the motion of {log_name(logs, int(k))} is not resolved: a knot a sample still fits better "
-            f"({listed(looks_fast(estimate, rig, logs))}); {largest_departure(estimate, rig, logs)}"
+            f"({_named(looks_fast(estimate, rig, logs), named)}); {largest_departure(estimate, rig, logs)}"
         )
     share = estimate.masked_share()
     if share > MASKED:
-        kinds = listed(kinds_of_disturbances(estimate, rig, logs))
+        kinds = _named(kinds_of_disturbances(estimate, rig, logs), named)
         reasons.append(
             f"{100 * share:.0f}% of the sensor's samples were left out as {kinds}: too many to trust it;"
             f" {largest_departure(estimate, rig, logs)}"
@@ -161,11 +164,18 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
     if parts:
         reasons.append(
             f"parts of the record disagree on the gain ({'; '.join(parts)}): something does not fit the "
-            f"model ({listed(looks_slow(estimate, rig, logs))}); {largest_departure(estimate, rig, logs)}"
+            f"model ({_named(kinds_of_disagreement(estimate, rig, logs), named)}); "
+            f"{largest_departure(estimate, rig, logs)}"
         )
     if not _condition(estimate, rig) < SINGULAR:
         reasons.append("the gain is singular: some wrench leaves no trace in the channels")
     return reasons
+
+
+def _named(kinds: Sequence[str], named: list[str]) -> str:
+    """As many of these kinds, likeliest first, as leave three over all reasons; the first in any case."""
+    named += [kind for kind in kinds if kind not in named][: max(0, MOST - len(named))]
+    return listed([kind for kind in kinds if kind in named] or kinds[:1])
 
 
 def _condition(estimate: Estimate, rig: Rig) -> float:

@@ -20,10 +20,19 @@ from truewrench.model.calibration_parts import Assumed
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["findings", "kinds_of_disturbances", "listed", "log_name", "looks_fast", "looks_slow"]
+__all__ = [
+    "MOST",
+    "findings",
+    "kinds_of_disagreement",
+    "kinds_of_disturbances",
+    "listed",
+    "log_name",
+    "looks_fast",
+    "looks_slow",
+]
 
 MOST = 3  # kinds that are named at once
-WORTH = 0.25  # of the highest score, from which on a kind is named with it
+WORTH = 0.1  # of the highest score, from which on a kind is named with it
 TOLD = 4.0  # sigma of a clock, a quadratic term, a slow disturbance: 1 clean record in 2,000
 FILTERED = 4.0  # sigma of kappa and gamma from those of a clock, from which on a filter is named first
 LARGE = 10.0  # times a slow disturbance or the noise, below which an event may be a part of it: words only
@@ -85,12 +94,23 @@ def looks_fast(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, 
 
 
 def kinds_of_disturbances(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
-    """The kinds of what was left out, by how many samples it took; what is noisy throughout before them."""
+    """The kinds of what was left out: what it may be a part of, then events."""
     count = {"contact": 0, "outliers": 0}
     for event in (event for of_log in estimate.events for event in of_log):
         count["contact" if event.lasting else "outliers"] += event.samples
     kinds = [kind for kind in sorted(count, key=lambda kind: -count[kind]) if count[kind]] or ["contact"]
-    return (*[looks.kind for looks in fast_looks(estimate, rig, logs)[:1]], *kinds)
+    stands = any(slow.form != "none" for of_log in estimate.slow for slow in of_log)
+    slow = looks_slow(estimate, rig, logs)[:1] if stands else ()
+    return (*slow, *[looks.kind for looks in fast_looks(estimate, rig, logs)[:1]], *kinds)
+
+
+def kinds_of_disagreement(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
+    """Why parts of a record may disagree: slow departures, and noise far beyond the stated."""
+    noisy = any(
+        found.what in CHANNELS and found.factor > NOISE for of_log in estimate.noise for found in of_log
+    )
+    fast = [looks.kind for looks in fast_looks(estimate, rig, logs)[:1]] if noisy else []
+    return (*looks_slow(estimate, rig, logs)[: MOST - len(fast)], *fast)
 
 
 def log_name(logs: Sequence[Log], k: int) -> str:
