@@ -12,14 +12,15 @@ inline constexpr double pilot =
     5.0;  // [s] on which finer knots are tried first, of records twice as long: RMS of 200 disturbed ones as without it
 inline constexpr double gather_window =
     0.02;  // [s] of four rows, where it holds eight samples: gains at 1 kHz moved by 0.00 sigma, up to 40 Hz
-inline constexpr double smoothness_start = 1e3;  // q, SI: tolerance
-inline constexpr double freedom = 4.0;           // of the Student-t weights: 1 % of spikes at NEES 1.03
-inline constexpr double mask_weight = 0.3;       // share of clean samples masked: 0.0003 of six channels
-inline constexpr double mask_join = 0.030;       // [s] gaps closed
-inline constexpr double mask_length = 0.030;     // [s] what lasts as long is widened
-inline constexpr double mask_margin = 0.020;     // [s] each side
-inline constexpr double most_masked = 0.2;       // share of the samples beyond which a result is refused
-inline constexpr double filter_prior = 0.5;      // 1 sigma of kappa and gamma
+inline constexpr double smoothness_start = 1e3;    // q, SI: tolerance
+inline constexpr double smoothness_least = 1e-12;  // q's, by the rows of R against a sample's own: tolerance
+inline constexpr double freedom = 4.0;             // of the Student-t weights: 1 % of spikes at NEES 1.03
+inline constexpr double mask_weight = 0.3;         // share of clean samples masked: 0.0003 of six channels
+inline constexpr double mask_join = 0.030;         // [s] gaps closed
+inline constexpr double mask_length = 0.030;       // [s] what lasts as long is widened
+inline constexpr double mask_margin = 0.020;       // [s] each side
+inline constexpr double most_masked = 0.2;         // share of the samples beyond which a result is refused
+inline constexpr double filter_prior = 0.5;        // 1 sigma of kappa and gamma
 inline constexpr double filter_information =
     16;  // of the data alone, below which kappa and gamma are held: NEES 27 -> 1.1
 inline constexpr double delay_left =
