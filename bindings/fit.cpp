@@ -233,9 +233,15 @@ void bind_fit(nb::module_& m) {
       .def_prop_ro(
           "unresolved",
           [](const Estimate& e) { return std::vector<bool>(e.unresolved.begin(), e.unresolved.end()); })
+      .def_ro("unexplained", &Estimate::unexplained)
       .def_ro("dropped", &Estimate::dropped)
       .def_ro("fits", &Estimate::fits)
       .def_ro("share", &Estimate::share);
+  m.attr("MOST_LOST") = constants::most_lost;
+  m.attr("DOUBT") = constants::doubt;
+  m.attr("UNDETERMINED") = constants::undetermined;
+  m.attr("NOISE_TOLD") = constants::noise_told;
+  m.attr("MASK_SHORTEST") = constants::mask_shortest;
   m.def(
       "estimate",
       [](const Statement& rig, std::vector<const RecordedLog*> logs, const Settings& settings) {

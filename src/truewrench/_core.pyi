@@ -931,6 +931,9 @@ class Estimate:
     def unresolved(self) -> list[bool]: ...
 
     @property
+    def unexplained(self) -> list[float]: ...
+
+    @property
     def dropped(self) -> list[int]: ...
 
     @property
@@ -938,6 +941,16 @@ class Estimate:
 
     @property
     def share(self) -> float: ...
+
+MOST_LOST: float = 0.2
+
+DOUBT: float = 0.001
+
+UNDETERMINED: float = 0.5
+
+NOISE_TOLD: float = 2.0
+
+MASK_SHORTEST: float = 0.03
 
 def estimate(rig: Statement, logs: Sequence[RecordedLog], settings: Settings) -> Estimate: ...
 

@@ -107,6 +107,7 @@ def estimate_of(
         events=((),),
         steps=((),),
         spacing=np.array([0.05]),
+        unexplained=np.zeros(1),
         unresolved=np.array([False]),
         dropped=np.array([0]),
         rows=(fitted,),

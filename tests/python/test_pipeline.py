@@ -22,6 +22,7 @@ from truewrench.model.calibration import AXES, Calibration, load_calibration
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.simulation.free_body import SimulatedRun, simulate
 
 
@@ -336,3 +337,28 @@ def test_an_arm_at_rest_teaches_nothing_and_is_told_so(seed: int) -> None:
     departure = (found.gain - rig.sensor.nominal_gain_array) * rig.sensor.range_array
     departure /= rig.sensor.channel_scale[:, None]
     assert np.abs(departure).max() < 0.5 * found.gain_std_normalised.min()
+
+
+@pytest.mark.parametrize("wrong", ["another run", "half a second late"])
+def test_a_log_that_does_not_follow_its_motion_is_refused_by_that_name(wrong: str) -> None:
+    """And by nothing else: what a gain without a cause looks like is no set-up error."""
+    rig = light_rig(seconds=10, rate=100)
+    frequencies = np.array([0.2, 0.37, 0.53, 0.71, 0.9, 1.1])
+
+    def moved(seed: int) -> Log:
+        rng = np.random.default_rng(seed)
+        shape = (6, 6)
+        f = frequencies[:, None] * rng.uniform(0.9, 1.1, shape)
+        motion = HarmonicTwist(0.1 * rng.uniform(0.3, 1.0, shape), f, rng.uniform(0.0, 6.28, shape), 10.0)
+        return simulate(rig, motion, seed=seed).log
+
+    log = moved(1)
+    if wrong == "another run":
+        log = replace(log, twist=moved(2).twist)
+    else:
+        log = replace(log, raw=np.roll(log.raw, 50, axis=0))
+    verdict = calibrate(rig, log).verdict
+    assert not verdict.usable
+    (reason,) = verdict.reasons
+    assert "does not follow its motion" in reason
+    assert "largest departure" in reason

@@ -16,37 +16,33 @@ inline constexpr double smoothness_start = 1e3;    // q, SI: tolerance
 inline constexpr double smoothness_least = 1e-12;  // q's, by the rows of R against a sample's own: tolerance
 inline constexpr double freedom = 4.0;             // of the Student-t weights: 1 % of spikes at NEES 1.03
 inline constexpr double mask_weight = 0.3;         // share of clean samples masked: 0.0003 of six channels
-inline constexpr double mask_join = 0.030;         // [s] gaps closed
-inline constexpr double mask_length = 0.030;       // [s] what lasts as long is widened
-inline constexpr double mask_margin = 0.020;       // [s] each side
-inline constexpr double most_masked = 0.2;         // share of the samples beyond which a result is refused
-inline constexpr double filter_prior = 0.5;        // 1 sigma of kappa and gamma
-inline constexpr double filter_information =
-    16;  // of the data alone, below which kappa and gamma are held: NEES 27 -> 1.1
+inline constexpr double mask_shortest = 0.030;  // [s] of a contact, which is widened; shorter gaps are closed
+inline constexpr double mask_margin = 0.020;    // [s] each side
+inline constexpr double most_lost =
+    0.2;  // share of the samples that are masked, or of the raw output that no motion explains, beyond which a result is
+// refused: 9 of 476 imperfect records; explained by none at most 0.05 in 150 of them, with a foreign motion 0.26 to 1
+inline constexpr double filter_prior = 0.5;  // 1 sigma of kappa and gamma
+inline constexpr double undetermined =
+    0.5;  // of the prior's sigma, from which on nothing was told: words (METHOD 6); kappa and gamma are held: NEES 27 -> 1.1
 inline constexpr double delay_left =
     0.05;  // share of a delay that the gain leaves, below which it is held: 0.036 at most in the paper's motion, 0.1 elsewhere
 inline constexpr double fewest_freedom = 3.0;  // left to a factor on noise, below which it is held: tolerance
-inline constexpr double factor_floor = 0.02;   // of a factor on noise: tolerance
-inline constexpr double quadratic_start = 0.1;   // upsilon, fraction of range: tolerance
-inline constexpr double quadratic_floor = 1e-4;  // tolerance
-inline constexpr double step_start = 0.02;       // alpha, fraction of range: tolerance
-inline constexpr double step_floor = 1e-6;       // tolerance
-inline constexpr double theta_move = 0.05;       // of sigma (RMS), converged: tolerance
-inline constexpr double size_move = 0.05;        // of the sizes as standard deviations, converged: tolerance
-inline constexpr int most_iterations = 25;       // tolerance
-inline constexpr int most_halvings = 5;          // of a step: tolerance
+inline constexpr double size_floor = 0.02;     // of a factor on noise, and of delta in sigma: tolerance
+inline constexpr double departure_start = 0.1;   // upsilon and alpha, fraction of range: tolerance
+inline constexpr double departure_floor = 1e-4;  // likewise: tolerance
+inline constexpr double move =
+    0.05;  // converged: of sigma of theta (RMS), and of the sizes as standard deviations: tolerance
+inline constexpr int most_iterations = 25;         // tolerance
+inline constexpr int most_halvings = 5;            // of a step: tolerance
 inline constexpr double taus[] = {0.1, 0.3, 1.0};  // [s] of (10.9): d entered in 1 of 8 clean records
 inline constexpr double discrepancy_cap =
     3.0;  // sigma of the fit without d: without it d explains the wrench itself
-inline constexpr double discrepancy_power = 1.5;   // of (10.6): tolerance
-inline constexpr double discrepancy_floor = 0.02;  // sigma: tolerance
-inline constexpr double step_gain = 12.0;          // of (10.7) for a step where the mask would hide too much
-inline constexpr double scan_level = 1e-3;         // p * intervals of (10.8)
-inline constexpr double scan_longest = 30.0;       // [s]
-inline constexpr double agreement_level = 5e-4;    // p of (10.11) each: clean records refused 0 of 104
+inline constexpr double discrepancy_power = 1.5;  // of (10.6): tolerance
+inline constexpr double doubt =
+    1e-3;  // p of the scan (10.8), and of the two comparisons (10.11) together: clean records refused 0 of 104
+inline constexpr double scan_longest = 30.0;  // [s]
 inline constexpr double noise_told =
     2.0;  // factor on the stated sigma that is told, and from which on h / 4 is tried
-inline constexpr double undetermined = 0.5;  // share of the prior's sigma: words only (METHOD 6)
 
 }  // namespace truewrench::constants
 
@@ -55,6 +51,10 @@ namespace truewrench {
 // w_t of METHOD 10.3 for the chi^2 of so many channels, and the chi^2 from which on it masks.
 inline constexpr double robust_weight(int channels, double chi2) {
   return (constants::freedom + channels) / (constants::freedom + chi2);
+}
+// From how much information of the data alone a parameter is told.
+inline constexpr double told(double prior) {
+  return 1.0 / (constants::undetermined * prior * constants::undetermined * prior);
 }
 inline constexpr double masked_chi2(int channels) {
   return (constants::freedom + channels) / constants::mask_weight - constants::freedom;

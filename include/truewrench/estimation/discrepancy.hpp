@@ -204,6 +204,35 @@ inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
   return out;
 }
 
+// Share of what the raw output of one log does, white noise apart, that the wrench does not explain: delta^2 of (10.9) over it and
+// the variance of C w, in the group where it is smallest.
+inline double unexplained(const Fit& fit, std::size_t l, const std::vector<Moment>& found) {
+  const int n = fit.channels();
+  Eigen::VectorXd sum = Eigen::VectorXd::Zero(n), squares = sum;
+  double rows = 0.0;
+  for (const Stretch& s : fit.logs()[l].stretches)
+    for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
+      if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
+      rows += s.raw.size[k];
+      for (int i = 0; i < n; ++i) {
+        sum[i] += s.raw.size[k] * s.now.cw(k, i);
+        squares[i] += s.raw.size[k] * s.now.cw(k, i) * s.now.cw(k, i);
+      }
+    }
+  double least = 1.0;
+  for (std::size_t r = 0; r < found.size(); ++r) {
+    double variance = 0.0, channels = 0.0;
+    for (int i = 0; i < n; ++i)
+      if (raw_group(i, n) == static_cast<int>(r)) {
+        variance += std::max(0.0, squares[i] / rows - std::pow(sum[i] / rows, 2));
+        ++channels;
+      }
+    const double all = found[r].delta2 + variance / channels;
+    least = std::min(least, all > 0.0 ? found[r].delta2 / all : 0.0);
+  }
+  return least;
+}
+
 // What (10.9) adds to the covariance of C (6n, 6n) where the samples that `keep` names determine it:
 // delta^2 (X^T X)^-1 X^T K X (X^T X)^-1, the prior's information beside X^T X.
 inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Moment>>& found,

@@ -30,7 +30,9 @@ struct Estimate {
   PoseShare pose;
   Agreement halves, quarters;
   std::vector<char> unresolved;  // by log: (10.7) still falls at one knot a sample
-  std::vector<int> dropped;      // by log: stretches too short
+  std::vector<double>
+      unexplained;  // by log: share of the raw output that no motion explains; 0 where its noise is as stated
+  std::vector<int> dropped;  // by log: stretches too short
   int fits = 0;
   double share = 0.0;  // largest ratio of (10.9) to a gain's variance
 };
@@ -50,6 +52,7 @@ class Estimator {
     const std::size_t count = recorded_.size();
     out.unresolved.assign(count, 0);
     out.dropped.assign(count, 0);
+    out.unexplained.assign(count, 0.0);
     for (std::size_t l = 0; l < count; ++l) {
       const double coarsest =
           std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*recorded_[l]));
@@ -79,12 +82,14 @@ class Estimator {
       out.status = Status::not_factorizable;
       return out;
     }
-    // what the samples do not resolve is refused: no discrepancy and no step is looked for in it
-    const bool resolved = std::find(out.unresolved.begin(), out.unresolved.end(), 1) == out.unresolved.end();
-    if (resolved) seek_steps(robust, steps, out);
+    // what the samples do not resolve, or no motion explains, is refused: no discrepancy and no step is looked for in it
+    bool hopeful = true;
+    for (std::size_t l = 0; l < count; ++l)
+      hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
+    if (hopeful) seek_steps(robust, steps, out);
     set_mask(*robust);
-    Rows best = fit_rows(*robust, steps, out, resolved ? Slow::asked : Slow::never);
-    if (resolved) repair(best, steps, out);
+    Rows best = fit_rows(*robust, steps, out, hopeful ? Slow::asked : Slow::never);
+    if (hopeful) repair(best, steps, out);
     finish(best, out);
     return out;
   }
@@ -152,9 +157,15 @@ class Estimator {
           settings_.threads);
     };
     SpacingSearch whole = search_of(pieces_[l], 1.0);
-    std::size_t found = 0;
     const std::shared_ptr<Fit> coarsest = whole.fit(0);
+    std::size_t found = 0;
+    // a motion that the coarsest knots do not follow leaves residuals faster than 2 h, the shortest tau of (10.9)
+    if (coarsest) out.unexplained[l] = unexplained_by(*coarsest);
     const double duration = lasting(pieces_[l]);
+    if (out.unexplained[l] > constants::most_lost) {
+      out.fits += whole.fits();
+      return coarsest;
+    }
     if (coarsest && duration > 2.0 * constants::pilot) {
       const Piece part = worst_part(*coarsest);
       SpacingSearch pilot = search_of({part}, duration / (part.end - part.begin));
@@ -167,6 +178,14 @@ class Estimator {
     out.fits += whole.fits();
     out.unresolved[l] = found + 1 == ladder.size() ? 1 : 0;
     return whole.fit(found);
+  }
+
+  // Of the only log of a robust fit, where its noise is beyond the stated: what the wrench does not explain.
+  static double unexplained_by(const Fit& fit) {
+    if (!SpacingSearch::noisy(fit)) return 0.0;
+    Fit masked = fit;
+    set_mask(masked);
+    return unexplained(masked, 0, moments(masked, 0));
   }
 
   static void clear_mask(std::vector<LogFit>& logs) {
@@ -193,14 +212,14 @@ class Estimator {
       while (steps[l].size() < 2) {
         Fit masked = *robust;
         set_mask(masked);
-        if (masked_share(masked, l) <= constants::most_masked) break;
+        if (masked_share(masked, l) <= constants::most_lost) break;
         const auto t = best_step(*robust, l);
         if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) break;
         auto trial_steps = steps;
         trial_steps[l].push_back(*t);
         std::sort(trial_steps[l].begin(), trial_steps[l].end());
         auto trial = robust_from(*robust, trial_steps, out);
-        if (trial->failed || !(trial->deviance <= robust->deviance - constants::step_gain)) break;
+        if (trial->failed || !(trial->deviance <= robust->deviance - 2.0 * robust->channels())) break;
         robust = trial;
         steps = trial_steps;
       }

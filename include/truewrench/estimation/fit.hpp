@@ -268,7 +268,7 @@ class Fit {
       advance();
       const auto count = static_cast<double>(active_places().size());
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
-      if (resize() < constants::size_move && move < constants::theta_move && iterations > 1) {
+      if (resize() < constants::move && move < constants::move && iterations > 1) {
         converged = true;
         break;
       }
@@ -395,10 +395,10 @@ class Fit {
     const Eigen::VectorXd apart = theta - other.theta;
     double move =
         std::sqrt(apart.dot(dense::times(S_, apart)) / static_cast<double>(active_places().size())) /
-        constants::theta_move;
+        constants::move;
     const auto compare = [&move](const Eigen::VectorXd& a, const Eigen::VectorXd& b, double power) {
       for (Eigen::Index i = 0; i < a.size(); ++i)
-        move = std::max(move, power * std::abs(std::log(a[i] / b[i])) / constants::size_move);
+        move = std::max(move, power * std::abs(std::log(a[i] / b[i])) / constants::move);
     };
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Sizes &a = logs_[l].sizes, &b = other.logs_[l].sizes;
@@ -490,7 +490,7 @@ class Fit {
     std::fill(active.begin(), active.end(), char{1});
     const auto judge = [&](int i) {
       const double own = std::max(1.0 / P(i, i) - 1.0 / prior[i], 0.0);
-      if (own > constants::filter_information) return;
+      if (own > told(constants::filter_prior)) return;
       rest(i);
     };
     for (std::size_t l = 0; l < logs_.size(); ++l) {

@@ -66,7 +66,7 @@ inline double Fit::resize() {
     }
     const auto resize_factor = [&move](double& factor, double rss, double rows, double used) {
       if (rows - used < constants::fewest_freedom) return;  // nothing is left to find it by
-      const double to = std::max(std::sqrt(rss / (rows - used)), constants::factor_floor);
+      const double to = std::max(std::sqrt(rss / (rows - used)), constants::size_floor);
       const double ratio = std::clamp(to / factor, 0.2, 5.0);
       factor *= ratio;
       move = std::max(move, std::abs(std::log(ratio)));
@@ -105,7 +105,7 @@ inline double Fit::resize() {
       const double ratio = d_energy[r] / variance / std::max(d_size[r] - d_trace[r] / variance, 1e-6);
       double to =
           z.delta[r] * std::sqrt(std::clamp(std::pow(ratio, constants::discrepancy_power), 0.01, 100.0));
-      to = std::min(std::max(to, constants::discrepancy_floor * sigma_r), z.cap[r]);
+      to = std::min(std::max(to, constants::size_floor * sigma_r), z.cap[r]);
       if (std::max(to, z.delta[r]) > 0.1 * sigma_r && to < z.cap[r])
         move = std::max(move, std::abs(std::log(to / z.delta[r])));
       z.delta[r] = to;
@@ -133,10 +133,10 @@ inline double Fit::resize() {
     }
     prior.segment(at, n_).setConstant(size);
   };
-  resize_block(layout_.u, constants::quadratic_floor);
+  resize_block(layout_.u, constants::departure_floor);
   for (std::size_t l = 0; l < logs_.size(); ++l)
     for (const int step : layout_.log(l).steps)
-      resize_block(layout_.log(l).global[static_cast<std::size_t>(step)], constants::step_floor);
+      resize_block(layout_.log(l).global[static_cast<std::size_t>(step)], constants::departure_floor);
   reweigh();
   return move;
 }

@@ -284,7 +284,7 @@ inline bool Incremental::run(int most, bool last) {
     sums += left_;
     const double sized = resize(sums);
     weigh();
-    if (iteration > 2 && move < constants::theta_move && sized < constants::size_move) break;
+    if (iteration > 2 && move < constants::move && sized < constants::move) break;
   }
   if (!sweep(0, last) || !solve(true)) return false;
   lag_.back(first);
@@ -388,8 +388,7 @@ inline void Incremental::count(long from, long to) {
 // not left.
 inline void Incremental::set_mask(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
-  const double ahead =
-      lag_.start_of(stay) + constants::mask_join + constants::mask_length + constants::mask_margin;
+  const double ahead = lag_.start_of(stay) + 2.0 * constants::mask_shortest + constants::mask_margin;
   entries_.clear();
   for (long g = first; g < lag_.end() && lag_.start_of(g) <= ahead; ++g)
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
@@ -410,7 +409,7 @@ inline void Incremental::set_mask(long leaving) {
   double begin = run_[0], end = run_[1];
   std::size_t next = 0;  // first entry after the run
   const auto widen = [&](std::size_t to) {
-    const bool lasting = end - begin + period_ >= constants::mask_length - 1e-9;
+    const bool lasting = end - begin + period_ >= constants::mask_shortest - 1e-9;
     const double margin = (lasting ? constants::mask_margin : 0.0) + 1e-9, from = begin - margin,
                  until = end + margin;
     for (std::size_t k = to; k-- > 0 && entries_[k].end >= from;)
@@ -422,7 +421,7 @@ inline void Incremental::set_mask(long leaving) {
   for (std::size_t k = 0; k < entries_.size(); ++k) {
     const Entry& e = entries_[k];
     if (!e.low) continue;
-    if (e.begin - end - period_ > constants::mask_join + 1e-9) {
+    if (e.begin - end - period_ > constants::mask_shortest + 1e-9) {
       widen(next);
       begin = e.begin;
     }

@@ -102,7 +102,7 @@ inline bool Incremental::solve(bool judge) {
       if (!invert(true)) return false;
       std::fill(active_.begin(), active_.end(), char{1});
       const auto hold = [&](int at) {
-        if (at < 0 || std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 0.0) > constants::filter_information)
+        if (at < 0 || std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 0.0) > told(constants::filter_prior))
           return;
         active_[static_cast<std::size_t>(at)] = 0;
       };
@@ -177,7 +177,7 @@ inline double Incremental::resize(const SizeSums& sums) {
     squares += lag_.theta[i] * lag_.theta[i];
     freedom += 1.0 - P_(i, i) / prior_[i];
   }
-  const double floor = constants::quadratic_floor * constants::quadratic_floor;
+  const double floor = constants::departure_floor * constants::departure_floor;
   for (int i = u; i < u + n; ++i) prior_[i] = std::max(squares / std::max(freedom, 0.05), floor);
   return move;
 }

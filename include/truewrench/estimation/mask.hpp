@@ -95,7 +95,7 @@ inline void set_mask(Fit& fit) {
       Eigen::Index last = -1;
       for (Eigen::Index k = 0; k < n; ++k) {
         if (low[static_cast<std::size_t>(k)] == 0) continue;
-        if (last >= 0 && s.raw.time[k] - s.raw.time[last] - log.period <= constants::mask_join + 1e-9)
+        if (last >= 0 && s.raw.time[k] - s.raw.time[last] - log.period <= constants::mask_shortest + 1e-9)
           std::fill(low.begin() + last, low.begin() + k, char{1});
         last = k;
       }
@@ -107,7 +107,7 @@ inline void set_mask(Fit& fit) {
         }
         Eigen::Index b = a;
         while (b < n && low[static_cast<std::size_t>(b)] != 0) ++b;
-        if (s.raw.time[b - 1] - s.raw.time[a] + log.period >= constants::mask_length - 1e-9)
+        if (s.raw.time[b - 1] - s.raw.time[a] + log.period >= constants::mask_shortest - 1e-9)
           for (Eigen::Index k = 0; k < n; ++k)
             if (s.raw.time[k] >= s.raw.time[a] - constants::mask_margin - 1e-9 &&
                 s.raw.time[k] <= s.raw.time[b - 1] + constants::mask_margin + 1e-9)

@@ -220,7 +220,7 @@ inline Scan scan(const Fit& fit, std::size_t l) {
 inline std::optional<double> best_step(Fit& fit, std::size_t l) {
   if (!fit.linearise() || !fit.solve()) return std::nullopt;
   const Scan found = scan(fit, l);
-  if (std::max(found.log_p, found.log_p_suffix) > std::log(constants::scan_level)) return std::nullopt;
+  if (std::max(found.log_p, found.log_p_suffix) > std::log(constants::doubt)) return std::nullopt;
   return found.begin;
 }
 

@@ -136,7 +136,7 @@ class SpacingSearch {
       if (cost_alone(i) < cost_alone(alone)) alone = i;
     fit(0);
     for (;;) {
-      for (const std::size_t i : {now + 1, noisy(fits_[now].get()) ? now + 2 : now + 1, alone})
+      for (const std::size_t i : {now + 1, fits_[now] && noisy(*fits_[now]) ? now + 2 : now + 1, alone})
         if (i > now && i < ladder_.size()) fit(i);
       std::size_t best = now;
       for (const auto& [i, one] : fits_)
@@ -158,7 +158,7 @@ class SpacingSearch {
     if (known != fits_.end()) return known->second;
     std::shared_ptr<Fit> lower = started(i, true, nullptr);
     // (10.7) may have a lower optimum in which the motion explains what seems to be the sensor's noise
-    if (i > 0 && (!lower || noisy(lower.get()))) {
+    if (i > 0 && (!lower || noisy(*lower))) {
       const std::shared_ptr<Fit> other = started(i, false, lower.get());
       if (other && (!lower || other->deviance < lower->deviance)) lower = other;
     }
@@ -166,6 +166,11 @@ class SpacingSearch {
   }
 
   int fits() const { return count_; }
+
+  // Whether the sensor's noise seems larger than stated.
+  static bool noisy(const Fit& fit) {
+    return fit.logs()[0].sizes.raw_factor.maxCoeff() > constants::noise_told;
+  }
 
  private:
   struct Alone {  // the motion's own fit
@@ -208,10 +213,6 @@ class SpacingSearch {
   double cost(std::size_t i) const {
     const auto& fit = fits_.at(i);
     return fit ? priced(i, fit->deviance) : std::numeric_limits<double>::infinity();
-  }
-
-  static bool noisy(const Fit* fit) {
-    return fit && fit->logs()[0].sizes.raw_factor.maxCoeff() > constants::noise_told;
   }
 
   // From the motion alone and Cauchy weights, or (`cauchy` false) from none and the roughest motion.

@@ -38,7 +38,7 @@ class Layout {
                                   [](const RecordedLog* log) { return log->temperature.size() > 0; });
     C = add(6 * n, rig.gain_prior);
     std::copy_n(rig.nominal.data(), 6 * n, mean_.data() + C);
-    u = add(n, constants::quadratic_start);
+    u = add(n, constants::departure_start);
     for (const auto& prior : rig.body_prior) {
       bodies.push_back(add(kBodyParameters, 0.0));
       set(sigma_, prior.data(), kBodyParameters);
@@ -86,7 +86,7 @@ class Layout {
       if (l < steps.size()) {
         c.step_times = steps[l];
         for (std::size_t j = 0; j < steps[l].size(); ++j)
-          c.steps.push_back(take(add(n, constants::step_start), n));
+          c.steps.push_back(take(add(n, constants::departure_start), n));
       }
       logs_.push_back(std::move(c));
     }

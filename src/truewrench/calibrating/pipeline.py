@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench import _core
 from truewrench.calibrating.known_wrench import (
     compare_known_wrench,
     judge_known_wrench,
@@ -146,6 +147,8 @@ def _from_motion(
     compared: Comparison | str = "not asked for"
     if not estimate.solved:
         compared = "nothing of the record could be fitted"
+    elif estimate.unresolved.any() or (estimate.unexplained > _core.MOST_LOST).any():
+        compared = "the record does not follow its motion"
     elif held_out and not known:
         compared = "no payload is known, by which the gains could be compared"
     elif held_out:
@@ -200,13 +203,16 @@ def _comparisons(
 
 
 def _plain(rig: Rig, logs: Sequence[Log]) -> tuple[Array, Array] | None:
-    """Gain and its covariance by least squares, which takes no departure for noise; None where it cannot."""
+    """Gain and covariance by least squares, which takes no departure for noise; None if it tells little."""
     try:
         # differences of noisy velocities would shrink the gain, which looks like a wrong unit
         found = least_squares(rig, tracked(rig, logs), "spline")
     except InputError:
         return None
     n = rig.sensor.n
+    left = found.chi_square * rig.sensor.noise_array**2
+    if not np.median(left / np.nanvar(np.concatenate([log.raw for log in logs]), axis=0)) < _core.MOST_LOST:
+        return None
     scatter = np.repeat(np.sqrt(np.maximum(found.chi_square, 1.0)), 6)
     return found.gain, found.covariance[: 6 * n, : 6 * n] * np.outer(scatter, scatter)
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench import _core
 from truewrench.estimation.estimate import PayloadDeparture
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -26,7 +27,6 @@ __all__ = ["known_logs", "known_payload", "notes_on_bodies", "scale_unknown", "w
 
 Array = NDArray[np.float64]
 
-TOLD = 0.5  # of the prior's sigma: what is less certain than that the data did not tell
 BENDS = 0.05  # 1 sigma of the gains beyond which gain times mass is no longer linear (docs/tool.md)
 
 
@@ -84,7 +84,9 @@ def notes_on_bodies(
         spec, std = rig.payloads[name], payloads[name].std
         u = spec.uncertainty
         prior = np.array([u.mass, *[u.center_of_mass] * 3, *[u.inertia] * 6])
-        untold = [what for what, s, p in zip(_NAMES, std, prior, strict=True) if not s < TOLD * p]
+        untold = [
+            what for what, s, p in zip(_NAMES, std, prior, strict=True) if not s < _core.UNDETERMINED * p
+        ]
         mass = spec.mass * (1.0 + payloads[name].mean[0])
         said = f"unknown payload `{name}`: {mass:.4g} kg, 1 sigma {spec.mass * std[0]:.2g} kg"
         notes.append(said + (f"; not determined: {', '.join(untold)}" if untold else ""))

@@ -196,6 +196,7 @@ class Estimate:
         events: per log.
         steps: per log.
         spacing: (L,) h [s].
+        unexplained: (L,) share of the raw output that no motion explains; 0 where its noise is as stated.
         unresolved: (L,) (10.7) still falls at one knot per sample.
         dropped: (L,) stretches that were too short.
         rows: per log.
@@ -234,6 +235,7 @@ class Estimate:
     events: tuple[tuple[Event, ...], ...]
     steps: tuple[tuple[Step, ...], ...]
     spacing: Array
+    unexplained: Array
     unresolved: NDArray[np.bool_]
     dropped: NDArray[np.int64]
     rows: tuple[LogRows, ...]
@@ -287,6 +289,7 @@ def without_motion(n: int, count: int, **found: Any) -> Estimate:
         "events": ((),) * count,
         "steps": ((),) * count,
         "spacing": np.full(count, np.nan),
+        "unexplained": np.zeros(count),
         "unresolved": np.zeros(count, dtype=bool),
         "dropped": np.zeros(count, dtype=np.int64),
         "rows": (no_rows(n),) * count,

@@ -30,7 +30,6 @@ __all__ = ["estimate"]
 
 Array = NDArray[np.float64]
 
-_LASTING = 0.030  # [s] as in the core's mask: from here on an event is a contact
 _NOTHING = np.zeros(0)
 _SOURCES = ("mass", "center_of_mass", "inertia", "timing", "gravity")
 
@@ -119,6 +118,7 @@ def _solved(
         events=tuple(_events(r) for r in rows),
         steps=tuple(_steps(c, theta, covariance, n) for c in columns),
         spacing=np.array([fit.spacing(k) for k in range(len(logs))]),
+        unexplained=np.array(found.unexplained),
         unresolved=np.array(found.unresolved, dtype=bool),
         dropped=np.array(found.dropped, dtype=np.int64),
         rows=rows,
@@ -144,6 +144,8 @@ def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -
     normalised = np.diag(prior**2)
     units = np.append((scale[:, None] / span).ravel(), scale)
     offset_std = np.tile(rig.sensor.offset_prior_array, (count, 1))
+    unexplained = np.zeros(count)
+    unexplained[: len(found.unexplained)] = found.unexplained
     unresolved = np.zeros(count, dtype=bool)
     unresolved[: len(found.unresolved)] = found.unresolved
     dropped = np.zeros(count, dtype=np.int64)
@@ -159,6 +161,7 @@ def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -
         gain_prior=prior[: 6 * n],
         offsets=np.zeros((count, n)),
         offsets_std=offset_std,
+        unexplained=unexplained,
         unresolved=unresolved,
         dropped=dropped,
         converged=False,
@@ -310,7 +313,7 @@ def _events(rows: LogRows) -> tuple[Event, ...]:
     for a, b in edges.reshape(-1, 2):
         with np.errstate(invalid="ignore"):
             size = np.nanmax(np.abs(np.nan_to_num(rows.residual[a:b])), axis=0)
-        lasting = rows.time[b - 1] - rows.time[a] + period >= _LASTING - 1e-9
+        lasting = rows.time[b - 1] - rows.time[a] + period >= _core.MASK_SHORTEST - 1e-9
         out.append(Event(float(rows.time[a]), float(rows.time[b - 1]), int(b - a), bool(lasting), size))
     return tuple(out)
 

@@ -44,6 +44,7 @@ class OnlineFound:
     pose: Any
     halves: Any
     quarters: Any
+    unexplained: Sequence[float]
     unresolved: Sequence[bool]
     dropped: Sequence[int]
     history: History
@@ -68,7 +69,7 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
         status = found.status if found.status != _core.Status.ok else _core.Status.wrong_size
         return OnlineFound(
             None, status, none, none, none, none, (), found.pose, found.halves, found.quarters,
-            found.unresolved, found.dropped, nothing,
+            [0.0] * len(records), found.unresolved, found.dropped, nothing,
         )  # fmt: skip
     fit = _core.make_fit(statement, list(records), list(found.spacing), [[] for _ in records], cauchy=False)
     theta, at = np.array(fit.theta), np.array(found.columns.at)
@@ -97,6 +98,7 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
         pose=found.pose,
         halves=found.halves,
         quarters=found.quarters,
+        unexplained=[0.0] * len(records),
         unresolved=found.unresolved,
         dropped=found.dropped,
         history=History(

@@ -36,8 +36,6 @@ __all__ = ["Comparisons", "Judgement", "Suspicion", "blind_to", "findings", "jud
 
 Array = NDArray[np.float64]
 
-MASKED = 0.2  # share of the samples, beyond which too few are left to trust: 9 of 476 imperfect records
-DISAGREE = 5e-4  # p of (10.11), of each of the two: clean records refused 0 of 104
 CONDITION = 100.0  # of the normalised gain, beyond which it is told: words only
 SINGULAR = 1e12  # that only rounding keeps from infinity: tolerance
 
@@ -62,9 +60,10 @@ class Judgement:
 def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log]) -> Judgement:
     """Whether an estimate may be used, on which axes, and every reason why not.
 
-    Usable: solved, resolved, something learnt; every required gain as accurate as `required`, (10.9) and
-    (10.10) within; no set-up test fails, no channel is dead or at a rail; at most 20% masked; the parts of
-    the record agree, and data that were held out do not say that the nominal gain is better.
+    Usable: solved, resolved, something learnt; at most 20% of the raw output explained by no motion; every
+    required gain as accurate as `required`, (10.9) and (10.10) within; no set-up test fails, no channel is
+    dead or at a rail; at most 20% masked; the parts of the record agree, and data that were held out do not
+    say that the nominal gain is better.
 
     Args:
         estimate: what was found.
@@ -78,20 +77,21 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
     silent = sorted({fault.channel for fault in faults if fault.silent})
     undetermined = _undetermined(estimate, rig, silent)
     reasons = [fault.words for fault in faults]
-    if not estimate.solved:
-        reasons += _unsolved(estimate, logs)
+    unexplained = _unexplained(estimate, rig, logs)
+    if unexplained or not estimate.solved:  # what else was found is no more than what nothing explains
+        reasons += still_motion(logs) or unexplained or _unsolved(estimate, logs)
     else:
         reasons += _of_record(estimate, rig, logs)
         if len(undetermined) == 6 * n:
             reasons += still_motion(logs) or [_nothing_learnt(estimate)]
-        if not silent:  # whose gains look like any mistake
-            reasons += [suspicion.words for suspicion in comparisons.setup]
+    if estimate.solved and not silent:  # whose gains look like any mistake
+        reasons += [suspicion.words for suspicion in comparisons.setup]
     reasons += comparisons.worse
     std = _std(estimate, n)
     std[silent] = 0.0  # no further reason is needed
     accurate = np.array([bool(np.all(std[:, j] <= required[j])) for j in range(6)])
     axes = dict(zip(AXES, (accurate & np.isfinite(required) & (not reasons)).tolist(), strict=True))
-    if not accurate.all() and estimate.solved and len(undetermined) < 6 * n:
+    if not accurate.all() and estimate.solved and not unexplained and len(undetermined) < 6 * n:
         reasons.append(_accuracy(estimate, rig, logs, std, required, accurate))
     verdict = Verdict(not reasons, tuple(reasons), undetermined, blind_to(estimate, rig))
     return Judgement(verdict, axes, tuple(_notes(estimate, comparisons, rig, logs)))
@@ -120,8 +120,6 @@ def _undetermined(estimate: Estimate, rig: Rig, silent: Sequence[int]) -> tuple[
 
 def _unsolved(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
     """Why nothing could be solved."""
-    if still := still_motion(logs):
-        return still
     dropped = [
         f"{log_name(logs, k)} has no stretch that tells a motion ({count} are shorter than 12 knots)"
         for k, count in enumerate(estimate.dropped)
@@ -130,6 +128,17 @@ def _unsolved(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
     return dropped or [
         "the record could not be solved: it holds no stretch in which the sensor and its motion were both "
         "logged long enough, or in all of them hardly anything moved"
+    ]
+
+
+def _unexplained(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
+    """Which logs do not follow their motion."""
+    return [
+        f"the raw output of {log_name(logs, int(k))} does not follow its motion: "
+        f"{100 * estimate.unexplained[k]:.0f}% of what it does is explained by no motion of the payload (is "
+        "the motion that of another run? are the clocks far apart? does something else push?); "
+        f"{largest_departure(estimate, rig, logs)}"
+        for k in np.flatnonzero(estimate.unexplained > _core.MOST_LOST)
     ]
 
 
@@ -153,14 +162,16 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
             f"({_named(looks_fast(estimate, rig, logs), named)}); {largest_departure(estimate, rig, logs)}"
         )
     share = estimate.masked_share()
-    if share > MASKED:
+    if share > _core.MOST_LOST:
         kinds = _named(kinds_of_disturbances(estimate, rig, logs), named)
         reasons.append(
             f"{100 * share:.0f}% of the sensor's samples were left out as {kinds}: too many to trust it;"
             f" {largest_departure(estimate, rig, logs)}"
         )
     p = {"halves": estimate.p_halves, "quarters 1 + 3 and 2 + 4": estimate.p_quarters}
-    parts = [f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= DISAGREE]  # NaN, too
+    parts = [
+        f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= 0.5 * _core.DOUBT
+    ]  # NaN, too
     if parts:
         reasons.append(
             f"parts of the record disagree on the gain ({'; '.join(parts)}): something does not fit the "

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench import _core
 from truewrench.estimation.estimate import Estimate
 from truewrench.model.rig import Rig
 
@@ -16,7 +17,6 @@ Array = NDArray[np.float64]
 
 _GENERAL = "a longer, faster or heavier motion of that axis helps"
 _UNSEEN = "a motion, or a second payload, that loads that axis by itself helps"
-_UNSEEN_SHARE = 0.5  # of the prior's sigma: words only
 _BISECTIONS = 60  # tolerance
 
 
@@ -37,7 +37,7 @@ def advice(estimate: Estimate, rig: Rig, required: Array, payload: str | None, s
     std = np.sqrt(np.maximum(np.diag(estimate.normalised_covariance)[: 6 * n], 0.0)).reshape(n, 6)
     prior = estimate.gain_prior.reshape(n, 6)
     worst = np.unravel_index(int(np.argmax(np.where(np.isfinite(required), std / required, 0.0))), std.shape)
-    if std[worst] > _UNSEEN_SHARE * prior[worst]:
+    if std[worst] > _core.UNDETERMINED * prior[worst]:
         return _UNSEEN
     parts = {name: float(sigma[worst]) for name, sigma in estimate.sources.items()}
     parts = {name: s for name, s in parts.items() if np.isfinite(s) and s > 0.0}

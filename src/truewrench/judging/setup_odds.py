@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from truewrench import _core
 from truewrench.estimation.estimate import Estimate
 from truewrench.judging.setup_mistakes import (
     PRIOR_ODDS,
@@ -141,7 +142,7 @@ def _of_gain(
 
 def _lost(estimate: Estimate, rig: Rig) -> bool:
     """Whether the record is noise to the estimate, and says nothing of the gain."""
-    if not estimate.solved or estimate.unresolved.any():
+    if not estimate.solved or estimate.unresolved.any() or (estimate.unexplained > _core.MOST_LOST).any():
         return True
     factors = [f.factor for of in estimate.noise for f in of if f.what in ("force", "moment", "channels")]
     if max(factors, default=1.0) <= LOST:

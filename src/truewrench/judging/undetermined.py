@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
+from truewrench import _core
 from truewrench.model.calibration_parts import Undetermined
 
 __all__ = ["undetermined_directions"]
 
 Array = NDArray[np.float64]
 
-SHARE = 0.5  # of the prior's sigma, from which on the data did not determine a direction: words only
 TIED = 0.15  # share of an axis, in units of range, that another one has to make up to be named with it: words
 STRONG = 0.3  # of a direction, from which on a channel is named: words
 
@@ -38,7 +38,7 @@ def undetermined_directions(
     """
     n = len(channels)
     values, vectors = np.linalg.eigh(_relative(covariance, prior))
-    basis = vectors[:, values > SHARE**2]  # (6n, k)
+    basis = vectors[:, values > _core.UNDETERMINED**2]  # (6n, k)
     found: list[Undetermined] = []
     if basis.shape[1] >= n:
         # How much of u, in every channel, lies in the undetermined space.

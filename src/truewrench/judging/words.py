@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.stats import poisson
 
+from truewrench import _core
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
 from truewrench.estimation.estimate import Clock, Estimate, LogRows, Slow
 from truewrench.judging.attribution import WALK, Looks, fast_looks, slow_looks
@@ -37,7 +38,6 @@ TOLD = 4.0  # sigma of a clock, a quadratic term, a slow disturbance: 1 clean re
 FILTERED = 4.0  # sigma of kappa and gamma from those of a clock, from which on a filter is named first
 LARGE = 10.0  # times a slow disturbance or the noise, below which an event may be a part of it: words only
 NEAR = 0.3  # [s] of a step, within which a contact may be its edge: words only
-NOISE = 2.0  # factor on the stated sigma that is told: never on clean records of 100 samples
 TILTED = 2.0  # sigma of its prior, that gravity's tilt is told from: 1 true prior in 10
 CLEAN_OUTLIERS = 3e-4  # share of clean samples that are masked,
 CHANCE = 1e-3  # and the probability of as many as found, below which outliers are told
@@ -107,7 +107,9 @@ def kinds_of_disturbances(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> 
 def kinds_of_disagreement(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
     """Why parts of a record may disagree: slow departures, and noise far beyond the stated."""
     noisy = any(
-        found.what in CHANNELS and found.factor > NOISE for of_log in estimate.noise for found in of_log
+        found.what in CHANNELS and found.factor > _core.NOISE_TOLD
+        for of_log in estimate.noise
+        for found in of_log
     )
     fast = [looks.kind for looks in fast_looks(estimate, rig, logs)[:1]] if noisy else []
     return (*looks_slow(estimate, rig, logs)[: MOST - len(fast)], *fast)
@@ -217,8 +219,8 @@ def _noise(
             what = stream or what
         if "positions" in (what.split(" ")[0], stream) and _positions_unstated(rig):
             positions.append(found.factor)
-        elif not 1.0 / NOISE <= found.factor <= NOISE:
-            kinds = (*[kind for kind in fast if found.factor > NOISE], "noise")
+        elif not 1.0 / _core.NOISE_TOLD <= found.factor <= _core.NOISE_TOLD:
+            kinds = (*[kind for kind in fast if found.factor > _core.NOISE_TOLD], "noise")
             words = f"noise of the {_plural(what)} is {found.factor:.2g} x the stated"
             meaning = f"of the {_plural(what)}, times the stated"
             yield Assumed(_what(kinds[-MOST:], meaning), where, found.factor, None, words)

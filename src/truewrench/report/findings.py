@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truewrench.judging import DISAGREE, MASKED
+from truewrench import _core
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.report.consistency import CHANCE, Consistency
 from truewrench.report.convergence import Convergence
@@ -41,6 +41,7 @@ CURES = {
 }
 """What makes each source of uncertainty smaller."""
 
+_AGREE = 0.5 * _core.DOUBT  # p of each comparison of parts
 _HIDES = 0.9  # of the pose that the wrench repeats
 _REFERENCES = ("ekf", "ls")
 _COLOURED = 1.5  # of the density at low frequencies
@@ -82,7 +83,7 @@ def helps(calibration: Calibration) -> Iterator[str]:
             f"On {axes_listed(worse)} the nominal gain is better: check mass and centre of mass of the "
             "payload, and that nothing touches it."
         )
-    if any(not p >= DISAGREE for p in (c.figures.get("parts_agree") or {}).values()):
+    if any(not p >= _AGREE for p in (c.figures.get("parts_agree") or {}).values()):
         yield (
             "The parts of the record do not agree on the gain: something changed while it was taken. Look "
             "at wrench and residuals over time, fasten payload and cables, let the sensor warm up, and "
@@ -92,7 +93,7 @@ def helps(calibration: Calibration) -> Iterator[str]:
     masked = sum(sum(log.masked.values()) for log in c.logs)
     if used and rejected > 0.05 * (rejected + used):
         yield "Much of the record lies outside of every stretch of motion: look for gaps in its streams."
-    if used and masked > MASKED * (masked + used):
+    if used and masked > _core.MOST_LOST * (masked + used):
         yield "Many samples were left out as contact or outliers: see that nothing touches the payload."
 
 
@@ -117,11 +118,11 @@ def agreement_words(calibration: Calibration) -> list[str]:
     p = calibration.figures.get("parts_agree") or {}
     if not p:
         return []
-    agree = all(value >= DISAGREE for value in p.values())
+    agree = all(value >= _AGREE for value in p.values())
     return [
         f"The parts of the record {'agree' if agree else 'do not agree'} on the gain: by chance its halves "
         f"differ as much in {100 * p['halves']:.2g} % of records, its quarters 1 + 3 and 2 + 4 in "
-        f"{100 * p['quarters']:.2g} %; below {100 * DISAGREE:g} % something changed within the record."
+        f"{100 * p['quarters']:.2g} %; below {100 * _AGREE:g} % something changed within the record."
     ]
 
 

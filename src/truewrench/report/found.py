@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from truewrench import _core
 from truewrench.estimation.estimate import Clock, Estimate, Slow
 from truewrench.model.calibration import Calibration
 from truewrench.report.summary import with_uncertainty
@@ -13,7 +14,6 @@ from truewrench.report.tables import Cell, Row, Table
 
 __all__ = ["assumed_table", "found_table"]
 
-_TOLD = 0.5, 2.0  # found noise over the stated one that is worth no word
 _LATENESS = {0.0: "a filter of the sensor", 0.5: "a clock", 1.0: "a filter of the velocities"}
 _SURE = 3.0  # sigma
 
@@ -54,7 +54,7 @@ def _of_log(c: Calibration, estimate: Estimate, k: int) -> Iterator[Row]:
         spacing = f"{1e3 * estimate.spacing[k]:.4g} ms"
         yield _row("knots of the motion, spacing", log, spacing, "-", means, off=unresolved)
     for noise in estimate.noise[k]:
-        off = not _TOLD[0] <= noise.factor <= _TOLD[1]
+        off = not 1.0 / _core.NOISE_TOLD <= noise.factor <= _core.NOISE_TOLD
         means = f"{'larger' if noise.factor > 1.0 else 'smaller'} than stated" if off else ""
         yield _row(f"noise, {noise.what}", log, f"{noise.factor:.3g} × stated", "1", means, off=off)
     for clock in estimate.clocks[k]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from truewrench import _core
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import nearest_physical
@@ -32,10 +33,8 @@ FAR = 25.0  # squared distance to a physical body, 4.4 where all is well
 APART = np.radians(10.0)  # of two directions of gravity
 NARROW = np.radians(30.0)
 LIGHT = 0.3  # 1 sigma of the mass, relative: beyond, no weight is felt
-MASKED = 0.2
 NOISE = 4.0  # found over stated, which people misstate by two
 SLOW = 0.015  # fraction of range: worse than any cable that is guided
-PARTS = 5e-4
 HELD = 1e-6  # [rad] 1 sigma of an angle that was held
 SUSPECTS = 4  # poses, the least likely first, of which one may have been touched
 FEWEST = 8  # poses, of which one can be spared
@@ -177,7 +176,7 @@ def _reasons(
     for kind, ratio in left.ratio.items():
         if ratio > HELD_OUT:
             reasons.append(f"Held-out poses ({kind}) depart {np.sqrt(ratio):.1f} times as far as predicted.")
-    if figures["masked"] > MASKED:
+    if figures["masked"] > _core.MOST_LOST:
         reasons.append(f"{100 * figures['masked']:.0f}% of the motion was left out as contact or outliers.")
     return reasons, needed
 
@@ -213,7 +212,7 @@ def misfit_of_motion(motion: MotionFit | None) -> list[str]:
             f"{100 * motion.slow:.1f}% of range follows neither weight nor motion: attitude, sign or axes of "
             "the log are not as stated, or a cable pulls."
         )
-    if motion.agreement < PARTS:
+    if motion.agreement < 0.5 * _core.DOUBT:
         out.append(f"Parts of the motion tell different sensors (p = {motion.agreement:.1g}).")
     return out
 
