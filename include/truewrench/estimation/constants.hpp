@@ -10,6 +10,7 @@ inline constexpr double periods_per_knot = 2.5;  // samples a knot at least, at 
 inline constexpr double halving_cost = 6.0;  // added to (10.7) a halving: never fired in 88 disturbed records
 inline constexpr double pilot =
     5.0;  // [s] on which finer knots are tried first, of records twice as long: RMS of 200 disturbed ones as without it
+inline constexpr double masked_told = 0.01;  // share of the samples that, masked, calls for finer knots
 inline constexpr double gather_window =
     0.02;  // [s] of four rows, where it holds eight samples: gains at 1 kHz moved by 0.00 sigma, up to 40 Hz
 inline constexpr double smoothness_start = 1e3;    // q, SI: tolerance

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "truewrench/estimation/hyperparameters.hpp"
+#include "truewrench/estimation/mask.hpp"
 #include "truewrench/estimation/start.hpp"
 
 #include <cmath>
@@ -141,6 +142,7 @@ class SpacingSearch {
       std::size_t best = now;
       for (const auto& [i, one] : fits_)
         if (cost(i) < cost(best) && follows(i, now)) best = i;
+      if (best <= now && now + 1 < ladder_.size() && resolves(now + 1, now)) best = now + 1;
       if (best <= now) return now;
       now = best;
     }
@@ -149,7 +151,7 @@ class SpacingSearch {
   // Whether an h is better than the coarsest.
   bool better(std::size_t i) {
     fit(0);
-    return fit(i) && cost(i) < cost(0) && follows(i, 0);
+    return fit(i) && ((cost(i) < cost(0) && follows(i, 0)) || resolves(i, 0));
   }
 
   // ROBUST at a spacing, without the memory of its factorisation; null where none came to an end.
@@ -234,6 +236,21 @@ class SpacingSearch {
   bool follows(std::size_t i, std::size_t now) {
     return i <= now || !fits_[now] || cost_alone(i) < cost_alone(now) ||
            moves(fits_[i]->logs()[0], fits_[now]->logs()[0]);
+  }
+
+  // Whether finer knots keep more than half of the samples from the mask: what they follow is no contact, whatever (10.7) says of
+  // a motion that is lively in places.
+  bool resolves(std::size_t i, std::size_t now) const {
+    const auto &fine = fits_.at(i), &coarse = fits_.at(now);
+    if (!fine || !coarse) return false;
+    const double masked = share_masked(*coarse);
+    return masked > constants::masked_told && masked > constants::masked_told + 2.0 * share_masked(*fine);
+  }
+
+  static double share_masked(const Fit& fit) {
+    Fit masked = fit;
+    set_mask(masked);
+    return masked_share(masked, 0);
   }
 
   // Whether finer knots follow what moves, where the motion alone does not ask for them: its noise is found smaller, in no group
