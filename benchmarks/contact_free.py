@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 import runs
-from imperfect import interval
 from numpy.typing import NDArray
+from runs import interval
 from scipy.spatial.transform import Rotation
 from tool_draws import LAYOUT, REPEATABILITY, channels_of, draw, log_of, moved, posed, rig_of, swung
 

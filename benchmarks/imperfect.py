@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 import runs
 from numpy.typing import NDArray
-from scipy.stats import beta
 
 import truewrench as tw
 from truewrench import robots
@@ -183,21 +182,9 @@ def run_one(seed: int, pairs: bool, ordinary: bool, estimator: str, twins: bool,
         run = simulate(rig, trajectory, seed=drawn)
         made, calibration = runs.calibrated(rig, run.log, run.truth.gain, estimator=estimator, held_out=False)
         if calibration is not None:
-            unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
-            error = np.abs((calibration.gain - run.truth.gain) * unit)
-            beyond = (error > 5.0 * calibration.gain_std_normalised) & (error > 2e-3)
-            made["wrong"] = bool(beyond.any())
+            made["wrong"] = made["beyond"]
         row |= {name + key: value for key, value in made.items()}
     return row
-
-
-def interval(count: float, total: int) -> str:
-    """A rate and its 95% interval (Clopper and Pearson)."""
-    if not total:
-        return "-"
-    low = beta.ppf(0.025, count, total - count + 1) if count > 0 else 0.0
-    high = beta.ppf(0.975, count + 1, total - count) if count < total else 1.0
-    return f"{100 * count / total:.1f}% [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 def named(row: Row) -> int:
@@ -219,13 +206,13 @@ def line(name: str, rows: Sequence[Row]) -> list[str]:
         name,
         str(len(rows)),
         str(len(rows) - len(done)),
-        interval(sum(r["usable"] for r in ordinary), len(ordinary)),
-        interval(sum(r["usable"] for r in asked), len(asked)),
-        interval(sum(r["wrong"] for r in usable), len(done)),
+        runs.interval(sum(r["usable"] for r in ordinary), len(ordinary)),
+        runs.interval(sum(r["usable"] for r in asked), len(asked)),
+        runs.interval(sum(r["wrong"] for r in usable), len(done)),
         f"{np.mean([r['covered'] for r in done]):.3f}" if done else "-",
         f"{np.median([r['nees'] for r in done]):.2f}" if done else "-",
         f"{np.median(ratio):.1f} ({np.max(ratio):.1f})" if ratio else "-",
-        interval(sum(named(r) >= 0 for r in refused), len(refused)),
+        runs.interval(sum(named(r) >= 0 for r in refused), len(refused)),
     ]
 
 

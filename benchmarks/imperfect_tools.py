@@ -25,8 +25,9 @@ from functools import cache, partial
 import numpy as np
 import runs
 import tool_joints
-from imperfect import RANGES, SIX, imperfection, interval
+from imperfect import RANGES, SIX, imperfection
 from numpy.typing import NDArray
+from runs import interval
 from scipy.spatial.transform import Rotation
 from tool_draws import LAYOUT, draw, rig_of
 

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import beta, chi2
 
 import truewrench as tw
 from truewrench import _core
@@ -36,6 +36,7 @@ Row = dict[str, Any]
 SAVE_EVERY = 30.0  # [s]
 WITHIN_95 = 1.959964
 SIX_SIGMA = 6.0
+FIVE_SIGMA, SMALL = 5.0, 2e-3  # and of range: what is beyond both is wrong
 TAIL = 1e-8  # of chi-square: a NEES beyond it is not chance
 
 
@@ -173,8 +174,18 @@ def score(found: Calibration, gain: Array) -> Row:
         "log10_tail": max(-1e6, log_tail / np.log(10.0)),
         "covered": float(np.mean(deviation <= WITHIN_95)),
         "wrong": wrong,
+        "beyond": bool(np.any((deviation > FIVE_SIGMA) & (np.abs(error) > SMALL))),
         "wrong_and_confident": wrong and found.verdict.usable,
     }
+
+
+def interval(count: float, total: int) -> str:
+    """A rate and its 95% interval (Clopper and Pearson)."""
+    if not total:
+        return "-"
+    low = beta.ppf(0.025, count, total - count + 1) if count > 0 else 0.0
+    high = beta.ppf(0.975, count + 1, total - count) if count < total else 1.0
+    return f"{100 * count / total:.1f}% [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 REASONS = (

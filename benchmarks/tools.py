@@ -27,9 +27,8 @@ import cases
 import numpy as np
 import yaml
 from bound_oracle import MotionInformation, Rnea, covariance
-from imperfect import interval
 from numpy.typing import NDArray
-from runs import WITHIN_95
+from runs import WITHIN_95, interval
 
 import truewrench as tw
 from truewrench.io.tables import GRAVITY, TWIST, read_log, write_table

@@ -25,8 +25,8 @@ from functools import partial
 import numpy as np
 import runs
 import tool_joints
-from imperfect import interval
 from numpy.typing import NDArray
+from runs import interval
 from tool_bound import Truth, bound
 from tool_draws import SPREAD, draw, moved, posed, rig_of
 from tool_recipe import recipe
