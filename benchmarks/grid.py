@@ -272,9 +272,9 @@ def report(rows: list[runs.Row]) -> None:
     sigma = float(np.median([r["stated"] / r["bound"] for r in usable])) if usable else float("nan")
     rates = [runs.interval(count, len(counted)) for count in (len(usable), needless, wrong)]
     print(
-        f"\nOf the runs that count {rates[0]} are usable; {rates[1]} refused although no gain is beyond 5 sigma "
-        f"and 0.2% of range; {rates[2]} usable although one is. Of the usable 95% intervals hold {covered:.3f} "
-        f"of the gains, and the median of sigma over the bound is {sigma:.2f}."
+        f"\nOf the runs that count {rates[0]} are usable; {rates[1]} refused although no gain is beyond 5 "
+        f"sigma and 0.2% of range; {rates[2]} usable although one is. Of the usable 95% intervals hold "
+        f"{covered:.3f} of the gains, and the median of sigma over the bound is {sigma:.2f}."
     )
     bad = [r for r in counted if not good(r)]
     print(f"\nWhy {len(bad)} of {len(counted)} runs that count are not usable (some for several reasons):\n")
