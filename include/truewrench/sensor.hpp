@@ -51,11 +51,27 @@ Status generalised_inverse(const SensorModel<N>& s, typename SensorModel<N>::Inv
   Eigen::ColPivHouseholderQR<typename SensorModel<N>::Gain> qr(whitened);
   qr.setThreshold(1e-12);
   if (qr.rank() < 6) return Status::singular;
-  using Square =
-      Eigen::Matrix<double, N, N, Eigen::ColMajor, SensorModel<N>::storage, SensorModel<N>::storage>;
+  // P R^-1 Q^T of each unit vector, in loops: Eigen's solver takes a compiler 200 MB here
   const Eigen::Index n = s.gain.rows();
-  inverse = qr.solve(Square::Identity(n, n));
-  inverse = length.cwiseInverse().asDiagonal() * inverse * weight.asDiagonal();
+  const auto& QR = qr.matrixQR();
+  inverse.resize(6, n);
+  for (Eigen::Index c = 0; c < n; ++c) {
+    typename SensorModel<N>::Channels x = SensorModel<N>::Channels::Zero(n);
+    x[c] = 1.0;
+    for (Eigen::Index k = 0; k < 6; ++k) {  // the reflections I - t v v^T, v = (1, below the diagonal)
+      double sum = x[k];
+      for (Eigen::Index r = k + 1; r < n; ++r) sum += QR(r, k) * x[r];
+      sum *= qr.hCoeffs()[k];
+      x[k] -= sum;
+      for (Eigen::Index r = k + 1; r < n; ++r) x[r] -= sum * QR(r, k);
+    }
+    for (Eigen::Index k = 5; k >= 0; --k) {
+      for (Eigen::Index j = k + 1; j < 6; ++j) x[k] -= QR(k, j) * x[j];
+      x[k] /= QR(k, k);
+    }
+    inverse.col(c) = weight[c] * x.template head<6>();
+  }
+  inverse = length.cwiseInverse().asDiagonal() * (qr.colsPermutation() * inverse);
   return inverse.allFinite() ? Status::ok : Status::singular;
 }
 

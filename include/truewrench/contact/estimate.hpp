@@ -32,6 +32,33 @@ enum class Tare : std::uint8_t {
 
 namespace contact {
 
+// L of S = L L^T, and its triangular solves in loops: Eigen's own take a compiler 100 MB.
+class Root {
+ public:
+  bool compute(const Matrix6& S) noexcept {
+    factor_.compute(S);
+    return factor_.info() == Eigen::Success;
+  }
+  Vector6 lower(Vector6 x) const noexcept {  // L^-1 x
+    for (int i = 0; i < 6; ++i) {
+      for (int j = 0; j < i; ++j) x[i] -= factor_.matrixLLT()(i, j) * x[j];
+      x[i] /= factor_.matrixLLT()(i, i);
+    }
+    return x;
+  }
+  Vector6 solve(const Vector6& b) const noexcept {  // S^-1 b
+    Vector6 x = lower(b);
+    for (int i = 5; i >= 0; --i) {
+      for (int j = i + 1; j < 6; ++j) x[i] -= factor_.matrixLLT()(j, i) * x[j];
+      x[i] /= factor_.matrixLLT()(i, i);
+    }
+    return x;
+  }
+
+ private:
+  Eigen::LLT<Matrix6> factor_;
+};
+
 class Estimate {
  public:
   // Takes the wrench that was evaluated last for that of no contact: a measurement w_c = 0 with the sigma of the
@@ -45,11 +72,11 @@ class Estimate {
     for (int i = 0; i < n; ++i) P_(at_.offset() + i, at_.offset() + i) += walk(i) * since;
     start_ = step_ = theta_;
     Matrix6 of_moment;
-    Eigen::LLT<Matrix6> factor;
+    Root factor;
     for (int iteration = 0; iteration < tare_steps; ++iteration) {
       contact_ = linearise();
       of_moment = moment_noise();  // before P_ J, for the offset's walk is in P_ by now
-      factor.compute(of_moment + through(P_));
+      static_cast<void>(factor.compute(of_moment + through(P_)));
       for (int k = 0; k < 6; ++k) {
         double sum = contact_[k];
         for (int c = 0; c < at_.size(); ++c) sum += J_(k, c) * (start_[c] - step_[c]);
@@ -64,11 +91,11 @@ class Estimate {
       }
     }
     contact_ = linearise();
-    factor.compute(moment_noise() + through(P_));
+    static_cast<void>(factor.compute(moment_noise() + through(P_)));
     // P - P J^T S^-1 J P with S = L L^T, as a product with its own transpose: it stays symmetric
     for (int c = 0; c < at_.size(); ++c) {
       const Vector6 row = PJ_.row(c).transpose();
-      const Vector6 scaled = factor.matrixL().solve(row);
+      const Vector6 scaled = factor.lower(row);
       PJ_.row(c) = scaled.transpose();
     }
     for (int c = 0; c < at_.size(); ++c)
@@ -202,8 +229,10 @@ class Estimate {
       p.slope = settings_.temperature_slope;
     if (at_.curved) p.quadratic = theta.segment(at_.quadratic(), n);
     p.inverse.resize(6, n);
-    p.inverse.topRows<3>() = p.R.transpose() * inverse.topRows<3>();
-    p.inverse.bottomRows<3>() = p.R.transpose() * inverse.bottomRows<3>();
+    for (int i = 0; i < n; ++i) {
+      p.inverse.col(i).head<3>() = p.R.transpose() * inverse.col(i).head<3>();
+      p.inverse.col(i).tail<3>() = p.R.transpose() * inverse.col(i).tail<3>();
+    }
     return Status::ok;
   }
 
@@ -305,9 +334,9 @@ class Estimate {
     const double since = std::abs(static_cast<double>(moment_ - offset_time_)) * 1e-9;
     for (int i = 0; i < at_.n; ++i)
       sigma += walk(i) * since * point_.inverse.col(i) * point_.inverse.col(i).transpose();
-    const Eigen::LLT<Matrix6> factor(sigma);
-    const Vector6 white = factor.matrixL().solve(contact_);
-    chi2_ = factor.info() == Eigen::Success ? white.squaredNorm() : std::numeric_limits<double>::quiet_NaN();
+    Root factor;
+    chi2_ = factor.compute(sigma) ? factor.lower(contact_).squaredNorm()
+                                  : std::numeric_limits<double>::quiet_NaN();
     valid_ = std::isfinite(chi2_);
     out.wrench = contact_;
     out.covariance = sigma;

@@ -1,0 +1,144 @@
+// The contact wrench of the rows of a table, and its events.
+#include "contact_case.hpp"
+#include "truewrench/contact/events.hpp"
+#include "truewrench/contact/rows.hpp"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+namespace truewrench {
+namespace {
+
+TEST(ContactEvents, AreMergedAndPlaced) {
+  ContactEvents events;
+  ContactWrench w;
+  w.wrench << 0.0, 0.0, 10.0, 0.5, -0.2, 0.7;
+  w.chi2 = 100.0;
+  const Vector3 c(0.0, 0.0, 0.1);
+  w.time_ns = 0;
+  EXPECT_FALSE(events.step(w, c));
+  w.time_ns = 90'000'000;
+  EXPECT_FALSE(events.step(w, c));
+  w.time_ns = 191'000'000;
+  w.chi2 = 6.0;
+  const auto event = events.step(w, c);
+  ASSERT_TRUE(event);
+  EXPECT_EQ(event->end_ns, 90'000'000);
+  EXPECT_DOUBLE_EQ(event->peak_force, 10.0);
+  EXPECT_LT((event->point - Vector3(0.02, 0.05, 0.1)).norm(), 1e-12);
+  EXPECT_FALSE(events.finish());
+}
+
+// Numbers of the rows of one table at some stamps [ns] that get their wrench; nothing touches the tool.
+std::vector<std::int64_t> rows_given(const std::vector<std::int64_t>& stamps, double window, double& worst) {
+  const contact::Settings s = settings_of(6, Feels::payload_on_sensor, false);
+  ContactRows rows;
+  EXPECT_EQ(rows.configure(s, window, false, false, 8192), Status::ok);
+  const Swing motion;
+  std::vector<std::int64_t> given;
+  const auto take = [&](std::int64_t number, const ContactWrench& w) {
+    given.push_back(number);
+    worst = std::max(worst, w.wrench.norm());
+  };
+  for (const std::int64_t stamp : stamps) {
+    const double t = 1e-9 * static_cast<double>(stamp);
+    const Eigen::VectorXd raw = raw_of(s, motion, t, Vector6::Zero());
+    EXPECT_EQ(
+        rows.feed({stamp, raw.data(), motion.twist(t), motion.turn(t) * s.gravity, motion.turn(t)}, take),
+        Status::ok);
+  }
+  rows.finish(take);
+  return given;
+}
+
+TEST(ContactRows, KernelsMayBeLongerThanWhatTellsThePeriods) {
+  for (const auto& [rate, window] : {std::pair{2000, 0.02}, {4000, 0.02}, {500, 0.1}, {1000, 0.02}}) {
+    std::vector<std::int64_t> stamps;
+    for (int i = 0; i < 600; ++i) stamps.push_back(i * (1'000'000'000LL / rate));
+    double worst = 0.0;
+    const std::vector<std::int64_t> given = rows_given(stamps, window, worst);
+    const auto half = static_cast<std::int64_t>(std::lround(0.5 * window * rate));
+    ASSERT_EQ(static_cast<std::int64_t>(given.size()), 600 - 2 * half) << rate;
+    EXPECT_EQ(given.front(), half);
+    EXPECT_TRUE(std::is_sorted(given.begin(), given.end()));
+    EXPECT_LT(worst, 0.05 * window / 0.02);  // what means over a kernel leave of products
+  }
+}
+
+TEST(ContactRows, SamplesMissingWhileThePeriodsAreLearntCostThemselvesAlone) {
+  for (const int missing : {1, 5, 12, 19}) {
+    std::vector<std::int64_t> stamps;
+    for (int i = 0; i < 400; ++i) stamps.push_back((i + (i < missing ? 0 : 15)) * 1'000'000LL);
+    double worst = 0.0;
+    const std::vector<std::int64_t> given = rows_given(stamps, 0.02, worst);
+    EXPECT_EQ(given.size(), 400U - missing - 20U) << missing;
+    EXPECT_LT(worst, 0.05);
+  }
+}
+
+TEST(ContactRows, ABurstAtTheStartIsNoPeriod) {
+  std::vector<std::int64_t> stamps;
+  for (int i = 0; i < 30; ++i) stamps.push_back(i * 50'000LL);
+  for (int i = 0; i < 400; ++i) stamps.push_back((i + 5) * 1'000'000LL);
+  double worst = 0.0;
+  const std::vector<std::int64_t> given = rows_given(stamps, 0.02, worst);
+  EXPECT_GE(given.size(), 400U - 20U);
+  EXPECT_EQ(given.back(), 430 - 11);
+  EXPECT_LT(worst, 0.05);
+}
+
+TEST(ContactRows, PosesAndStreamsOfTwoRates) {
+  const contact::Settings s = settings_of(6, Feels::payload_on_sensor, false);
+  ContactRows rows;
+  ASSERT_EQ(rows.configure(s, 0.02, false, false, 1024), Status::ok);
+  const Swing motion;
+  const Vector6 nothing = Vector6::Constant(std::nan(""));
+  int given = 0;
+  double worst = 0.0;
+  for (int i = 0; i < 600; ++i) {  // sensor at 1 kHz, motion at 250 Hz
+    const double t = 1e-3 * i;
+    const Eigen::VectorXd raw = raw_of(s, motion, t, Vector6::Zero());
+    ContactRow row{i * 1'000'000LL, raw.data(), nothing, nothing.head<3>(), Matrix3::Constant(std::nan(""))};
+    if (i % 4 == 0) {
+      row.twist = motion.twist(t);
+      row.fall = motion.turn(t) * s.gravity;
+      row.R_sensor_root = motion.turn(t);
+    }
+    ASSERT_EQ(rows.feed(row,
+                        [&](std::int64_t, const ContactWrench& w) {
+                          ++given;
+                          worst = std::max(worst, w.wrench.norm());
+                        }),
+              Status::ok);
+  }
+  EXPECT_GT(given, 560);
+  EXPECT_LT(worst, 0.02);  // what linear interpolation of the motion over 4 ms leaves of 20 N
+
+  ASSERT_EQ(rows.configure(s, 0.02, false, false, 1024), Status::ok);
+  given = 0;
+  for (int i = 0; i < 5; ++i) {
+    const Matrix3 turn = motion.turn(0.1 * i);
+    contact::Matrix3x2 by;
+    Vector6 w =
+        oracle::wrench(s.mass, s.center_of_mass, Matrix3::Identity(), Vector3::Zero(), Vector6::Zero(),
+                       Vector6::Zero(), turn * contact::tilted_fall(s.gravity, s.tilt, by));
+    Matrix3 turns[3];
+    const Matrix3 R = contact::channel_turn(s.mounting, turns);
+    w << (R * w.head<3>()).eval(), (R * w.tail<3>()).eval();
+    const Eigen::VectorXd raw = s.sensor.gain * w + s.sensor.offset;
+    const auto count = [&](std::int64_t, const ContactWrench& pose) {
+      ++given;
+      EXPECT_LT(pose.wrench.norm(), 1e-10);
+    };
+    ASSERT_EQ(rows.feed({i * 3'000'000'000LL, raw.data(), Vector6::Zero(), turn * s.gravity, turn}, count),
+              Status::ok);
+    if (i == 4) rows.finish(count);
+  }
+  EXPECT_EQ(given, 5);
+}
+
+}  // namespace
+}  // namespace truewrench
