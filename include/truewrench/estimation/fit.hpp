@@ -261,10 +261,15 @@ class Fit {
     lagged = Eigen::Map<const RowMatrix>(theta.data() + layout_.C, n_, 6);
     predict();
     reweigh();
-    compare_delays();
     converged = false;
     for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
+      compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
       if (!linearise() || !solve()) return *this;
+      if (moved_) {  // what is held now was put to its mean: the residuals that the sizes see are those of after it
+        predict();
+        moved_ = false;
+        if (!linearise() || !solve()) return *this;
+      }
       advance();
       const auto count = static_cast<double>(active_places().size());
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);

@@ -1,6 +1,7 @@
 // Samples -> sums over one interval of knots (METHOD 9): of a sample only its residual, its gradient and its features are
 // formed; an interval has one Jacobian, the mean of its samples', for H and F alike: the gradient stays exact, so the fixed
-// point does not move.
+// point does not move. Where the samples' own differ from it by more than the motion's information hides, as where a light body
+// turns fast under a precise sensor, the interval is cut into parts with one each: else no step comes to the fixed point.
 #pragma once
 
 #include "truewrench/estimation/stretch.hpp"
@@ -110,6 +111,27 @@ class Intervals {
       const double sigma = s.rig().noise[i] * sizes.raw_factor[raw_group(i, n)];
       information_[static_cast<std::size_t>(i)] = 1.0 / (sigma * sigma);
     }
+    // of x in an interval, by the samples of the motion; and of the wrench, in fractions of range, by one of the sensor's
+    const double h = s.spline.h();
+    told_.assign(static_cast<std::size_t>(orders * M), 0.0);
+    for (std::size_t i = 0; i < s.motion.size(); ++i) {
+      const MotionStream& stream = s.log().motion[i];
+      for (int j = 0; j < M; ++j)
+        told_[static_cast<std::size_t>(j)] +=
+            s.motion[i].samples[j] / static_cast<double>(s.spline.intervals()) *
+            std::pow(
+                stream.sigma[j] * sizes.motion_factor[i][stream.group[j]] * std::pow(h, stream.derivative),
+                -2.0);
+    }
+    for (int p = orders - 1; p >= 0; --p)
+      for (int j = 0; j < M; ++j)
+        told_[static_cast<std::size_t>(p * M + j)] = told_[static_cast<std::size_t>(j)] * std::pow(h, 2 * p);
+    for (int c = 0; c < 6; ++c) {
+      felt_[c] = 0.0;
+      for (int i = 0; i < n; ++i)
+        felt_[c] += information_[static_cast<std::size_t>(i)] * theta[columns.C + 6 * i + c] *
+                    theta[columns.C + 6 * i + c];
+    }
     body_ = departed(s.log().payload, Stretch::body_of(columns, theta));
     root_ = s.root_gravity(columns, theta, &by_tilt_);
     C_ = theta.data() + columns.C;
@@ -136,17 +158,22 @@ class Intervals {
     done_.assign(static_cast<std::size_t>(next_ - begin), 0);
     for (Eigen::Index k = begin; k < next_; ++k) {
       if (done_[static_cast<std::size_t>(k - begin)] || s.raw.weight[k] <= 0.0) continue;
-      rows_.clear();
+      same_.clear();
       for (Eigen::Index l = k; l < next_; ++l) {
         if (done_[static_cast<std::size_t>(l - begin)] || s.raw.weight[l] <= 0.0 || !same_channels(s, k, l))
           continue;
         done_[static_cast<std::size_t>(l - begin)] = 1;
-        rows_.push_back(l);
+        same_.push_back(l);
       }
-      if (used == pool.size()) pool.emplace_back();
-      RawSums& sums = pool[used++];
-      sum_raw(s, columns, theta, sums);
-      take(sums);
+      const int count = static_cast<int>(same_.size()), parts = parts_of(s, columns, theta);
+      for (int part = 0; part < parts; ++part) {
+        first_ = count * part / parts;
+        rows_.assign(same_.begin() + first_, same_.begin() + count * (part + 1) / parts);
+        if (used == pool.size()) pool.emplace_back();
+        RawSums& sums = pool[used++];
+        sum_raw(s, columns, sums);
+        take(sums);
+      }
     }
   }
 
@@ -157,8 +184,47 @@ class Intervals {
   Eigen::Matrix<double, 3, 2> by_tilt_;
   const double *C_ = nullptr, *u_ = nullptr, *lagged_ = nullptr;  // (n, 6), (n), (n, 6)
   Eigen::Index next_ = 0;
-  std::vector<Eigen::Index> rows_;
+  std::vector<Eigen::Index> same_,
+      rows_;  // of an interval with the same channels; of the part in hand, from same_[first_] on
+  int first_ = 0;
+  std::vector<double>
+      told_;  // (orders M) information on [x, x', x''] over h^p of an interval's motion samples
+  double felt_[6] = {};
+  std::vector<double> spread_;  // (6, orders M) sums of squares of the Jacobians about their mean
   std::vector<char> done_;
+
+  // The Jacobians of `same_`, and into how many parts it is cut, so that what lies between those of the samples and their mean is
+  // at most `jacobian_spread` of what the motion's own samples tell: it falls with the square of the parts.
+  int parts_of(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta) {
+    const int count = static_cast<int>(same_.size()), size = 6 * orders * M;
+    jacobian_.resize(static_cast<std::size_t>(count * size));
+    X_.resize(static_cast<std::size_t>(6 * count * ldx + 8));
+    mean_.assign(static_cast<std::size_t>(size), 0.0);
+    spread_.assign(static_cast<std::size_t>(size), 0.0);
+    double total = 0.0;
+    for (int r = 0; r < count; ++r) {
+      double* J = jacobian_.data() + r * size;
+      const Eigen::Index k = same_[static_cast<std::size_t>(r)];
+      sample_jacobians(s, columns, theta, k, J, X_.data() + 6 * r * ldx);
+      // Welford's recursion
+      const double weight = s.raw.weight[k], share = weight / (total + weight);
+      for (int x = 0; x < size; ++x) {
+        const auto at = static_cast<std::size_t>(x);
+        const double d = J[x] - mean_[at];
+        mean_[at] += share * d;
+        spread_[at] += weight * (1.0 - share) * d * d;
+      }
+      total += weight;
+    }
+    double most = 0.0;
+    for (int x = 0; x < orders * M; ++x) {
+      double sum = 0.0;
+      for (int c = 0; c < 6; ++c) sum += felt_[c] * spread_[static_cast<std::size_t>(c * orders * M + x)];
+      most = std::max(most, sum / told_[static_cast<std::size_t>(x)]);
+    }
+    const double parts = std::ceil(std::sqrt(most / constants::jacobian_spread));
+    return static_cast<int>(std::clamp(parts, 1.0, static_cast<double>(count)));
+  }
 
   bool same_channels(const Stretch& s, Eigen::Index k, Eigen::Index l) const {
     if (s.raw.channels[k] != s.raw.channels[l]) return false;
@@ -252,7 +318,7 @@ class Intervals {
   }
 
   // Rows of (10.3) at `rows_`.
-  void sum_raw(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, RawSums& out) {
+  void sum_raw(const Stretch& s, const Columns& columns, RawSums& out) {
     const int OM = orders * M, left_rows = kLocal * orders + nf + 2 * n, ldw = dense::padded(left_rows);
     const auto count = static_cast<int>(rows_.size());
     out.v = information_;
@@ -260,9 +326,7 @@ class Intervals {
       if (!std::isfinite(s.raw.value(rows_[0], i))) out.v[static_cast<std::size_t>(i)] = 0.0;
     const double* v = out.v.data();
     phi_.resize(static_cast<std::size_t>(count * ld + 8));
-    X_.resize(static_cast<std::size_t>(6 * count * ldx + 8));
     weights_.resize(static_cast<std::size_t>(count * ldw + 8));
-    jacobian_.resize(static_cast<std::size_t>(6 * OM));
     std::fill(mean_.begin(), mean_.end(), 0.0);
     std::fill(gx.begin(), gx.end(), 0.0);
     std::fill(gd.begin(), gd.end(), 0.0);
@@ -272,10 +336,10 @@ class Intervals {
       const Eigen::Index k = rows_[static_cast<std::size_t>(r)];
       const double weight = s.raw.weight[k];
       total += weight;
-      double *phi = phi_.data() + r * ld, *X = X_.data() + 6 * r * ldx, *J = jacobian_.data();
+      const double *J = jacobian_.data() + (first_ + r) * 6 * OM, *X = X_.data() + 6 * (first_ + r) * ldx;
+      double* phi = phi_.data() + r * ld;
       double *left_row = weights_.data() + r * ldw,
              *vr = left_row + kLocal * orders + nf + n;  // less what they weigh
-      sample_jacobians(s, columns, theta, k, J, X);
       for (int c = 0; c < 6; ++c) std::copy_n(X + c * ldx, nd, phi + nf + n + c * nd);
       dense::add(mean_.data(), weight, J, 6 * OM);
       const double *w = s.now.w.data() + 6 * k, *cw = s.now.cw.data() + n * k,
@@ -368,14 +432,14 @@ class Intervals {
     for (int h = 0; h < 6; ++h)
       for (int c = 0; c < 6; ++c) dense::add(left.data() + h * OM, -Q[6 * h + c], mean_.data() + c * OM, OM);
     q_.resize(static_cast<std::size_t>(6 * count * ldx + 8));
+    const double* X = X_.data() + 6 * first_ * ldx;
     for (int r = 0; r < count; ++r) {
       double weighted[36];
       for (int c = 0; c < 36; ++c) weighted[c] = -s.raw.weight[rows_[static_cast<std::size_t>(r)]] * Q[c];
-      dense::tile<6>(q_.data() + 6 * r * ldx, ldx, weighted, 6, 1, X_.data() + 6 * r * ldx, ldx, ldx, 6,
-                     nullptr, 0, dense::Mode::fresh);
+      dense::tile<6>(q_.data() + 6 * r * ldx, ldx, weighted, 6, 1, X + 6 * r * ldx, ldx, ldx, 6, nullptr, 0,
+                     dense::Mode::fresh);
     }
-    dense::subtract(XX.data(), ldx, X_.data(), 1, ldx, q_.data(), ldx, nd, ldx, 6 * count,
-                    dense::Mode::fresh);
+    dense::subtract(XX.data(), ldx, X, 1, ldx, q_.data(), ldx, nd, ldx, 6 * count, dense::Mode::fresh);
     out.basis.resize(static_cast<std::size_t>(kLocal * orders));
     for (int p = 0; p < orders; ++p)
       for (int l = 0; l < kLocal; ++l)
