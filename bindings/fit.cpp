@@ -235,8 +235,7 @@ void bind_fit(nb::module_& m) {
           [](const Estimate& e) { return std::vector<bool>(e.unresolved.begin(), e.unresolved.end()); })
       .def_ro("unexplained", &Estimate::unexplained)
       .def_ro("dropped", &Estimate::dropped)
-      .def_ro("fits", &Estimate::fits)
-      .def_ro("share", &Estimate::share);
+      .def_ro("fits", &Estimate::fits);
   m.attr("MOST_LOST") = constants::most_lost;
   m.attr("DOUBT") = constants::doubt;
   m.attr("UNDETERMINED") = constants::undetermined;

@@ -34,7 +34,6 @@ struct Estimate {
       unexplained;  // by log: share of the raw output that no motion explains; 0 where its noise is as stated
   std::vector<int> dropped;  // by log: stretches too short
   int fits = 0;
-  double share = 0.0;  // largest ratio of (10.9) to a gain's variance
 };
 
 class Estimator {
@@ -53,6 +52,7 @@ class Estimator {
     out.unresolved.assign(count, 0);
     out.dropped.assign(count, 0);
     out.unexplained.assign(count, 0.0);
+    rungs_.assign(count, 0);
     for (std::size_t l = 0; l < count; ++l) {
       const double coarsest =
           std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*recorded_[l]));
@@ -91,7 +91,7 @@ class Estimator {
     Rows best = fit_rows(*robust, steps, out, hopeful ? Slow::asked : Slow::never);
     if (hopeful) repair(best, steps, out);
     finish(best, out);
-    return out;
+    return hopeful ? refined(best, steps, out) : out;
   }
 
  private:
@@ -100,6 +100,7 @@ class Estimator {
     std::shared_ptr<Fit> fit;
     std::vector<std::vector<Moment>> moments;
     Eigen::MatrixXd added;
+    double share = 0.0;  // largest ratio of (10.9) to a gain's variance
   };
 
   std::shared_ptr<const Statement> rig_;
@@ -107,6 +108,7 @@ class Estimator {
   std::vector<std::shared_ptr<const RecordedLog>> gathered_;
   Settings settings_;
   std::vector<std::vector<Piece>> pieces_;
+  std::vector<std::size_t> rungs_;  // by log: h in its ladder
 
   LogFit log_fit(std::size_t l, const std::vector<Piece>& pieces, double h) const {
     LogFit out;
@@ -148,15 +150,15 @@ class Estimator {
     return pooled;
   }
 
+  SpacingSearch search_of(std::size_t l, const std::vector<Piece>& pieces, double repeated) const {
+    return SpacingSearch(
+        rig_, [this, l, pieces](double h) { return log_fit(l, pieces, h); },
+        spacings(motion_period(*recorded_[l])), repeated, settings_.threads);
+  }
+
   // ROBUST of one log at the h that is best for it (10.2).
-  std::shared_ptr<Fit> choose_spacing(std::size_t l, Estimate& out) const {
-    const std::vector<double> ladder = spacings(motion_period(*recorded_[l]));
-    const auto search_of = [&](const std::vector<Piece>& pieces, double repeated) {
-      return SpacingSearch(
-          rig_, [this, l, pieces](double h) { return log_fit(l, pieces, h); }, ladder, repeated,
-          settings_.threads);
-    };
-    SpacingSearch whole = search_of(pieces_[l], 1.0);
+  std::shared_ptr<Fit> choose_spacing(std::size_t l, Estimate& out) {
+    SpacingSearch whole = search_of(l, pieces_[l], 1.0);
     const std::shared_ptr<Fit> coarsest = whole.fit(0);
     std::size_t found = 0;
     // a motion that the coarsest knots do not follow leaves residuals faster than 2 h, the shortest tau of (10.9)
@@ -168,7 +170,7 @@ class Estimator {
     }
     if (coarsest && duration > 2.0 * constants::pilot) {
       const Piece part = worst_part(*coarsest);
-      SpacingSearch pilot = search_of({part}, duration / (part.end - part.begin));
+      SpacingSearch pilot = search_of(l, {part}, duration / (part.end - part.begin));
       const std::size_t tried = pilot.best();
       out.fits += pilot.fits();
       if (tried > 0) found = whole.better(tried) ? tried : whole.best();
@@ -176,7 +178,14 @@ class Estimator {
       found = whole.best();
     }
     out.fits += whole.fits();
-    out.unresolved[l] = found + 1 == ladder.size() ? 1 : 0;
+    const bool last = found + 1 == spacings(motion_period(*recorded_[l])).size();
+    if (last && gathered_[l]) {  // a knot a row: of the samples themselves there are finer ones
+      recorded_[l] = whole_[l];
+      gathered_[l] = nullptr;
+      return choose_spacing(l, out);
+    }
+    out.unresolved[l] = last ? 1 : 0;
+    rungs_[l] = found;
     return whole.fit(found);
   }
 
@@ -233,16 +242,15 @@ class Estimator {
     auto plain = std::make_shared<Fit>(rig_, bare(like), steps, settings_.threads);
     plain->start_from(like).run();
     ++out.fits;
-    Rows rows{plain, {}, {}};
+    Rows rows{plain, {}, {}, 0.0};
     const int n = plain->channels();
     if (plain->failed) return rows;
     for (std::size_t l = 0; l < plain->logs().size(); ++l) rows.moments.push_back(moments(*plain, l));
     rows.added = spread(*plain, rows.moments, unmasked(*plain));
     plain->release();
     const Eigen::MatrixXd P = plain->covariance();
-    out.share = 0.0;
-    for (int i = 0; i < 6 * n; ++i) out.share = std::max(out.share, rows.added(i, i) / P(i, i));
-    if (slow == Slow::never || (slow == Slow::asked && out.share <= 1.0)) return rows;
+    for (int i = 0; i < 6 * n; ++i) rows.share = std::max(rows.share, rows.added(i, i) / P(i, i));
+    if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;
     for (const Form form : {Form::matern, Form::walk}) {
       auto d = std::make_shared<Fit>(rig_, bare(*plain), steps, settings_.threads);
       for (LogFit& log : d->logs()) log.sizes.form = form;
@@ -299,6 +307,33 @@ class Estimator {
       best = trial;
       steps = trial_steps;
     }
+  }
+
+  static bool agree(const Estimate& e) {
+    return e.halves.p >= 0.5 * constants::doubt && e.quarters.p >= 0.5 * constants::doubt;
+  }
+
+  // Where the parts of the record disagree and residuals show nothing slow, its knots halved once more, if they then agree: too
+  // coarse in places for the gain, by too little for (10.7).
+  Estimate refined(const Rows& best, const std::vector<std::vector<double>>& steps, Estimate& out) const {
+    if (out.status != Status::ok || agree(out) || best.share > 1.0) return out;
+    std::vector<std::shared_ptr<Fit>> alone;
+    for (std::size_t l = 0; l < pieces_.size(); ++l) {
+      if (rungs_[l] + 1 == spacings(motion_period(*recorded_[l])).size()) return out;
+      alone.push_back(search_of(l, pieces_[l], 1.0).fit(rungs_[l] + 1));
+      ++out.fits;
+      if (!alone.back()) return out;
+    }
+    std::shared_ptr<Fit> robust = alone.front();
+    if (alone.size() > 1) (robust = together(alone))->run();
+    if (!robust->failed && std::any_of(steps.begin(), steps.end(), [](const auto& t) { return !t.empty(); }))
+      robust = robust_from(*robust, steps, out);
+    if (robust->failed) return out;
+    set_mask(*robust);
+    Estimate finer = out;
+    Rows rows = fit_rows(*robust, steps, finer, Slow::never);
+    finish(rows, finer);
+    return finer.status == Status::ok && agree(finer) ? finer : out;
   }
 
   void finish(Rows& best, Estimate& out) const {
