@@ -939,9 +939,6 @@ class Estimate:
     @property
     def fits(self) -> int: ...
 
-    @property
-    def share(self) -> float: ...
-
 MOST_LOST: float = 0.2
 
 DOUBT: float = 0.001
