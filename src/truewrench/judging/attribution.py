@@ -189,7 +189,8 @@ def _vibration(rows: LogRows) -> Iterator[Looks]:
         if len(power) < FEWEST:
             continue
         middle = np.median(power, axis=0) / np.log(2.0)  # of white noise: its mean
-        over = np.sum(power / np.maximum(middle, 1e-300), axis=1) - r.shape[1]  # over all channels
+        middle = np.maximum(middle, 1e-300)  # a stretch that is masked whole
+        over = np.sum(power / middle, axis=1) - r.shape[1]  # over all channels
         peak = int(np.argmax(over))
         # half a chi-square; chance: the largest of so many, in channels that may all have the same noise
         chance = r.shape[1] * (np.log(len(over)) + PEAK)
