@@ -178,13 +178,7 @@ class Estimator {
       found = whole.best();
     }
     out.fits += whole.fits();
-    const bool last = found + 1 == spacings(motion_period(*recorded_[l])).size();
-    if (last && gathered_[l]) {  // a knot a row: of the samples themselves there are finer ones
-      recorded_[l] = whole_[l];
-      gathered_[l] = nullptr;
-      return choose_spacing(l, out);
-    }
-    out.unresolved[l] = last ? 1 : 0;
+    out.unresolved[l] = found + 1 == spacings(motion_period(*recorded_[l])).size() ? 1 : 0;
     rungs_[l] = found;
     return whole.fit(found);
   }

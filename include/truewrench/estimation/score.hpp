@@ -9,7 +9,8 @@
 
 namespace truewrench {
 
-// A block of knots of one log, as a source of scores.
+// Blocks of knots of one log that last about as long as one at the coarsest h, as a source of scores: with all of the finest
+// knots scan and time would grow with the cube of their number.
 struct ScoredBlock {
   double begin = 0.0;              // [s]
   Eigen::VectorXd z, information;  // (n) D^T V^-1 r, diag D^T V^-1 D
@@ -53,7 +54,11 @@ inline void constant_wrench(const Stretch& s, const Sweep& sweep, const Columns&
   }
 }
 
-// What a constant wrench on each block alone does, from the factorisation that stands.
+inline int scored_together(const Stretch& s) {
+  return std::max(1, static_cast<int>(std::lround(constants::knot_spacing / s.spline.h())));
+}
+
+// What a constant wrench on each of them alone does, from the factorisation that stands.
 inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
   const LogFit& log = fit.logs()[l];
   const int n = fit.channels(), width = dense::padded(n);
@@ -66,15 +71,19 @@ inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
     const Sweep& sweep = log.sweeps[s_];
     const int W = sweep.width(), nt = sweep.parameters(), ldr = dense::padded(nt);
     std::vector<double> J, T;
-    for (int g = 0; g + 1 < sweep.blocks(); ++g) {
+    const int together = scored_together(s);
+    for (int g = 0; g + 1 < sweep.blocks(); g += together) {
+      const int end = std::min(g + together, sweep.blocks() - 1);
       ScoredBlock block;
       block.begin = s.spline.begin() + kBlock * s.spline.h() * static_cast<double>(g);
       block.z = block.information = Eigen::VectorXd::Zero(n);
       J.assign(static_cast<std::size_t>(2 * W * width + 8), 0.0);
       T.assign(static_cast<std::size_t>(nt * width + 8), 0.0);
-      constant_wrench(s, sweep, columns, log.sizes.form != Form::none, g, width, J.data(), T.data(), block);
       double largest = 0.0;
       for (int at = g; at < sweep.blocks(); ++at) {
+        if (at < end)
+          constant_wrench(s, sweep, columns, log.sizes.form != Form::none, at, width, J.data(), T.data(),
+                          block);
         double *here = J.data(), *next = here + W * width;
         sweep.descend(at, here, at + 1 < sweep.blocks() ? next : nullptr, T.data(), width);
         Eigen::MatrixXd rest(W, n);
@@ -86,7 +95,7 @@ inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
           }
         largest = std::max(largest, most);
         block.y.emplace_back(before + static_cast<std::size_t>(at), std::move(rest));
-        if (at > g && most < 1e-7 * largest) break;
+        if (at >= end && most < 1e-7 * largest) break;
         std::copy_n(next, W * width, here);
         std::fill_n(next, W * width, 0.0);
       }
@@ -146,7 +155,8 @@ inline Scan scan(const Fit& fit, std::size_t l) {
       with[static_cast<std::size_t>(a)].push_back(a == b ? c : symmetric_sum(c));
     }
   }
-  const double length = kBlock * fit.logs()[l].stretches.front().spline.h();
+  const Stretch& front = fit.logs()[l].stretches.front();
+  const double length = kBlock * front.spline.h() * scored_together(front);
   const int longest = std::max(1, static_cast<int>(std::lround(constants::scan_longest / length)));
   const auto nt = blocks.front().b.rows();
   const auto suffix_info = [&](const Eigen::VectorXd& information, const Eigen::MatrixXd& R,
