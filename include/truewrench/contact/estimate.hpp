@@ -76,7 +76,7 @@ class Estimate {
     for (int iteration = 0; iteration < tare_steps; ++iteration) {
       contact_ = linearise();
       of_moment = moment_noise();  // before P_ J, for the offset's walk is in P_ by now
-      static_cast<void>(factor.compute(of_moment + through(P_)));
+      factor.compute(of_moment + through(P_));
       for (int k = 0; k < 6; ++k) {
         double sum = contact_[k];
         for (int c = 0; c < at_.size(); ++c) sum += J_(k, c) * (start_[c] - step_[c]);
@@ -91,7 +91,7 @@ class Estimate {
       }
     }
     contact_ = linearise();
-    static_cast<void>(factor.compute(moment_noise() + through(P_)));
+    factor.compute(moment_noise() + through(P_));
     // P - P J^T S^-1 J P with S = L L^T, as a product with its own transpose: it stays symmetric
     for (int c = 0; c < at_.size(); ++c) {
       const Vector6 row = PJ_.row(c).transpose();

@@ -156,7 +156,14 @@ class Fit {
 
   // The step of theta from the last linearisation; `frozen`: with priors and held parameters as they stand.
   bool solve(bool frozen = false) {
-    if (!frozen && !(clock_prior() && hold())) return !(failed = true);
+    if (!frozen) {
+      bool moved = false;
+      if (!clock_prior() || !hold(moved)) return !(failed = true);
+      if (moved) {  // the residuals that step and sizes see are those of after it
+        predict();
+        if (!linearise()) return false;
+      }
+    }
     S_ = with_prior();
     const std::vector<int> use = active_places();
     Eigen::MatrixXd inverse;
@@ -227,8 +234,6 @@ class Fit {
 
   // Take the step of the last solve, halved until the objective falls.
   void advance() {
-    if (moved_) predict();  // what is held was put to its mean after the last prediction
-    moved_ = false;
     const double before = objective();
     const Eigen::VectorXd from = theta;
     std::vector<std::vector<std::array<RowMatrix, 4>>> x(logs_.size());  // c, e and their steps
@@ -265,11 +270,6 @@ class Fit {
     for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
       compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
       if (!linearise() || !solve()) return *this;
-      if (moved_) {  // what is held now was put to its mean: the residuals that the sizes see are those of after it
-        predict();
-        moved_ = false;
-        if (!linearise() || !solve()) return *this;
-      }
       advance();
       const auto count = static_cast<double>(active_places().size());
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
@@ -383,7 +383,6 @@ class Fit {
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
   std::vector<DelaySums> delays_;  // of each log, at the begin of the run
   bool imitated_ = false;
-  bool moved_ = false;
 
   template <typename Work>
   void each_stretch(const Work& work) {
@@ -487,12 +486,17 @@ class Fit {
   }
 
   // kappa and gamma are held at their means unless the data's own variance is below 1/16 (10.1), and the first s of a log where
-  // the gain imitates it: the others are told by the motion that they share.
-  bool hold() {
+  // the gain imitates it: the others are told by the motion that they share. `moved`: whether that changed theta.
+  bool hold(bool& moved) {
     Eigen::MatrixXd P;
     double logdet = 0.0;
     if (!dense::invert(with_prior(), P, logdet)) return false;
     std::fill(active.begin(), active.end(), char{1});
+    const auto rest = [&](int i) {
+      active[static_cast<std::size_t>(i)] = 0;
+      moved = moved || theta[i] != layout_.mean()[i];
+      theta[i] = layout_.mean()[i];
+    };
     const auto judge = [&](int i) {
       const double own = std::max(1.0 / P(i, i) - 1.0 / prior[i], 0.0);
       if (own > told(constants::filter_prior)) return;
@@ -505,12 +509,6 @@ class Fit {
       if (c.gamma >= 0) judge(c.global[static_cast<std::size_t>(c.gamma)]);
     }
     return true;
-  }
-
-  void rest(int i) {
-    active[static_cast<std::size_t>(i)] = 0;
-    moved_ = moved_ || theta[i] != layout_.mean()[i];
-    theta[i] = layout_.mean()[i];
   }
 
   double resize_tau(LogFit& l, const std::vector<Traces>& traces);

@@ -169,6 +169,7 @@ class Intervals {
       for (int part = 0; part < parts; ++part) {
         first_ = count * part / parts;
         rows_.assign(same_.begin() + first_, same_.begin() + count * (part + 1) / parts);
+        if (parts > 1) average(s, first_, static_cast<int>(rows_.size()));
         if (used == pool.size()) pool.emplace_back();
         RawSums& sums = pool[used++];
         sum_raw(s, columns, sums);
@@ -193,29 +194,16 @@ class Intervals {
   std::vector<double> spread_;  // (6, orders M) sums of squares of the Jacobians about their mean
   std::vector<char> done_;
 
-  // The Jacobians of `same_`, and into how many parts it is cut, so that what lies between those of the samples and their mean is
+  // The Jacobians of `same_` and their mean, and into how many parts it is cut, so that what lies between those of the samples and their mean is
   // at most `jacobian_spread` of what the motion's own samples tell: it falls with the square of the parts.
   int parts_of(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta) {
     const int count = static_cast<int>(same_.size()), size = 6 * orders * M;
     jacobian_.resize(static_cast<std::size_t>(count * size));
     X_.resize(static_cast<std::size_t>(6 * count * ldx + 8));
-    mean_.assign(static_cast<std::size_t>(size), 0.0);
-    spread_.assign(static_cast<std::size_t>(size), 0.0);
-    double total = 0.0;
-    for (int r = 0; r < count; ++r) {
-      double* J = jacobian_.data() + r * size;
-      const Eigen::Index k = same_[static_cast<std::size_t>(r)];
-      sample_jacobians(s, columns, theta, k, J, X_.data() + 6 * r * ldx);
-      // Welford's recursion
-      const double weight = s.raw.weight[k], share = weight / (total + weight);
-      for (int x = 0; x < size; ++x) {
-        const auto at = static_cast<std::size_t>(x);
-        const double d = J[x] - mean_[at];
-        mean_[at] += share * d;
-        spread_[at] += weight * (1.0 - share) * d * d;
-      }
-      total += weight;
-    }
+    for (int r = 0; r < count; ++r)
+      sample_jacobians(s, columns, theta, same_[static_cast<std::size_t>(r)], jacobian_.data() + r * size,
+                       X_.data() + 6 * r * ldx);
+    average(s, 0, count);
     double most = 0.0;
     for (int x = 0; x < orders * M; ++x) {
       double sum = 0.0;
@@ -224,6 +212,26 @@ class Intervals {
     }
     const double parts = std::ceil(std::sqrt(most / constants::jacobian_spread));
     return static_cast<int>(std::clamp(parts, 1.0, static_cast<double>(count)));
+  }
+
+  // Mean and spread of the Jacobians of same_[first ... first + count), by Welford's recursion.
+  void average(const Stretch& s, int first, int count) {
+    const int size = 6 * orders * M;
+    mean_.assign(static_cast<std::size_t>(size), 0.0);
+    spread_.assign(static_cast<std::size_t>(size), 0.0);
+    double total = 0.0;
+    for (int r = first; r < first + count; ++r) {
+      const double* J = jacobian_.data() + r * size;
+      const double weight = s.raw.weight[same_[static_cast<std::size_t>(r)]],
+                   share = weight / (total + weight);
+      for (int x = 0; x < size; ++x) {
+        const auto at = static_cast<std::size_t>(x);
+        const double d = J[x] - mean_[at];
+        mean_[at] += share * d;
+        spread_[at] += weight * (1.0 - share) * d * d;
+      }
+      total += weight;
+    }
   }
 
   bool same_channels(const Stretch& s, Eigen::Index k, Eigen::Index l) const {
@@ -327,7 +335,6 @@ class Intervals {
     const double* v = out.v.data();
     phi_.resize(static_cast<std::size_t>(count * ld + 8));
     weights_.resize(static_cast<std::size_t>(count * ldw + 8));
-    std::fill(mean_.begin(), mean_.end(), 0.0);
     std::fill(gx.begin(), gx.end(), 0.0);
     std::fill(gd.begin(), gd.end(), 0.0);
     double cw_mean[max_components] = {}, z[3 * max_components], by_dense[max_components] = {};
@@ -341,7 +348,6 @@ class Intervals {
       double *left_row = weights_.data() + r * ldw,
              *vr = left_row + kLocal * orders + nf + n;  // less what they weigh
       for (int c = 0; c < 6; ++c) std::copy_n(X + c * ldx, nd, phi + nf + n + c * nd);
-      dense::add(mean_.data(), weight, J, 6 * OM);
       const double *w = s.now.w.data() + 6 * k, *cw = s.now.cw.data() + n * k,
                    *residual = s.now.residual.data() + n * k;
       std::copy_n(w, 6, phi);
@@ -374,7 +380,6 @@ class Intervals {
       }
       for (int x = 0; x < nf + n; ++x) left_row[kLocal * orders + x] = -weight * phi[x];
     }
-    for (double& x : mean_) x /= total;
     for (int i = 0; i < n; ++i)  // d raw / d w
       for (int c = 0; c < 6; ++c)
         slope_[static_cast<std::size_t>(6 * i + c)] =

@@ -9,8 +9,8 @@
 
 namespace truewrench {
 
-// Blocks of knots of one log that last about as long as one at the coarsest h, as a source of scores: with all of the finest
-// knots scan and time would grow with the cube of their number.
+// Neighbouring blocks of knots of one log, as a source of scores. Together they last about as long as one block at the coarsest
+// h, since the scan's time grows with the cube of their number.
 struct ScoredBlock {
   double begin = 0.0;              // [s]
   Eigen::VectorXd z, information;  // (n) D^T V^-1 r, diag D^T V^-1 D
