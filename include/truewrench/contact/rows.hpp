@@ -192,8 +192,12 @@ class ContactRows {
       if (weight > 0.0 && found > 0.0) {
         if (!turned_ || since >= apart_ns) contact.forget_heading();
         if (!turned_) R_.setIdentity();
-        const Vector3 down = R_ * gravity_ / weight;
-        R_ = Eigen::Quaterniond::FromTwoVectors(down, row.fall / found).toRotationMatrix() * R_;
+        const Vector3 down = R_ * gravity_ / weight, logged = row.fall / found, axis = down.cross(logged);
+        const double sine = axis.norm();
+        R_ = Eigen::AngleAxisd(std::atan2(sine, down.dot(logged)),
+                               sine > 0.0 ? Vector3(axis / sine) : Vector3(down.unitOrthogonal()))
+                 .toRotationMatrix() *
+             R_;
         R_ = Eigen::Quaterniond(R_).normalized().toRotationMatrix();  // against the rounding of many products
         turned_ = true;
       }
