@@ -193,7 +193,7 @@ class ContactRows {
         if (!turned_ || since >= apart_ns) contact.forget_heading();
         if (!turned_) R_.setIdentity();
         const Vector3 down = R_ * gravity_ / weight, logged = row.fall / found, axis = down.cross(logged);
-        const double sine = axis.norm();
+        const double sine = axis.norm();  // by angle and axis: Eigen's FromTwoVectors brings an SVD along
         R_ = Eigen::AngleAxisd(std::atan2(sine, down.dot(logged)),
                                sine > 0.0 ? Vector3(axis / sine) : Vector3(down.unitOrthogonal()))
                  .toRotationMatrix() *

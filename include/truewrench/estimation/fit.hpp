@@ -381,7 +381,7 @@ class Fit {
   Eigen::MatrixXd data_, S_, P_;
   std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
-  std::vector<DelaySums> delays_;  // of each log, at the begin of the run
+  std::vector<DelaySums> delays_;  // of each log, at the begin of an iteration
   bool imitated_ = false;
 
   template <typename Work>

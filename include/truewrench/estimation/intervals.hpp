@@ -144,7 +144,6 @@ class Intervals {
     gx.resize(static_cast<std::size_t>(kLocal * M));
     gd.resize(static_cast<std::size_t>(kLocal * n));
     gt.assign(static_cast<std::size_t>(nt), 0.0);
-    mean_.resize(static_cast<std::size_t>(6 * orders * M));
     slope_.resize(static_cast<std::size_t>(6 * n));
   }
 
@@ -194,8 +193,8 @@ class Intervals {
   std::vector<double> spread_;  // (6, orders M) sums of squares of the Jacobians about their mean
   std::vector<char> done_;
 
-  // The Jacobians of `same_` and their mean, and into how many parts it is cut, so that what lies between those of the samples and their mean is
-  // at most `jacobian_spread` of what the motion's own samples tell: it falls with the square of the parts.
+  // The Jacobians of `same_` and their mean; and into how many parts it is cut, so that what lies between those of the samples
+  // and their mean is at most `jacobian_spread` of what the motion's own samples tell: it falls with the square of the parts.
   int parts_of(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta) {
     const int count = static_cast<int>(same_.size()), size = 6 * orders * M;
     jacobian_.resize(static_cast<std::size_t>(count * size));
