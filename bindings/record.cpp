@@ -56,6 +56,7 @@ void bind_record(nb::module_& m) {
       .def_rw("payload", &RecordedLog::payload)
       .def_rw("point", &RecordedLog::point)
       .def_rw("body", &RecordedLog::body)
+      .def_rw("continued", &RecordedLog::continued)
       .def_rw("time", &RecordedLog::time)
       .def_rw("raw", &RecordedLog::raw)
       .def_rw("R_sensor_root", &RecordedLog::R_sensor_root)

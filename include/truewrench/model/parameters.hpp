@@ -63,7 +63,17 @@ class Layout {
       c.b = take(pooled, n);
       c.u = take(u, n);
       c.body = take(bodies[static_cast<std::size_t>(log.body)], kBodyParameters);
-      for (const MotionStream& stream : log.motion) {
+      const Columns* before = log.continued && l > 0 ? &logs_.back() : nullptr;
+      for (std::size_t i = 0; i < log.motion.size(); ++i) {
+        const MotionStream& stream = log.motion[i];
+        if (before) {
+          c.clock.push_back(take(before->global[static_cast<std::size_t>(before->clock[i])], 2));
+          const int bias = before->bias[i];
+          c.bias.push_back(bias < 0 ? -1
+                                    : take(before->global[static_cast<std::size_t>(bias)],
+                                           static_cast<int>(stream.bias_prior.size())));
+          continue;
+        }
         c.clock.push_back(take(add(2, 0.0), 2));
         const double mean[2] = {stream.clock_mean, stream.kappa_mean},
                      width[2] = {stream.time_offset_prior, constants::filter_prior};
@@ -79,8 +89,12 @@ class Layout {
       }
       if (gravity) c.tilt = take(tilt, 2);
       if (gravity && log.source == Source::twist) {
-        c.gamma = take(add(1, constants::filter_prior), 1);
-        set(mean_, &rig.gamma_mean, 1);
+        if (before) {
+          c.gamma = take(before->global[static_cast<std::size_t>(before->gamma)], 1);
+        } else {
+          c.gamma = take(add(1, constants::filter_prior), 1);
+          set(mean_, &rig.gamma_mean, 1);
+        }
       }
       if (warm) c.slope = take(slope, n);
       if (l < steps.size()) {

@@ -40,7 +40,6 @@ DETERMINED = 0.5
 
 _ROUNDS = 6  # of the estimator of motion: about a linear start, then about what was found
 _SETTLED = 0.1  # sigma that the mass may still move, and the gains, RMS
-_NEAR = 0.005  # 1 sigma of the gains after the first round: the estimate then stays where it is linear
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,14 +112,13 @@ def identify_tool(
     )
     prior = with_known_wrenches(rig, prior, weighed)
     split = split_poses(rig, records)
-    moving = [k for k, log in enumerate(split.moving) if log is not None]
-    if not len(split.poses) and not moving:
+    if not len(split.poses) and not split.moves:
         expected = "rows of zero twist seconds apart, dwells of 1.5 s, or two seconds of motion"
         raise InputError.at(records[0].path, "", "neither poses nor motion", expected)
-    problem = Problem(rig, prior, split.poses, split.end_ns)
+    problem = Problem(rig, prior, split.poses, split.end_ns, split.moves)
     report("estimating", None)
-    swung = [log for log in split.moving if log is not None]
-    problem, solution, motion = _solved(problem, swung, moving, threads)
+    swung = [move.record for move in split.moves]
+    problem, solution, motion = _solved(problem, swung, threads)
     solution = replace(solution, covariance=solution.covariance * widening(prior.gain_std))
     report("holding poses out", None)
     left = held_out(problem, solution)
@@ -131,7 +129,7 @@ def identify_tool(
 
 
 def _solved(
-    problem: Problem, logs: Sequence[Log], places: Sequence[int], threads: int | None
+    problem: Problem, logs: Sequence[Log], threads: int | None
 ) -> tuple[Problem, Solution, MotionFit | None]:
     if not logs:
         return problem, solve(problem), None
@@ -147,10 +145,7 @@ def _solved(
     motion = None
     solution = still
     for turn in range(_ROUNDS):
-        # subtracted again, the prior only keeps gain and body, whose product is what data tell, from
-        # wandering off along their curve, which a tangent does not follow back
-        held = gain_std if turn == 0 else np.minimum(gain_std, _NEAR / span)
-        found = motion_information(rig, logs, places, gain, held, body, tilt_std, threads=threads or 0)
+        found = motion_information(rig, problem.moves, gain, gain_std, body, tilt_std, threads=threads or 0)
         if found is None:
             break
         motion = found
@@ -272,7 +267,8 @@ def _tool(
                 "path": None if log.path is None else str(log.path),
                 "sha256": log.sha256,
                 "poses": int(np.count_nonzero(solution.problem.poses.log == k)),
-                "moving": bool(solution.problem.motion is not None and k in solution.problem.motion.logs),
+                "moving": solution.problem.motion is not None
+                and any(move.log == k for move in solution.problem.moves),
             }
             for k, log in enumerate(logs)
         ),

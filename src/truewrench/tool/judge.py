@@ -186,9 +186,10 @@ def _zeroed(solution: Solution) -> list[str]:
     problem = solution.problem
     scale, P = problem.rig.sensor.channel_scale, np.diag(solution.covariance)
     gaps, _ = problem.of_links(solution.x)
-    for (when, log, before), gap in zip(problem.links(), gaps, strict=True):
-        seconds = 1e-9 * abs(problem.end_ns[log] - when)
-        squares = gap**2 / (P[before] + (SUSPECT_WALK * WALK * scale) ** 2 * seconds)
+    session = problem.session_links()
+    for link, gap in zip(session, gaps[: len(session)], strict=True):
+        seconds = 1e-9 * abs(problem.end_ns[link.log] - link.time_ns)
+        squares = gap**2 / (P[link.place] + (SUSPECT_WALK * WALK * scale) ** 2 * seconds)
         if chi2.sf(float(squares.sum()), len(gap)) < CHANCE:
             return [
                 f"The offset is {np.sqrt(squares.max()):.0f} sigma from where the record before left it: the "

@@ -1,25 +1,28 @@
 """What poses, motion and known figures say of theta: residuals, derivatives, and the offset's walk.
 
 The vector x is theta in the order of `Layout`, then, where there are any, the ten of a body that was there
-before and its offset, the offsets of all logs but the last, and the slope of the offset with temperature.
+before and its offset, the offsets of all logs but the last, those of moves between dwells, and the slope of
+the offset with temperature.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from truewrench.model.rig import Rig
+from truewrench.motion.spatial import cross_matrix
 from truewrench.tool.bodies import total_body, weight
 from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, tilted
-from truewrench.tool.poses import Poses
+from truewrench.tool.poses import Move, Poses
 from truewrench.tool.prior import Prior
 
-__all__ = ["MotionInformation", "Problem", "Vector"]
+__all__ = ["Link", "MotionInformation", "Problem", "Vector", "about_center"]
 
 Array = NDArray[np.float64]
 
@@ -35,6 +38,7 @@ class Vector:
     on: bool = False
     warm: bool = False
     session: bool = False
+    moves: int = 0  # those with an offset of their own
 
     @property
     def layout(self) -> Layout:
@@ -58,10 +62,15 @@ class Vector:
         start = self.carried.stop + self.n * log
         return slice(start, start + self.n)
 
+    def move(self, k: int) -> slice:
+        """Mean offset during a move that has one of its own: n."""
+        start = self.carried.stop + self.n * (self.logs - 1 + k)
+        return slice(start, start + self.n)
+
     @property
     def slope(self) -> slice:
         """Of the offset, per K: n."""
-        start = self.carried.stop + self.n * (self.logs - 1)
+        start = self.move(self.moves).start
         return slice(start, start + self.n * self.warm)
 
     @property
@@ -70,33 +79,76 @@ class Vector:
         return int(self.slope.stop)
 
 
+def about_center(y: Array, n: int) -> tuple[Array, Array]:
+    """What y [gain G (6n), log m, c, inertia, ...] is with m G T(c) for G and inertia / m, and its derivative.
+
+    T takes a wrench at the centre of mass to the sensor's origin. Of a motion the channels show m G T(c),
+    whose weight is felt: in it they are nearly linear, where the product of gain and mass, gain and centre
+    of mass bends within the little that a long record leaves uncertain.
+    """
+    G, mass, c = y[: 6 * n].reshape(n, 6), float(np.exp(y[6 * n])), y[6 * n + 1 : 6 * n + 4]
+    T = np.eye(6)
+    T[3:, :3] = cross_matrix(c[None])[0]
+    K = mass * G @ T
+    out, J = y.copy(), np.eye(y.size)
+    center, inertia = slice(6 * n + 1, 6 * n + 4), slice(6 * n + 4, 6 * n + 10)
+    out[: 6 * n], out[inertia] = K.ravel(), y[inertia] / mass
+    J[: 6 * n, : 6 * n] = np.kron(np.eye(n), mass * T.T)
+    J[: 6 * n, 6 * n] = K.ravel()
+    for k, e in enumerate(cross_matrix(np.eye(3))):
+        turned = np.zeros((n, 6))
+        turned[:, :3] = mass * G[:, 3:] @ e
+        J[: 6 * n, center.start + k] = turned.ravel()
+    J[inertia, inertia] /= mass
+    J[inertia, 6 * n] = -out[inertia]
+    return out, J
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionInformation:
-    """What logs of motion say of y = [gain with mounting (6n), log m, c, inertia, offset of each, tilt (2)].
+    """What moves say of y = [gain with mounting (6n), log m, c, inertia, offset of each move, tilt (2)].
+
+    The first of these as `about_center` has them.
 
     log p(data | y) = -(y - at)^T information (y - at) / 2 + gradient^T (y - at)
 
     Attributes:
-        logs: which.
         at: of the last linearisation [raw units, SI].
         information: symmetric, positive semidefinite.
         gradient: there.
     """
 
-    logs: tuple[int, ...]
     at: Array
     information: Array
     gradient: Array
 
 
+@dataclass(frozen=True, slots=True)
+class Link:
+    """The offset at the end of a log, and the same as the walk brought it from, or to, another time.
+
+    Attributes:
+        log: which log.
+        place: of the other offset in x.
+        time_ns: of that.
+        seconds: that it is the mean over; 0: of an instant.
+    """
+
+    log: int
+    place: slice
+    time_ns: int
+    seconds: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """Data and prior of one identification."""
+    """Data and prior of one identification; `motion` is what the `moves` say."""
 
     rig: Rig
     prior: Prior
     poses: Poses
     end_ns: Sequence[int]
+    moves: Sequence[Move] = ()
     motion: MotionInformation | None = None
 
     @property
@@ -104,7 +156,16 @@ class Problem:
         """Places in x."""
         warm = self.rig.temperature.prior > 0.0 and bool(np.isfinite(self.poses.temperature).any())
         session = self.prior.session_ns is not None
-        return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm, session)
+        own = sum(move.own_offset for move in self.moves)
+        return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm, session, own)
+
+    def offsets_of_moves(self) -> list[slice]:
+        """Places in x of each move's offset."""
+        own = count()
+        return [
+            self.vector.move(next(own)) if move.own_offset else self.vector.offset(move.log)
+            for move in self.moves
+        ]
 
     def prior_of_all(self) -> tuple[Array, Array]:
         """Mean (p,) and covariance (p, p) of x."""
@@ -112,33 +173,39 @@ class Problem:
         count = len(self.prior.mean)
         mean, P = np.zeros(v.size), np.zeros((v.size, v.size))
         mean[:count], P[:count, :count] = self.prior.mean, self.prior.covariance
-        for log in range(v.logs - 1):
-            at = np.arange(v.offset(log).start, v.offset(log).stop)
+        for place in (*(v.offset(log) for log in range(v.logs - 1)), *(v.move(k) for k in range(v.moves))):
+            at = np.arange(place.start, place.stop)
             P[at, at] = np.maximum(sensor.offset_prior_array, 1e-9 * sensor.channel_scale) ** 2
         at = np.arange(v.slope.start, v.slope.stop)
         P[at, at] = (self.rig.temperature.prior * sensor.channel_scale[: at.size]) ** 2
         return mean, P
 
-    def links(self) -> list[tuple[int, int, slice]]:
-        """Offsets of one session, each to the one before: when that was, the log, where it is in x."""
+    def links(self) -> list[Link]:
+        """Between offsets of one session first, then from each move of a log with poses to the log's end."""
+        places = zip(self.moves, self.offsets_of_moves(), strict=True)
+        own = [Link(move.log, at, move.middle_ns, move.seconds) for move, at in places if move.own_offset]
+        return [*self.session_links(), *own]
+
+    def session_links(self) -> list[Link]:
+        """From each log's offset to the one before, where all are of one session."""
         if self.prior.session_ns is None:
             return []
         v, out = self.vector, []
         when, where = self.prior.session_ns, v.carried
         for log in sorted(range(v.logs), key=lambda k: self.end_ns[k]):
-            out.append((when, log, where))
+            out.append(Link(log, where, when))
             when, where = self.end_ns[log], v.offset(log)
         return out
 
     def of_links(self, x: Array) -> tuple[Array, Array]:
-        """Zero less each offset's way from the one before (L, n), a walk, and its derivative (n, L, p)."""
+        """Zero less the way between the offsets of each link (L, n), a walk, and its derivative (n, L, p)."""
         v, links = self.vector, self.links()
         r, J = np.zeros((len(links), v.n)), np.zeros((v.n, len(links), v.size))
         channels = np.arange(v.n)
-        for k, (_, log, before) in enumerate(links):
-            r[k] = x[before] - x[v.offset(log)]
-            J[channels, k, v.offset(log).start + channels] = 1.0
-            J[channels, k, before.start + channels] = -1.0
+        for k, link in enumerate(links):
+            r[k] = x[link.place] - x[v.offset(link.log)]
+            J[channels, k, v.offset(link.log).start + channels] = 1.0
+            J[channels, k, link.place.start + channels] = -1.0
         return r, J
 
     def total(self, x: Array) -> tuple[Array, Array]:
@@ -214,10 +281,11 @@ class Problem:
             gain[:, layout.mounting.start + k] = (C @ turn).ravel()
         body, by_x = self.total(x)
         parts, jacobians = [(C @ R6).ravel(), body], [gain, by_x]
-        for place in (*(v.offset(log) for log in self.motion.logs), layout.tilt):
+        for place in (*self.offsets_of_moves(), layout.tilt):
             parts.append(x[place])
             jacobians.append(np.eye(v.size)[place])
-        return np.concatenate(parts), np.vstack(jacobians)
+        y, by_y = about_center(np.concatenate(parts), n)
+        return y, by_y @ np.vstack(jacobians)
 
     def of_known(self, x: Array) -> tuple[Array, Array]:
         """What is stated of the tool less what x says, over its sigma, and the derivative of x's part."""
@@ -245,11 +313,13 @@ class Problem:
             linked: (T + L, T + L), `links` after the poses.
         """
         links = self.links() if linked else []
-        time = np.append(self.poses.time_ns, np.array([one[0] for one in links], dtype=np.int64))
-        log = np.append(self.poses.log, np.array([one[1] for one in links], dtype=np.int64))
+        time = np.append(self.poses.time_ns, np.array([one.time_ns for one in links], dtype=np.int64))
+        log = np.append(self.poses.log, np.array([one.log for one in links], dtype=np.int64))
+        lasts = np.append(np.zeros(len(self.poses)), [one.seconds for one in links])
         end = np.array(self.end_ns, dtype=np.int64)[log]
         away = np.abs(end - time) * 1e-9
         K: Array = np.minimum(away[:, None], away) * (log[:, None] == log)
+        K[np.diag_indices_from(K)] -= lasts / 6.0  # of a mean over T, from T / 2 before to T / 2 after
         return K
 
     def roots(self, rate: float, repeatability: float, K: Array) -> list[Array]:

@@ -21,8 +21,9 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.tool.bodies import nearest_physical
-from truewrench.tool.model_rows import MotionInformation
+from truewrench.tool.model_rows import MotionInformation, about_center
 from truewrench.tool.parameters import inertia_of, second_moments, symmetric
+from truewrench.tool.poses import Move
 
 __all__ = ["MotionFit", "body_start", "measured_motions", "motion_information", "regressor"]
 
@@ -30,7 +31,7 @@ Array = NDArray[np.float64]
 
 _LOG_MASS, _CENTER, _GYRATION = 1.0, 0.1, 0.01  # 1 sigma of the broad body: 1, [m], [m^2] times the mass
 _LEAST_GAIN = 1e-4  # 1 sigma of the gains that the estimator is given at least, normalised
-_TOLD = 0.05  # information of a direction in units of its prior: below, nothing was learnt
+_TOLD = 1e-6  # information of a direction in units of its prior: below, it is rounding
 _WINDOW = 0.15  # [s] of the derivative for the start
 
 
@@ -41,7 +42,7 @@ class MotionFit:
     Attributes:
         information: on gain, body, offsets and tilt.
         body: (10,) log m, c, inertia at its estimate.
-        time_offset: of the last of these logs, and its 1 sigma [s].
+        time_offset: of the last log's clock, and its 1 sigma [s].
         masked: share of the samples that were left out as contacts and outliers.
         factors: of the noise that was found, of channels and of motion, over the stated.
         slow: the largest slow error that was found, fraction of range.
@@ -61,8 +62,7 @@ class MotionFit:
 
 def motion_information(
     rig: Rig,
-    logs: Sequence[Log],
-    places: Sequence[int],
+    moves: Sequence[Move],
     gain: Array,
     gain_std: Array,
     body: Array,
@@ -74,8 +74,7 @@ def motion_information(
 
     Args:
         rig: of `settings_of`.
-        logs: of motion.
-        places: which of all logs they are.
+        moves: at least one; those of one log have one clock.
         gain: (n, 6) about which to work [raw units], mounting within.
         gain_std: (n, 6) 1 sigma of it.
         body: (10,) log m, c, inertia about which to work.
@@ -84,22 +83,23 @@ def motion_information(
     """
     scale, span = rig.sensor.channel_scale, rig.sensor.range_array
     units = (scale[:, None] / span).ravel()
-    assumed = Assumptions.of(rig, logs)
+    assumed = Assumptions.of(rig, [move.record for move in moves])
     mass = float(np.exp(body[0]))
     sigma = float(np.sqrt(np.mean((gain_std.ravel() / units) ** 2)))
     assumed = replace(
         assumed,
         nominal=gain * span / scale[:, None],
-        pool_offsets=False,  # one of each log, whose own information is taken
+        pool_offsets=False,  # one of each move, whose own information is taken
         gain_prior=max(sigma, _LEAST_GAIN),
         body_prior=(np.array([_LOG_MASS, *[_CENTER] * 3, *[_GYRATION * mass] * 6]),),
         tilt_prior=tilt_std if rig.in_gravity and rig.motion.source != "imu" else 0.0,
     )
     shared = statement(assumed)
     streams = []
-    for log in logs:
-        record = recorded(rig, assumed, log).streams
+    for k, move in enumerate(moves):
+        record = recorded(rig, assumed, move.record).streams
         record.payload = _physical(body)
+        record.continued = k > 0 and move.log == moves[k - 1].log
         streams.append(record)
     settings = _core.Settings()
     settings.threads, settings.discrepancy = threads, assumed.discrepancy
@@ -107,16 +107,17 @@ def motion_information(
     if found.status != _core.Status.ok:
         return None
     stated = streams[0].payload
-    return _taken(rig, places, found, stated, units, assumed.tilt_prior > 0.0)
+    return _taken(rig, len(moves), found, stated, units, assumed.tilt_prior > 0.0)
 
 
 def _taken(
-    rig: Rig, places: Sequence[int], found: _core.Estimate, stated: _core.Payload, units: Array, tilts: bool
+    rig: Rig, moves: int, found: _core.Estimate, stated: _core.Payload, units: Array, tilts: bool
 ) -> MotionFit:
     fit, n, scale = found.fit, rig.sensor.n, rig.sensor.channel_scale
-    theta, P = np.asarray(fit.theta), np.asarray(found.covariance)
+    # where the last linearisation has its top: steps end early along what the data hardly tell
+    theta, P = np.asarray(fit.theta) + np.asarray(fit.step), np.asarray(found.covariance)
     prior, mean = np.asarray(fit.prior), np.asarray(fit.mean)
-    columns = [fit.columns(k) for k in range(len(places))]
+    columns = [fit.columns(k) for k in range(moves)]
     rows = [np.eye(theta.size)[: 6 * n] * units[:, None]]
     at = np.array(columns[0].at)
     body = at[columns[0].body : columns[0].body + 10]
@@ -138,8 +139,6 @@ def _taken(
     root = np.sqrt(np.diag(Pi))
     data = np.linalg.inv(own / np.outer(root, root)) - np.linalg.inv(Pi / np.outer(root, root))
     values, vectors = np.linalg.eigh(0.5 * (data + data.T))
-    # along what data do not tell (mass against the scale of force) the estimator's steps end early: what is
-    # left of the prior's pull there is no gradient of the data
     told = vectors[:, values > _TOLD]
     pull = told @ (told.T @ (root * np.linalg.solve(Pi, pick @ (theta - mean))))
     data = (told * values[values > _TOLD]) @ told.T
@@ -150,26 +149,24 @@ def _taken(
     y = np.append(pick @ theta, np.zeros(size - count))
     y[6 * n : 6 * n + 10] += _of_payload(stated)
     # offsets of steps are sums of priors of mean zero: the gradient above holds for them, too
+    at_center, by_y = about_center(y, n)
+    back = np.linalg.inv(by_y)
     clock = columns[-1].clock[0]
     s = np.array(columns[-1].at)[clock]
-    masked = [np.asarray(fit.rows(k)["masked"]).ravel() > 0.0 for k in range(len(places))]
+    masked = [np.asarray(fit.rows(k)["masked"]).ravel() > 0.0 for k in range(moves)]
     return MotionFit(
-        MotionInformation(tuple(places), y, information, gradient),
+        MotionInformation(at_center, back.T @ information @ back, back.T @ gradient),
         y[6 * n : 6 * n + 10],
         (-float(theta[s]), float(np.sqrt(P[s, s]))),
         float(np.mean(np.concatenate(masked))) if masked else 0.0,
         tuple(
             float(f)
-            for k in range(len(places))
+            for k in range(moves)
             for group in (fit.sizes(k).raw_factor, *fit.sizes(k).motion_factor)
             for f in group
         ),
         max(
-            (
-                float(np.max(fit.sizes(k).delta))
-                for k in range(len(places))
-                if fit.sizes(k).form != _core.Form.none
-            ),
+            (float(np.max(fit.sizes(k).delta)) for k in range(moves) if fit.sizes(k).form != _core.Form.none),
             default=0.0,
         ),
         min(float(found.halves.p), float(found.quarters.p)),

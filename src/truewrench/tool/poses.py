@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
 from truewrench.model.temperature import temperature_at
 from truewrench.robot.arm import robot_of
 from truewrench.robot.attitude import attitude_of
 
-__all__ = ["Poses", "Split", "split_poses", "stands_still"]
+__all__ = ["Move", "Poses", "Split", "split_poses", "stands_still"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -27,6 +28,7 @@ SHORT = 0.5  # [s] of a dwell that begins with the log or after a gap, at least
 STILL = 5.0  # sigma of the motion's noise, and
 CREEP = 1e-3  # [m/s, rad/s] that is no motion; tolerance
 MOVING = 2.0  # [s] of motion that are worth an estimate of their own
+MOVE = 1.0  # [s] of them that one between two dwells lasts, at least
 FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
 
 
@@ -66,17 +68,43 @@ class Poses:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """Motion within a log: what lies between two of its dwells, or all that there is.
+
+    Attributes:
+        log: which log.
+        record: its rows.
+        own_offset: whether poses of the same log tell how its offset walks, so that each move has one of its
+            own; else the log's.
+    """
+
+    log: int
+    record: Log
+    own_offset: bool
+
+    @property
+    def seconds(self) -> float:
+        """From its first row to its last."""
+        return float(self.record.time[-1])
+
+    @property
+    def middle_ns(self) -> int:
+        """Stamp of its middle."""
+        return (int(self.record.time_ns[0]) + int(self.record.time_ns[-1])) // 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Split:
     """Logs as poses and motion.
 
     Attributes:
         poses: of all logs.
-        moving: logs of motion, and None for those without, channels of poses left out.
+        moves: of all logs, in the order of logs, and of time in each.
         end_ns: last stamp of each log.
     """
 
     poses: Poses
-    moving: tuple[Log | None, ...]
+    moves: tuple[Move, ...]
     end_ns: tuple[int, ...]
 
 
@@ -86,24 +114,24 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     Raises:
         InputError: for a pose whose direction of gravity nothing tells.
     """
-    parts, moving = [], []
+    parts, moves = [], []
     for k, log in enumerate(logs):
-        poses, rest = _split(rig, k, log)
+        poses, moved = _split(rig, k, log)
         parts.append(poses)
-        moving.append(rest)
+        moves += moved
     names = ("log", "time_ns", "raw", "variance", "R_sensor_root", "temperature")
     joined = Poses(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-    return Split(joined, tuple(moving), tuple(int(log.time_ns[-1]) for log in logs))
+    return Split(joined, tuple(moves), tuple(int(log.time_ns[-1]) for log in logs))
 
 
 def stands_still(rig: Rig, log: Log) -> bool:
     """Whether a log is static poses, `FEWEST` and more, and no motion."""
     alone, dwells, _, seconds = _pieces(rig, log)
-    return seconds < MOVING and len(alone) + len(dwells) >= FEWEST
+    return float(seconds.sum()) < MOVING and len(alone) + len(dwells) >= FEWEST
 
 
-def _pieces(rig: Rig, log: Log) -> tuple[list[Rows], list[Rows], NDArray[np.bool_], float]:
-    """Poses that are rows, dwells, rows that are read and not alone, and seconds of motion."""
+def _pieces(rig: Rig, log: Log) -> tuple[list[Rows], list[Rows], NDArray[np.bool_], Array]:
+    """Poses that are rows, dwells, rows that are read and not alone, and seconds moved before each row."""
     time, sensed = log.time, np.isfinite(log.raw).all(axis=1)
     gap = np.diff(time[sensed])
     alone = np.zeros(len(time), dtype=bool)
@@ -112,25 +140,38 @@ def _pieces(rig: Rig, log: Log) -> tuple[list[Rows], list[Rows], NDArray[np.bool
     still = _still(rig, log)
     rest = sensed & ~alone
     moves = rest & ~still
-    seconds = float(np.sum(np.minimum(np.diff(time), APART)[moves[1:]])) if len(time) > 1 else 0.0
+    seconds = np.where(moves, np.minimum(np.diff(time, prepend=time[:1]), APART), 0.0)
     pieces = [np.array([row]) for row in np.flatnonzero(alone & still)]
     return pieces, _dwells(time, rest & still, rest), rest, seconds
 
 
-def _split(rig: Rig, k: int, log: Log) -> tuple[Poses, Log | None]:
+def _split(rig: Rig, k: int, log: Log) -> tuple[Poses, list[Move]]:
     pieces, dwells, rest, seconds = _pieces(rig, log)
-    if seconds < MOVING or len(dwells) >= FEWEST:
+    moved = float(seconds.sum())
+    if moved < MOVING or len(dwells) >= FEWEST:
         pieces += dwells
     else:
         dwells = []
     pieces.sort(key=lambda rows: int(rows[0]))
-    if seconds >= MOVING:
-        kept = rest.copy()
-        for rows in dwells:
-            kept[rows] = False
-        raw = np.where(kept[:, None], log.raw, np.nan)
-        return _poses(rig, k, log, pieces), replace(log, raw=raw)
-    return _poses(rig, k, log, pieces), None
+    poses = _poses(rig, k, log, pieces)
+    if moved < MOVING:
+        return poses, []
+    kept = rest.copy()
+    for rows in dwells:
+        kept[rows] = False
+    if rig.motion.source == "joints" and log.position is None:  # velocities go on from the log's first row
+        return poses, [Move(k, replace(log, raw=np.where(kept[:, None], log.raw, np.nan)), bool(pieces))]
+    between = np.searchsorted([rows[0] for rows in dwells], np.arange(len(kept)), side="right")
+    moves = []
+    for piece in range(len(dwells) + 1):
+        rows = np.flatnonzero(kept & (between == piece))
+        if rows.size and (not dwells or seconds[rows].sum() >= MOVE):
+            within = np.zeros(len(kept), dtype=bool)
+            within[rows[0] : rows[-1] + 1] = True
+            record = rows_of(log, within)
+            raw = np.where(kept[within][:, None], record.raw, np.nan)
+            moves.append(Move(k, replace(record, raw=raw), bool(pieces)))
+    return poses, moves
 
 
 def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:

@@ -27,7 +27,7 @@ REPEATABILITY = 2e-4  # of range
 MOST_REPEATABILITY = 10.0  # times that: a pose that scatters more is no pose of this model
 MOST_WALK = 500.0
 _SPREAD = 2.0  # 1 sigma of the logarithm of either about its start: data overrule it
-_STEPS = 12
+_STEPS, _HALVINGS = 20, 8
 _GRID = np.linspace(-2.5, 2.5, 6)  # sigma of the logarithms
 
 
@@ -150,21 +150,25 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
     held = sizes is not None
     now = _START.copy() if sizes is None else np.array(sizes)
     steps = 0
+    at = _linearise(problem, x, mean, inverse, scale, K)
     for steps in range(1, _STEPS + 1):
-        at = _linearise(problem, x, mean, inverse, scale, K)
         if not held and len(problem.poses) and steps > 1:
             now = _sizes(problem, at, now)
-        A, g, *_ = _sums(problem, at, now)
+        A, g, squares, _ = _sums(problem, at, now)
         step = np.linalg.solve(A, g)
         size = float(np.sqrt(np.mean((A @ step) * step)))
         body = problem.vector.layout.log_mass
         step *= min(
             1.0, 0.7 / max(abs(step[body] * scale[body]), 1e-12)
         )  # the mass by a factor of two at most
+        for _ in range(_HALVINGS):  # where gain and body bend, a whole step goes too far
+            at = _linearise(problem, x + scale * step, mean, inverse, scale, K)
+            if _sums(problem, at, now)[2] <= squares:
+                break
+            step *= 0.5
         x = x + scale * step
         if size < 1e-3 and steps > 2:
             break
-    at = _linearise(problem, x, mean, inverse, scale, K)
     x_mixed, covariance = _mixed(problem, at, now, x, scale, held)
     A, *_ = _sums(problem, at, now)
     residual, T = at.r, len(problem.poses)
