@@ -80,7 +80,7 @@ class Vector:
 
 
 def about_center(y: Array, n: int) -> tuple[Array, Array]:
-    """What y [gain G (6n), log m, c, inertia, ...] is with m G T(c) for G and inertia / m, and its derivative.
+    """What y [gain G (6n), log m, c, inertia, ...] is with m G T(c) and inertia / m, and its derivative.
 
     T takes a wrench at the centre of mass to the sensor's origin. Of a motion the channels show m G T(c),
     whose weight is felt: in it they are nearly linear, where the product of gain and mass, gain and centre
