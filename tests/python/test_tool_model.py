@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
-from tool_cases import a_rig, a_tool
+from tool_cases import a_rig, a_tool, newton_euler, tensor_of
 
 from truewrench.model.errors import InputError
 from truewrench.model.files import read_yaml, write_yaml
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import GAIN_PRIOR, TILT_PRIOR, load_tool_rig, tool_rig
 from truewrench.tool.model import read_tool
+from truewrench.tool.model_rows import about_center
 from truewrench.tool.motion import _widened
 from truewrench.tool.parameters import (
     channel_turn,
@@ -147,3 +148,23 @@ def test_what_widens_the_gain_of_a_motion_leaves_its_most_likely_point_where_it_
     added = np.zeros((60, 60))
     added[:36, :36] = slow * np.outer(units, units) / 0.04
     np.testing.assert_allclose(np.linalg.inv(wide), np.linalg.inv(data) + added, rtol=1e-6, atol=1e-9)
+
+
+def test_gains_about_the_centre_of_mass_show_the_same_wrench_and_have_their_derivative() -> None:
+    rng = np.random.default_rng(5)
+    G, mass, center = rng.normal(size=(8, 6)), 1.7, np.array([0.02, -0.03, 0.09])
+    inertia = np.array([0.02, 0.03, 0.015, 1e-3, -2e-3, 5e-4])
+    y = np.concatenate([G.ravel(), [np.log(mass)], center, inertia, rng.normal(size=10)])
+    moved, J = about_center(y, 8)
+    omega, alpha, fall = rng.normal(size=(3, 1, 3))
+    nothing = np.zeros((1, 3))
+    nu, a = np.hstack([nothing, omega]), np.hstack([nothing, alpha])
+    at_center = np.cross(alpha, center) + np.cross(omega, np.cross(omega, center)) - fall
+    per_mass = tensor_of(moved[52:58])
+    turning = alpha @ per_mass + np.cross(omega, omega @ per_mass)
+    shown = -moved[:48].reshape(8, 6) @ np.hstack([at_center, turning])[0]
+    wrench = newton_euler(mass, center, tensor_of(inertia), nu, a, fall)[0]
+    np.testing.assert_allclose(shown, G @ wrench, rtol=1e-12)
+    steps = 1e-6 * np.eye(y.size)
+    by = [(about_center(y + e, 8)[0] - about_center(y - e, 8)[0]) / 2e-6 for e in steps]
+    np.testing.assert_allclose(J, np.column_stack(by), atol=1e-8)

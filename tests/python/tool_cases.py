@@ -149,13 +149,59 @@ def pose_log(
     return log, offset + drift[-1]
 
 
+def newton_euler(mass: float, center: Array, inertia: Array, nu: Array, a: Array, fall: Array) -> Array:
+    """Wrench (N, 6) on the sensor about its origin, written apart from the package's."""
+    out = np.empty((len(nu), 6))
+    for k in range(len(nu)):
+        omega, alpha = nu[k, 3:], a[k, 3:]
+        at_mass = a[k, :3] + np.cross(omega, nu[k, :3]) + np.cross(alpha, center)
+        at_mass = at_mass + np.cross(omega, np.cross(omega, center)) - fall[k]
+        moment = inertia @ alpha + np.cross(omega, inertia @ omega) + mass * np.cross(center, at_mass)
+        out[k] = -np.concatenate([mass * at_mass, moment])
+    return out
+
+
+def tour_log(
+    rig: Rig, mass: float, center: Array, inertia: Array, *, dwell: float, walk: float, seed: int
+) -> tuple[Log, Array]:
+    """Eight poses held for a while, 1.5 s of turning from each to the next, 100 Hz; the offset at the end.
+
+    The offset walks by so much of range per sqrt(s) from sample to sample.
+    """
+    rng = np.random.default_rng(seed)
+    poses = Rotation.random(8, random_state=rng)
+    s = np.linspace(0.0, 1.0, 151)[1:-1]
+    turns, nu, a = [], [], []
+    still = np.zeros((round(100 * dwell), 6))
+    for k, pose in enumerate(poses):
+        turns += [pose] * len(still)
+        nu.append(still)
+        a.append(still)
+        if k + 1 == len(poses):
+            break
+        way = (pose.inv() * poses[k + 1]).as_rotvec()
+        part = 10 * s**3 - 15 * s**4 + 6 * s**5
+        turns += [pose * Rotation.from_rotvec(share * way) for share in part]
+        rate = (30 * s**2 - 60 * s**3 + 30 * s**4) / 1.5
+        bend = (60 * s - 180 * s**2 + 120 * s**3) / 1.5**2
+        nu.append(np.column_stack([np.zeros((s.size, 3)), rate[:, None] * way]))
+        a.append(np.column_stack([np.zeros((s.size, 3)), bend[:, None] * way]))
+    twist, R = np.vstack(nu), Rotation.concatenate(turns)
+    fall = R.inv().apply(rig.gravity_array)
+    drift = np.cumsum(0.1 * walk * rig.sensor.range_array * rng.normal(size=twist.shape), axis=0)
+    drift += 0.05 * rig.sensor.range_array * rng.normal(size=6)
+    raw = rig.sensor.sign * newton_euler(mass, center, inertia, twist, np.vstack(a), fall) + drift
+    raw += rng.normal(size=raw.shape) * rig.sensor.noise_array
+    twist = twist + rng.normal(size=twist.shape) * rig.motion.noise_array
+    time_ns = np.arange(len(twist)) * 10_000_000
+    quaternion = R.as_quat()[:, [3, 0, 1, 2]]
+    return Log(None, "tool", "", time_ns, raw, twist=twist, gravity=fall, attitude=quaternion), drift[-1]
+
+
 def swing_log(
     rig: Rig, mass: float, center: Array, inertia: Array, *, seconds: float = 8.0, seed: int = 0
 ) -> Log:
-    """A tool swung at four frequencies an axis, 100 Hz; R_root_sensor integrated in small steps.
-
-    The wrench is Newton's and Euler's about the origin, written apart from the package's.
-    """
+    """A tool swung at four frequencies an axis, 100 Hz; R_root_sensor integrated in small steps."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(100 * seconds)) / 100.0
     f, phase = rng.uniform(0.2, 0.9, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
@@ -174,13 +220,7 @@ def swing_log(
         R.append(now)
     turns = Rotation.concatenate(R)
     fall = turns.inv().apply(rig.gravity_array)
-    raw = np.empty((time.size, 6))
-    for k in range(time.size):
-        omega, alpha = nu[k, 3:], a[k, 3:]
-        at_mass = a[k, :3] + np.cross(omega, nu[k, :3]) + np.cross(alpha, center)
-        at_mass = at_mass + np.cross(omega, np.cross(omega, center)) - fall[k]
-        moment = inertia @ alpha + np.cross(omega, inertia @ omega) + mass * np.cross(center, at_mass)
-        raw[k] = -rig.sensor.sign * np.concatenate([mass * at_mass, moment])
+    raw = rig.sensor.sign * newton_euler(mass, center, inertia, nu, a, fall)
     raw += rng.normal(size=raw.shape) * rig.sensor.noise_array + rng.normal(size=6) * 0.5
     nu += rng.normal(size=nu.shape) * rig.motion.noise_array
     quaternion = turns.as_quat()[:, [3, 0, 1, 2]]
