@@ -1,6 +1,8 @@
-"""The recipe in use for unknown tools: an exact gain, one offset, ten linear parameters, formal sigma."""
+"""The recipe in use for unknown tools: exact gain, one offset a log, ten linear parameters, formal sigma."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,26 +17,29 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 STEP = 1e-6
 
 
-def recipe(rig: Rig, log: Log, *, moving: bool) -> tuple[Array, Array]:
-    """Mass, centre of mass, inertia about it, offset of the wrench (16,), and their formal 1 sigma.
+def recipe(rig: Rig, logs: Sequence[Log], *, moving: bool) -> tuple[Array, Array]:
+    """Mass, centre of mass, inertia about it, last offset of the wrench (16,), and their formal 1 sigma.
 
     Args:
         rig: its nominal gain is believed.
-        log: poses, or a motion whose velocities are differentiated.
+        logs: rows at rest, or motions whose velocities are differentiated; each has an offset of its own.
         moving: whether inertia is asked for; else its place holds NaN.
     """
-    pieces = measured_motions(rig, log) if moving else [_still(log)]
     back = np.linalg.pinv(rig.sensor.nominal_gain_array)
     noise = np.sqrt((back**2) @ rig.sensor.noise_array**2)
     A, y = [], []
-    for rows, nu, a, g in pieces:
-        know = np.isfinite(log.raw[rows]).all(axis=1)
-        offset = np.broadcast_to(np.eye(6), (int(know.sum()), 6, 6))
-        A.append(np.concatenate([regressor(nu[know], a[know], g[know]), offset], axis=2) / noise[:, None])
-        y.append(rig.sensor.sign * log.raw[rows][know] @ back.T / noise)
-    rows, read = np.concatenate(A).reshape(-1, 16), np.concatenate(y).ravel()
-    kept = np.r_[0:16] if moving else np.r_[0:4, 10:16]
-    x, P = np.zeros(16), np.zeros((16, 16))
+    for k, log in enumerate(reversed(logs)):
+        at_rest = log.twist is not None and not np.nan_to_num(log.twist).any()
+        for rows, nu, a, g in [_still(log)] if at_rest else measured_motions(rig, log):
+            know = np.isfinite(log.raw[rows]).all(axis=1)
+            offset = np.zeros((int(know.sum()), 6, 6 * len(logs)))
+            offset[:, :, 6 * k : 6 * k + 6] = np.eye(6)
+            A.append(np.concatenate([regressor(nu[know], a[know], g[know]), offset], axis=2) / noise[:, None])
+            y.append(rig.sensor.sign * log.raw[rows][know] @ back.T / noise)
+    size = 10 + 6 * len(logs)
+    rows, read = np.concatenate(A).reshape(-1, size), np.concatenate(y).ravel()
+    kept = np.r_[0:size] if moving else np.r_[0:4, 10:size]
+    x, P = np.zeros(size), np.zeros((size, size))
     x[kept] = np.linalg.lstsq(rows[:, kept], read, rcond=None)[0]
     left = read - rows @ x
     information = rows[:, kept].T @ rows[:, kept]
@@ -43,7 +48,7 @@ def recipe(rig: Rig, log: Log, *, moving: bool) -> tuple[Array, Array]:
     by = np.column_stack(
         [
             (_body(x + STEP * s * e) - _body(x - STEP * s * e)) / (2.0 * STEP * s)
-            for s, e in zip(scale, np.eye(16), strict=True)
+            for s, e in zip(scale, np.eye(size), strict=True)
         ]
     )
     sigma = np.sqrt(np.diag(by @ P @ by.T))
@@ -62,4 +67,4 @@ def _still(log: Log) -> tuple[NDArray[np.int64], Array, Array, Array]:
 def _body(x: Array) -> Array:
     mass, center = x[0], x[1:4] / x[0]
     about = symmetric(x[4:10]) - mass * (center @ center * np.eye(3) - np.outer(center, center))
-    return np.concatenate([[mass], center, [about[i, j] for i, j in PAIRS], x[10:]])
+    return np.concatenate([[mass], center, [about[i, j] for i, j in PAIRS], x[10:16]])

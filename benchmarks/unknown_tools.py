@@ -99,8 +99,7 @@ def trial(gain_prior: float, data: str, sensor: int | str, spread: float, seed: 
     out = score(tool, theta, inertia=inertia) | {"seconds": np.array([seconds])}
     if truths:
         out |= over(rig, found[0], tool, theta, truths)
-        if data != "both":
-            out |= of_recipe(rig, logs[0], theta, moving=inertia)
+    out |= of_recipe(rig, logs, theta, moving=inertia)
     return {name: value.tolist() for name, value in out.items()}
 
 
@@ -118,10 +117,10 @@ def over(rig: Rig, found: Evidence, tool: tw.Tool, theta: Array, truths: list[Tr
     return out
 
 
-def of_recipe(rig: Rig, log: Log, theta: Array, *, moving: bool) -> dict[str, Array]:
+def of_recipe(rig: Rig, logs: Sequence[Log], theta: Array, *, moving: bool) -> dict[str, Array]:
     """Errors of the recipe in its own sigma."""
     at = Layout(rig.sensor.n)
-    x, sigma = recipe(rig, log, moving=moving)
+    x, sigma = recipe(rig, logs, moving=moving)
     mass = float(np.exp(theta[at.log_mass]))
     offset = theta[at.offset] @ np.linalg.pinv(rig.sensor.nominal_gain_array).T
     true = np.concatenate([[mass], theta[at.center_of_mass], inertia_of(mass, theta[at.S]), offset])
