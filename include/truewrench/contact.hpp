@@ -85,7 +85,8 @@ class Contact : public contact::Estimate {
   }
 
   // Twist of the sensor's origin, free fall there, both in sensor axes, and how the sensor is turned. An IMU's motion
-  // has no v, and the negative of the specific force for the fall. R_sensor_root: zero where nothing tells it.
+  // has no v, and the negative of the specific force for the fall. R_sensor_root: zero for an IMU; where else nothing tells
+  // it, ContactRows follows the turn, without which the tilt of gravity has no part in Sigma.
   Status add_motion(std::int64_t time_ns, const Vector6& twist, const Vector3& fall,
                     const Matrix3& R_sensor_root, std::int64_t mark = 0) noexcept {
     if (!configured_) return Status::not_configured;

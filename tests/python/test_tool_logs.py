@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from tool_cases import Array, a_rig, pose_log, swing_log, tour_log
 
 import truewrench as tw
 from truewrench.model.log import Log
-from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.model.rig.tool_rig import load_tool_rig, tool_rig
 from truewrench.tool.identify import Evidence
+from truewrench.tool.poses import split_poses
 
 MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
 INERTIA = np.diag([0.012, 0.010, 0.006])
@@ -93,3 +95,24 @@ def test_moves_between_poses_walk_with_them() -> None:
         assert len({tuple(np.array(c.at)[c.clock]) for c in moves}) == 1, "a log has one clock"
         assert len({c.at[c.b] for c in moves}) == 7, "and an offset a move"
     assert sum(squares) < chi2.ppf(1.0 - 1e-4, len(squares))
+
+
+@pytest.mark.parametrize("step", [0.0, 4e-4], ids=["noise", "steps of an encoder"])
+def test_positions_alone_tell_where_an_arm_dwells(step: float) -> None:
+    rng = np.random.default_rng(2)
+    rig = load_tool_rig(tw.robots.path("ur10_tool"))
+    s = np.linspace(0.0, 1.0, 150)
+    there = rng.uniform(-1.0, 1.0, (8, 6))
+    q = [np.repeat(there[:1], 250, axis=0)]
+    for a, b in pairwise(there):
+        q += [a + (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * (b - a), np.repeat(b[None], 250, axis=0)]
+    position = np.vstack(q) + 5e-5 * rng.normal(size=(8 * 250 + 7 * 150, 6))
+    position = step * np.round(position / step) if step else position
+    raw = rig.sensor.noise_array * rng.normal(size=position.shape)
+    log = Log(None, "tool", "", np.arange(len(raw)) * 10_000_000, raw, position=position)
+    split = split_poses(rig, [log])
+    dwells = 1.25e9 + 4.0e9 * np.arange(8) + 0.5e9 * (np.arange(8) > 0)  # a second of settling left out
+    assert len(split.poses) == 8
+    np.testing.assert_allclose(split.poses.time_ns[1:], dwells[1:], atol=0.3e9)
+    assert len(split.moves) == 7
+    assert all(1.5 < move.seconds < 3.2 for move in split.moves)

@@ -29,6 +29,7 @@ STILL = 5.0  # sigma of the motion's noise, and
 CREEP = 1e-3  # [m/s, rad/s] that is no motion; tolerance
 MOVING = 2.0  # [s] of motion that are worth an estimate of their own
 MOVE = 1.0  # [s] of them that one between two dwells lasts, at least
+_MEAN = 0.1  # [s] of positions on either side of a row
 FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
 
 
@@ -182,7 +183,7 @@ def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:
             limit = STILL * motion.noise_array + CREEP if motion.noise is not None else 2.0 * CREEP
             still &= ~(np.abs(np.nan_to_num(log.velocity)) > limit).any(axis=1)
         elif log.position is not None:
-            still &= ~_changing(log.time, log.position, CREEP)
+            still &= ~_changing(log.time, log.position)
     elif motion.source == "imu":
         if log.angular_velocity is not None:
             bias = STILL * (motion.gyro_bias_prior or 0.0)
@@ -194,14 +195,34 @@ def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:
     return still
 
 
-def _changing(time: Array, values: Array, rate: float) -> NDArray[np.bool_]:
-    """Rows near which values change faster than `rate`, rows that stand alone aside."""
+def _changing(time: Array, values: Array) -> NDArray[np.bool_]:
+    """Rows about which values change, rows that stand alone aside.
+
+    By means of `_MEAN` before and after a row, whose noise is that which second differences of rows show, or a
+    step of the encoder.
+    """
     out = np.zeros(len(time), dtype=bool)
     step = np.diff(time)
-    with np.errstate(invalid="ignore"):
-        fast = (np.abs(np.diff(values, axis=0)) > rate * step[:, None]).any(axis=1) & (step < APART)
-    out[1:] |= fast
-    out[:-1] |= fast
+    if not (step < APART).any():
+        return out
+    count = max(1, round(_MEAN / float(np.median(step[step < APART]))))
+    known = np.isfinite(values).all(axis=1)
+    x, rows = values[known], np.flatnonzero(known)
+    for piece in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(time[rows]) >= APART) + 1):
+        if piece.size < 2:
+            continue
+        n, at = min(count, piece.size // 2), x[piece]
+        bend, move = np.abs(np.diff(at, n=2, axis=0)), np.abs(np.diff(at, axis=0))
+        least = np.min(np.where(move > 0.0, move, np.inf), axis=0)
+        noise = np.where(np.isfinite(least), least, 0.0) / np.sqrt(12.0)
+        if piece.size > 2:
+            noise = np.maximum(noise, np.median(bend, axis=0) / (0.6745 * np.sqrt(6.0)))
+        sums = np.vstack([np.zeros((1, at.shape[1])), np.cumsum(at, axis=0)])
+        lasts = (time[rows[piece[n:]]] - time[rows[piece[:-n]]])[: piece.size - 2 * n + 1, None]
+        rate = (sums[2 * n :] - 2.0 * sums[n:-n] + sums[: -2 * n]) / n / lasts
+        fast = (np.abs(rate) > CREEP + STILL * noise * np.sqrt(2.0 / n) / lasts).any(axis=1)
+        at_row = np.clip(np.arange(piece.size) - n, 0, fast.size - 1)
+        out[rows[piece]] = fast[at_row]
     return out
 
 
