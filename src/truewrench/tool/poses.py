@@ -198,8 +198,8 @@ def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:
 def _changing(time: Array, values: Array) -> NDArray[np.bool_]:
     """Rows about which values change, rows that stand alone aside.
 
-    By means of `_MEAN` before and after a row, whose noise is that which second differences of rows show, or a
-    step of the encoder.
+    By means of `_MEAN` before and after a row, whose noise is that which second differences of rows show, or
+    a step of the encoder.
     """
     out = np.zeros(len(time), dtype=bool)
     step = np.diff(time)
