@@ -57,6 +57,7 @@ void bind_record(nb::module_& m) {
       .def_rw("point", &RecordedLog::point)
       .def_rw("body", &RecordedLog::body)
       .def_rw("continued", &RecordedLog::continued)
+      .def_rw("offset_steps", &RecordedLog::offset_steps)
       .def_rw("time", &RecordedLog::time)
       .def_rw("raw", &RecordedLog::raw)
       .def_rw("R_sensor_root", &RecordedLog::R_sensor_root)

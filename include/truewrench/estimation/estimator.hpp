@@ -71,8 +71,10 @@ class Estimator {
         return out;
       }
     }
-    std::vector<std::vector<double>> steps(count);
+    std::vector<std::vector<double>> steps;
+    for (const RecordedLog* log : recorded_) steps.push_back(log->offset_steps);
     std::shared_ptr<Fit> robust = together(alone, out);
+    if (!robust->failed && any(steps)) robust = robust_from(*robust, steps, out);
     if (robust->failed) {
       out.status = Status::not_factorizable;
       return out;
@@ -211,7 +213,7 @@ class Estimator {
   void seek_steps(std::shared_ptr<Fit>& robust, std::vector<std::vector<double>>& steps,
                   Estimate& out) const {
     for (std::size_t l = 0; l < steps.size(); ++l)
-      while (steps[l].size() < 2) {
+      while (steps[l].size() < recorded_[l]->offset_steps.size() + 2) {
         Fit masked = *robust;
         set_mask(masked);
         if (masked_share(masked, l) <= constants::most_lost) break;
@@ -302,6 +304,10 @@ class Estimator {
     }
   }
 
+  static bool any(const std::vector<std::vector<double>>& steps) {
+    return std::any_of(steps.begin(), steps.end(), [](const auto& t) { return !t.empty(); });
+  }
+
   static bool agree(const Estimate& e) {
     return e.halves.p >= 0.5 * constants::doubt && e.quarters.p >= 0.5 * constants::doubt;
   }
@@ -319,8 +325,7 @@ class Estimator {
       if (!alone.back()) return;
     }
     std::shared_ptr<Fit> robust = together(alone, out);
-    if (!robust->failed && std::any_of(steps.begin(), steps.end(), [](const auto& t) { return !t.empty(); }))
-      robust = robust_from(*robust, steps, out);
+    if (!robust->failed && any(steps)) robust = robust_from(*robust, steps, out);
     if (robust->failed) return;
     set_mask(*robust);
     Estimate finer = out;

@@ -55,9 +55,10 @@ struct RecordedLog {
   Payload payload;                  // as stated
   Vector3 point = Vector3::Zero();  // that the twist belongs to, from the sensor origin
   int body = 0;                     // which payload of theta it carries
-  bool continued = false;   // the log before, after a pause: its clocks and biases, an offset of its own
-  Eigen::VectorXd time;     // (K) [s] of the sensor's samples
-  RowMatrix raw;            // (K, n)
+  bool continued = false;  // the log before, after a pause: its clocks and biases, an offset of its own
+  std::vector<double> offset_steps;  // [s] at which the offset may be another, as stated
+  Eigen::VectorXd time;              // (K) [s] of the sensor's samples
+  RowMatrix raw;                     // (K, n)
   RowMatrix R_sensor_root;  // (K, 9) row by row, or empty: no gravity, or a mapped motion that brings its own
   Eigen::VectorXd temperature;  // (K) above the reference [K], or empty
   std::vector<MotionStream> motion;

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
@@ -118,10 +119,11 @@ def identify_tool(
     problem = Problem(rig, prior, split.poses, split.end_ns, split.moves)
     report("estimating", None)
     swung = [move.record for move in split.moves]
-    problem, solution, motion = _solved(problem, swung, threads)
-    solution = replace(solution, covariance=solution.covariance * widening(prior.gain_std))
-    report("holding poses out", None)
-    left = held_out(problem, solution)
+    with threadpool_limits(1, "blas"):  # of small matrices: on two cores threads take 15 times as long
+        problem, solution, motion = _solved(problem, swung, threads)
+        solution = replace(solution, covariance=solution.covariance * widening(prior.gain_std))
+        report("holding poses out", None)
+        left = held_out(problem, solution)
     judged = judge(rig, solution, motion, left, logs=swung, determined=_determined(solution))
     if evidence is not None:
         evidence(Evidence(solution, motion, left.details))

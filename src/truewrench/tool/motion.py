@@ -100,6 +100,7 @@ def motion_information(
         record = recorded(rig, assumed, move.record).streams
         record.payload = _physical(body)
         record.continued = k > 0 and move.log == moves[k - 1].log
+        record.offset_steps = move.parts[1:-1].tolist()
         streams.append(record)
     settings = _core.Settings()
     settings.threads, settings.discrepancy = threads, assumed.discrepancy
@@ -107,26 +108,33 @@ def motion_information(
     if found.status != _core.Status.ok:
         return None
     stated = streams[0].payload
-    return _taken(rig, len(moves), found, stated, units, assumed.tilt_prior > 0.0)
+    return _taken(rig, moves, found, stated, units, assumed.tilt_prior > 0.0)
 
 
 def _taken(
-    rig: Rig, moves: int, found: _core.Estimate, stated: _core.Payload, units: Array, tilts: bool
+    rig: Rig,
+    moves: Sequence[Move],
+    found: _core.Estimate,
+    stated: _core.Payload,
+    units: Array,
+    tilts: bool,
 ) -> MotionFit:
     fit, n, scale = found.fit, rig.sensor.n, rig.sensor.channel_scale
     # where the last linearisation has its top: steps end early along what the data hardly tell
     theta, P = np.asarray(fit.theta) + np.asarray(fit.step), np.asarray(found.covariance)
     prior, mean = np.asarray(fit.prior), np.asarray(fit.mean)
-    columns = [fit.columns(k) for k in range(moves)]
+    columns = [fit.columns(k) for k in range(len(moves))]
     rows = [np.eye(theta.size)[: 6 * n] * units[:, None]]
     at = np.array(columns[0].at)
     body = at[columns[0].body : columns[0].body + 10]
     rows.append(np.eye(theta.size)[body])
-    for c in columns:
-        pick = np.zeros((n, theta.size))
-        for b in (c.b, *c.steps):
-            pick[np.arange(n), np.array(c.at)[b : b + n]] += 1.0
-        rows.append(pick * scale[:, None])
+    for move, c in zip(moves, columns, strict=True):
+        for begin in move.parts[:-1] if move.own_offset else [np.inf]:  # the log's: after all steps
+            pick = np.zeros((n, theta.size))
+            for b, step in zip((c.b, *c.steps), (0.0, *c.step_times), strict=True):
+                if step <= begin:
+                    pick[np.arange(n), np.array(c.at)[b : b + n]] += 1.0
+            rows.append(pick * scale[:, None])
     tilt = columns[0].tilt if tilts else -1
     if tilt >= 0:
         rows.append(np.eye(theta.size)[at[tilt : tilt + 2]])
@@ -153,7 +161,7 @@ def _taken(
     back = np.linalg.inv(by_y)
     clock = columns[-1].clock[0]
     s = np.array(columns[-1].at)[clock]
-    masked = [np.asarray(fit.rows(k)["masked"]).ravel() > 0.0 for k in range(moves)]
+    masked = [np.asarray(fit.rows(k)["masked"]).ravel() > 0.0 for k in range(len(moves))]
     return MotionFit(
         MotionInformation(at_center, back.T @ information @ back, back.T @ gradient),
         y[6 * n : 6 * n + 10],
@@ -161,12 +169,16 @@ def _taken(
         float(np.mean(np.concatenate(masked))) if masked else 0.0,
         tuple(
             float(f)
-            for k in range(moves)
+            for k in range(len(moves))
             for group in (fit.sizes(k).raw_factor, *fit.sizes(k).motion_factor)
             for f in group
         ),
         max(
-            (float(np.max(fit.sizes(k).delta)) for k in range(moves) if fit.sizes(k).form != _core.Form.none),
+            (
+                float(np.max(fit.sizes(k).delta))
+                for k in range(len(moves))
+                if fit.sizes(k).form != _core.Form.none
+            ),
             default=0.0,
         ),
         min(float(found.halves.p), float(found.quarters.p)),

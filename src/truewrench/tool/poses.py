@@ -28,6 +28,8 @@ SHORT = 0.5  # [s] of a dwell that begins with the log or after a gap, at least
 STILL = 5.0  # sigma of the motion's noise, and
 CREEP = 1e-3  # [m/s, rad/s] that is no motion; tolerance
 MOVING = 2.0  # [s] of motion that are worth an estimate of their own
+PART = 0.5  # [s] of a move that have one offset: of 1 s the walk is found too slow (0.8), bodies at NEES 1.2
+MOST_PARTS = 8  # of a move: more cost more than a long motion's walk is worth
 MOVE = 1.0  # [s] of them that one between two dwells lasts, at least
 _MEAN = 0.1  # [s] of positions on either side of a row
 FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
@@ -40,6 +42,7 @@ class Poses:
     Attributes:
         log: (T,) which log.
         time_ns: (T,) stamps of their middles.
+        seconds: (T,) that each lasts.
         raw: (T, n) means of the channels [raw units].
         variance: (T, n) of these means, by the noise of the samples and their own scatter.
         R_sensor_root: (T, 3, 3) takes vectors of the root frame to sensor axes.
@@ -48,6 +51,7 @@ class Poses:
 
     log: Rows
     time_ns: Rows
+    seconds: Array
     raw: Array
     variance: Array
     R_sensor_root: Array
@@ -61,6 +65,7 @@ class Poses:
         return Poses(
             self.log[chosen],
             self.time_ns[chosen],
+            self.seconds[chosen],
             self.raw[chosen],
             self.variance[chosen],
             self.R_sensor_root[chosen],
@@ -75,8 +80,8 @@ class Move:
     Attributes:
         log: which log.
         record: its rows.
-        own_offset: whether poses of the same log tell how its offset walks, so that each move has one of its
-            own; else the log's.
+        own_offset: whether poses of the same log tell how its offset walks, so that each part of a move has
+            one of its own; else the log's.
     """
 
     log: int
@@ -84,14 +89,11 @@ class Move:
     own_offset: bool
 
     @property
-    def seconds(self) -> float:
-        """From its first row to its last."""
-        return float(self.record.time[-1])
-
-    @property
-    def middle_ns(self) -> int:
-        """Stamp of its middle."""
-        return (int(self.record.time_ns[0]) + int(self.record.time_ns[-1])) // 2
+    def parts(self) -> Array:
+        """Edges (parts + 1,) [s] of what has one offset: since its first row, of equal length."""
+        lasts = float(self.record.time[-1])
+        count = min(max(1, round(lasts / PART)), MOST_PARTS) if self.own_offset else 1
+        return np.linspace(0.0, lasts, 1 + count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +122,7 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
         poses, moved = _split(rig, k, log)
         parts.append(poses)
         moves += moved
-    names = ("log", "time_ns", "raw", "variance", "R_sensor_root", "temperature")
+    names = ("log", "time_ns", "seconds", "raw", "variance", "R_sensor_root", "temperature")
     joined = Poses(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
     return Split(joined, tuple(moves), tuple(int(log.time_ns[-1]) for log in logs))
 
@@ -252,11 +254,13 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
     warm = temperature_at(log, log.time_ns) if log.temperature is not None else None
     raw, variance, R = np.empty((len(pieces), n)), np.empty((len(pieces), n)), np.empty((len(pieces), 3, 3))
     stamps, temperature = np.empty(len(pieces), np.int64), np.full(len(pieces), np.nan)
+    seconds = np.empty(len(pieces))
     turn = _attitudes(rig, log) if pieces else None
     for i, rows in enumerate(pieces):
         raw[i] = log.raw[rows].mean(axis=0)
         variance[i] = _of_mean(log.raw[rows], rig.sensor.noise_array)
         stamps[i] = (int(log.time_ns[rows[0]]) + int(log.time_ns[rows[-1]])) // 2
+        seconds[i] = log.time[rows[-1]] - log.time[rows[0]]
         assert turn is not None
         told = turn[rows][np.isfinite(turn[rows][:, 0, 0])]
         if not len(told):
@@ -267,7 +271,7 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
         R[i] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
         if warm is not None:
             temperature[i] = warm[rows].mean()
-    return Poses(np.full(len(pieces), k), stamps, raw, variance, R, temperature)
+    return Poses(np.full(len(pieces), k), stamps, seconds, raw, variance, R, temperature)
 
 
 def _attitudes(rig: Rig, log: Log) -> Array:

@@ -97,6 +97,7 @@ def pose_problem(
     poses = Poses(
         np.zeros(count, dtype=np.int64),
         np.round(1e9 * middle).astype(np.int64),
+        read / samples,
         np.zeros((count, n)),
         rig.sensor.noise_array**2 / read[:, None],
         R_sensor_root,
