@@ -118,21 +118,26 @@ def identify_tool(
         raise InputError.at(records[0].path, "", "neither poses nor motion", expected)
     problem = Problem(rig, prior, split.poses, split.end_ns, split.moves)
     report("estimating", None)
-    swung = [move.record for move in split.moves]
     with threadpool_limits(1, "blas"):  # of small matrices: on two cores threads take 15 times as long
-        problem, solution, motion = _solved(problem, swung, threads)
+        problem, solution, motion = _solved(problem, threads)
         solution = replace(solution, covariance=solution.covariance * widening(prior.gain_std))
         report("holding poses out", None)
         left = held_out(problem, solution)
-    judged = judge(rig, solution, motion, left, logs=swung, determined=_determined(solution))
+    judged = judge(
+        rig,
+        solution,
+        motion,
+        left,
+        logs=[move.record for move in split.moves],
+        determined=_determined(solution),
+    )
     if evidence is not None:
         evidence(Evidence(solution, motion, left.details))
     return _tool(rig, solution, motion, judged, left.figures, flange, housing, records, split.end_ns)
 
 
-def _solved(
-    problem: Problem, logs: Sequence[Log], threads: int | None
-) -> tuple[Problem, Solution, MotionFit | None]:
+def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, MotionFit | None]:
+    logs = [move.record for move in problem.moves]
     if not logs:
         return problem, solve(problem), None
     rig, layout = problem.rig, problem.vector.layout

@@ -28,9 +28,9 @@ SHORT = 0.5  # [s] of a dwell that begins with the log or after a gap, at least
 STILL = 5.0  # sigma of the motion's noise, and
 CREEP = 1e-3  # [m/s, rad/s] that is no motion; tolerance
 MOVING = 2.0  # [s] of motion that are worth an estimate of their own
-PART = 0.5  # [s] of a move that have one offset: of 1 s the walk is found slower, 0.8 of the truth for 0.9
-MOST_PARTS = 8  # of a move: more cost more than a long motion's walk is worth
-MOVE = 1.0  # [s] of them that one between two dwells lasts, at least
+MOVE = 1.0  # [s] of motion between two dwells, at least
+PART = 0.5  # [s] of a move that share an offset: 1 s finds 0.8 of the walk's rate (median), this 0.9
+MOST_PARTS = 8  # of a move: each adds n unknowns
 _MEAN = 0.1  # [s] of positions on either side of a row
 FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
 
