@@ -19,12 +19,16 @@ from truewrench.robot.arm import Robot, load_robot, robot_of
 
 Array = NDArray[np.float64]
 
-ARMS = ("ssrms", "spdm", "panda", "ur10")
+ARMS = ("ssrms", "spdm", "panda", "ur10", "fr3", "ur3e", "ur5e", "ur10e")
 DEGREES = np.pi / 180
 
 
+def urdf(name: str) -> Path:
+    return Path(robots.__file__).with_name(f"{name}.urdf")
+
+
 def arm(name: str) -> Robot:
-    return load_robot(robots.path(name).with_suffix(".urdf"), "ft")
+    return load_robot(urdf(name), "ft")
 
 
 def turned(axis: str, angle: float) -> Array:
@@ -114,6 +118,23 @@ def test_joint_limits_are_the_published_ones() -> None:
     np.testing.assert_array_equal(franka.upper, [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
     np.testing.assert_array_equal(franka.velocity, [2.175] * 4 + [2.61] * 3)
     np.testing.assert_array_equal(franka.effort, [87] * 4 + [12] * 3)
+    research = arm("fr3")
+    np.testing.assert_array_equal(research.upper, [2.3093, 1.5133, 2.4937, -0.4461, 2.48, 4.2094, 2.6895])
+    np.testing.assert_array_equal(
+        research.lower, [-2.3093, -1.5133, -2.4937, -2.7478, -2.48, 0.8521, -2.6895]
+    )
+    np.testing.assert_array_equal(research.velocity, [2, 1, 1.5, 1.25, 3, 1.5, 3])
+    np.testing.assert_array_equal(research.effort, [87] * 4 + [12] * 3)
+    for name, speed, effort in (
+        ("ur3e", [180, 180, 180, 360, 360, 360], [54, 54, 28, 9, 9, 9]),
+        ("ur5e", [180] * 6, [150, 150, 150, 28, 28, 28]),
+        ("ur10e", [120, 120, 180, 180, 180, 180], [330, 330, 150, 54, 54, 54]),
+    ):
+        endless = np.inf if name == "ur3e" else 360
+        np.testing.assert_allclose(arm(name).upper, np.array([360, 360, 180, 360, 360, endless]) * DEGREES)
+        np.testing.assert_array_equal(arm(name).lower, -arm(name).upper)
+        np.testing.assert_allclose(arm(name).velocity, np.array(speed) * DEGREES)
+        np.testing.assert_array_equal(arm(name).effort, effort)
     universal = arm("ur10")
     np.testing.assert_allclose(universal.upper, np.array([360, 360, 180, 360, 360, 360]) * DEGREES)
     np.testing.assert_allclose(universal.velocity, np.array([120, 120, 180, 180, 180, 180]) * DEGREES)
@@ -140,7 +161,7 @@ def test_centres_of_mass_of_the_ur10_are_those_of_the_table() -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_mujoco_accepts_every_link_as_a_real_body(name: str) -> None:
-    text = robots.path(name).with_suffix(".urdf").read_text()
+    text = urdf(name).read_text()
     assert "mesh" not in text
     model = mujoco.MjModel.from_xml_string(text)  # refuses inertias that break the triangle inequality
     assert model.nq == arm(name).n

@@ -12,7 +12,7 @@ __all__ = ["NAMES", "TOOL_RIGS", "path"]
 NAMES = ("ssrms", "spdm", "panda", "panda_ground", "ur10", "ur10_ground")
 """Rigs of arms that carry a known payload, for calibrations,"""
 
-TOOL_RIGS = ("panda_tool", "ur10_tool")
+TOOL_RIGS = ("panda_tool", "fr3_tool", "ur10_tool", "ur3e_tool", "ur5e_tool", "ur10e_tool")
 """and of arms in the laboratory that carry nobody knows what."""
 
 
