@@ -79,7 +79,8 @@ void bind_fit(nb::module_& m) {
   nb::enum_<Form>(m, "Form", "Where the discrepancy's process comes from.")
       .value("none", Form::none)
       .value("matern", Form::matern)
-      .value("walk", Form::walk);
+      .value("walk", Form::walk)
+      .value("bridge", Form::bridge);
   nb::class_<Sizes>(m, "Sizes", "The sizes of one log's nuisances.")
       .def_rw("raw_factor", &Sizes::raw_factor)
       .def_rw("motion_factor", &Sizes::motion_factor)
@@ -98,6 +99,7 @@ void bind_fit(nb::module_& m) {
       .def_ro("gamma", &Columns::gamma)
       .def_ro("clock", &Columns::clock)
       .def_ro("bias", &Columns::bias)
+      .def_ro("ramps", &Columns::ramps)
       .def_ro("steps", &Columns::steps)
       .def_ro("step_times", &Columns::step_times)
       .def_prop_ro("at", [](const Columns& c) { return c.global; }, "Places in theta.");

@@ -26,6 +26,7 @@ Eigen::MatrixXd dense(const Spline& s, const Penalty& p) {
   Eigen::MatrixXd R = Eigen::MatrixXd::Zero(s.size(), s.size());
   for (Eigen::Index i = 0; i < s.intervals(); ++i) R.block(i, i, kLocal, kLocal) += p.inside;
   R.topLeftCorner(kLocal, kLocal) += p.start;
+  R.bottomRightCorner(kLocal, kLocal) += p.end;
   return R;
 }
 
@@ -64,6 +65,23 @@ TEST(Spline, DiscrepancyHasTheLogDeterminantOfItsMatrix) {
     const Eigen::MatrixXd R = dense(s, p);
     EXPECT_NEAR(s.logdet(p), std::log(R.determinant()), 1e-8 * std::abs(std::log(R.determinant())));
   }
+}
+
+// Cov(d(s), d(t)) = min(s, t) - s t / T of a walk of one per root of a second that is zero at both ends.
+TEST(Spline, BridgeHasTheCovarianceOfAWalkBetweenItsEnds) {
+  const double T = 2.0;
+  const Spline s(1.0, T, 0.02);
+  const Eigen::MatrixXd K = dense(s, s.discrepancy(0.0, Form::bridge)).inverse();
+  const auto at = [&](double t) {
+    double u = 0.0;
+    Eigen::VectorXd b = Eigen::VectorXd::Zero(s.size());
+    const Eigen::Index interval = s.locate(1.0 + t, u);
+    b.segment(interval, kLocal) = s.basis(u, 0);
+    return b;
+  };
+  for (const double a : {0.0, 0.3, 1.0, 1.7, 2.0})
+    for (const double b : {0.0, 0.3, 1.2, 2.0})
+      EXPECT_NEAR(at(a).dot(K * at(b)), std::min(a, b) - a * b / T, 0.02 * 0.25 * T);
 }
 
 TEST(Spline, SmoothnessAnnihilatesPolynomialsBelowItsOrder) {

@@ -113,6 +113,7 @@ class SweepOf : public testing::TestWithParam<std::pair<Form, bool>> {};
 TEST_P(SweepOf, DenseAlgebra) {
   const auto [form, bias] = GetParam();
   Case c = make(bias);
+  if (form == Form::bridge) c.log.offset_knots = {0.0, 0.3, 0.7};
   settle(c, form);
   const bool d = form != Form::none;
   const Eigen::Index N = c.stretch.spline.size(), nc = 6 * N, nx = d ? 2 * nc : nc, nt = c.theta.size();
@@ -146,7 +147,8 @@ TEST_P(SweepOf, DenseAlgebra) {
           R(6 * (i + k) + j, 6 * (i + l) + j) += R3(k, l) / c.sizes.q[j];
           if (d)
             R(nc + 6 * (i + k) + j, nc + 6 * (i + l) + j) +=
-                (RM.inside(k, l) + (i == 0 ? RM.start(k, l) : 0.0)) / (delta * delta);
+                (RM.inside(k, l) + (i == 0 ? RM.start(k, l) : 0.0) + (i + kLocal == N ? RM.end(k, l) : 0.0)) /
+                (delta * delta);
         }
   }
   Eigen::VectorXd x(nx + nt);
@@ -213,7 +215,8 @@ TEST_P(SweepOf, DenseAlgebra) {
 
 INSTANTIATE_TEST_SUITE_P(Forms, SweepOf,
                          testing::Values(std::pair{Form::none, false}, std::pair{Form::none, true},
-                                         std::pair{Form::matern, false}, std::pair{Form::walk, true}));
+                                         std::pair{Form::matern, false}, std::pair{Form::walk, true},
+                                         std::pair{Form::bridge, true}));
 
 }  // namespace
 }  // namespace truewrench

@@ -54,6 +54,8 @@ class Estimator {
     out.unexplained.assign(count, 0.0);
     rungs_.assign(count, 0);
     for (std::size_t l = 0; l < count; ++l) {
+      out.status = check_walk(*whole_[l]);
+      if (out.status != Status::ok) return out;
       const double coarsest =
           std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*recorded_[l]));
       pieces_.push_back(pieces_of(*whole_[l], coarsest, out.dropped[l]));
@@ -71,10 +73,8 @@ class Estimator {
         return out;
       }
     }
-    std::vector<std::vector<double>> steps;
-    for (const RecordedLog* log : recorded_) steps.push_back(log->offset_steps);
+    std::vector<std::vector<double>> steps(count);
     std::shared_ptr<Fit> robust = together(alone, out);
-    if (!robust->failed && any(steps)) robust = robust_from(*robust, steps, out);
     if (robust->failed) {
       out.status = Status::not_factorizable;
       return out;
@@ -83,10 +83,14 @@ class Estimator {
     bool hopeful = true;
     for (std::size_t l = 0; l < count; ++l)
       hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
+    // an offset that is stated to walk has what is slow: nothing that is found beside it competes with it
+    const bool asked = hopeful && std::all_of(recorded_.begin(), recorded_.end(), [](const RecordedLog* log) {
+                         return log->offset_knots.empty();
+                       });
     if (hopeful) seek_steps(robust, steps, out);
     set_mask(*robust);
-    Rows best = fit_rows(*robust, steps, out, hopeful ? Slow::asked : Slow::never);
-    if (hopeful) repair(best, steps, out);
+    Rows best = fit_rows(*robust, steps, out, asked ? Slow::asked : Slow::never);
+    if (asked) repair(best, steps, out);
     finish(best, out);
     if (hopeful) refine(best, steps, out);
     return out;
@@ -99,6 +103,7 @@ class Estimator {
     std::vector<std::vector<Moment>> moments;
     Eigen::MatrixXd added;
     double share = 0.0;  // largest ratio of (10.9) to a gain's variance
+    bool found = false;  // d is in the fit, its size found
   };
 
   std::shared_ptr<const Statement> rig_;
@@ -213,7 +218,7 @@ class Estimator {
   void seek_steps(std::shared_ptr<Fit>& robust, std::vector<std::vector<double>>& steps,
                   Estimate& out) const {
     for (std::size_t l = 0; l < steps.size(); ++l)
-      while (steps[l].size() < recorded_[l]->offset_steps.size() + 2) {
+      while (steps[l].size() < 2) {
         Fit masked = *robust;
         set_mask(masked);
         if (masked_share(masked, l) <= constants::most_lost) break;
@@ -229,18 +234,41 @@ class Estimator {
       }
   }
 
+  static Status check_walk(const RecordedLog& log) {
+    const std::vector<double>& knots = log.offset_knots;
+    if (!std::isfinite(log.offset_walk)) return Status::not_finite;
+    if (log.offset_walk < 0.0) return Status::not_positive;
+    if (knots.size() == 1 || (knots.empty() && log.offset_walk > 0.0)) return Status::wrong_size;
+    for (std::size_t j = 1; j < knots.size(); ++j)
+      if (!(knots[j] > knots[j - 1])) return Status::not_increasing;
+    return Status::ok;
+  }
+
+  // What a walk of a stated rate does about the line between its ends.
+  static void bridge_walks(Fit& fit) {
+    for (LogFit& log : fit.logs()) {
+      if (log.log->offset_walk == 0.0) continue;
+      log.sizes.form = Form::bridge;
+      log.sizes.delta.setConstant(log.log->offset_walk);
+    }
+  }
+
   enum class Slow { never, asked, always };  // whether d is tried: by (10.9)
 
   // FIT on the unmasked rows: without d, then in both forms of d.
   Rows fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out,
                 Slow slow) const {
     auto plain = std::make_shared<Fit>(rig_, bare(like), steps, settings_.threads);
+    bridge_walks(*plain);
     plain->start_from(like).run();
     ++out.fits;
-    Rows rows{plain, {}, {}, 0.0};
+    Rows rows{plain, {}, {}, 0.0, false};
     const int n = plain->channels();
     if (plain->failed) return rows;
-    for (std::size_t l = 0; l < plain->logs().size(); ++l) rows.moments.push_back(moments(*plain, l));
+    for (std::size_t l = 0; l < plain->logs().size(); ++l)
+      rows.moments.push_back(plain->logs()[l].sizes.form == Form::bridge
+                                 ? std::vector<Moment>(static_cast<std::size_t>(raw_groups(n)))
+                                 : moments(*plain, l));
     rows.added = spread(*plain, rows.moments, unmasked(*plain));
     plain->release();
     const Eigen::MatrixXd P = plain->covariance();
@@ -272,7 +300,8 @@ class Estimator {
       if (!d->failed && std::isfinite(d->deviance) && (plain_stands || d->deviance < rows.fit->deviance))
         rows.fit = d;
     }
-    if (rows.fit != plain) rows.added.setZero();
+    rows.found = rows.fit != plain;
+    if (rows.found) rows.added.setZero();
     return rows;
   }
 
@@ -283,7 +312,7 @@ class Estimator {
       std::optional<double> t;
       for (; l < steps.size(); ++l)
         if ((t = best_step(*best.fit, l))) break;
-      if (t && best.fit->logs()[0].sizes.form == Form::none) {  // d must be in V before a step is sought
+      if (t && !best.found) {  // d must be in V before a step is sought
         best = fit_rows(*best.fit, steps, out, Slow::always);
         t = best_step(*best.fit, l);
       }
@@ -358,6 +387,7 @@ class Estimator {
         const int r = raw_group(i, n);
         const Moment& m = best.moments[l][static_cast<std::size_t>(r)];
         double f2 = z.form == Form::none ? m.delta2 + m.sd : z.delta[r] * z.delta[r];
+        if (z.form == Form::bridge) f2 = 0.0;  // a walk does not follow the pose
         if (z.form == Form::walk) f2 *= 2.0 * (1.0 - std::exp(-z.k * out.pose.period));
         out.discrepancy2[i] += rows * f2;
       }
@@ -372,7 +402,7 @@ class Estimator {
     }
     // the parts of the record
     const std::vector<std::vector<Moment>> found =
-        fit.logs()[0].sizes.form == Form::none ? best.moments : std::vector<std::vector<Moment>>{};
+        best.found ? std::vector<std::vector<Moment>>{} : best.moments;
     const auto place = [&fit](std::size_t l, std::size_t s, Eigen::Index k) {  // 0 ... 1 within the log
       const auto& stretches = fit.logs()[l].stretches;
       const double begin = stretches.front().spline.begin(), end = stretches.back().spline.end();

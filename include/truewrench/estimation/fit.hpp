@@ -431,29 +431,20 @@ class Fit {
   // Sums over the unmasked samples of each log, at the motion as it stands.
   void compare_delays() {
     delays_.assign(logs_.size(), DelaySums());
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      DelaySums& sums = delays_[clock_of(l)];
+    for (std::size_t l = 0; l < logs_.size(); ++l)
       for (const Stretch& s : logs_[l].stretches) {
-        sums.cut();
+        delays_[l].cut();
         for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
           if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
-            sums.add(s.raw.time[k], s.now.w.data() + 6 * k);
+            delays_[l].add(s.raw.time[k], s.now.w.data() + 6 * k);
           else
-            sums.cut();
+            delays_[l].cut();
       }
-    }
     imitated_ = !delays_.empty();
     for (std::size_t l = 0; l < logs_.size();
          ++l)  // one that tells its delay tells the gain, and the others' delays
-      imitated_ =
-          imitated_ && (clock_of(l) != l || delays_[l].imitated(theta.data() + layout_.C, n_,
-                                                                [this, l](int i) { return sigma(l, i); }));
-  }
-
-  // The log whose clock a log has: its own, or that of the record it goes on with.
-  std::size_t clock_of(std::size_t l) const {
-    while (l > 0 && logs_[l].log->continued) --l;
-    return l;
+      imitated_ = imitated_ &&
+                  delays_[l].imitated(theta.data() + layout_.C, n_, [this, l](int i) { return sigma(l, i); });
   }
 
   // Less d theta / ds, and d^2 theta / ds^2, of the gain and the offset that imitate the s of a log, where i is one.
@@ -462,13 +453,11 @@ class Fit {
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const Columns& c = layout_.log(l);
       if (c.clock.empty() || c.global[static_cast<std::size_t>(c.clock[0])] != i) continue;
-      if (clock_of(l) == l) {
-        L.setZero();
-        bend = Eigen::VectorXd::Zero(L.size());
-      }
+      L.setZero();
+      bend = Eigen::VectorXd::Zero(L.size());
       for (int r = 0; r < n_; ++r) {
         double gain[2][6], offset[2];
-        delays_[clock_of(l)].imitate(theta.data() + layout_.C + 6 * r, gain, offset);
+        delays_[l].imitate(theta.data() + layout_.C + 6 * r, gain, offset);
         for (int j = 0; j < 6; ++j) {
           L[layout_.C + 6 * r + j] = -gain[0][j];
           bend[layout_.C + 6 * r + j] = gain[1][j];

@@ -87,7 +87,7 @@ inline double Fit::resize() {
       z.q[j] *= ratio;
       move = std::max(move, 0.5 * std::abs(std::log(ratio)));
     }
-    if (z.form == Form::none) continue;
+    if (z.form == Form::none || z.form == Form::bridge) continue;
     Eigen::VectorXd d_energy = Eigen::VectorXd::Zero(z.delta.size()), d_trace = d_energy, d_size = d_energy;
     for (std::size_t s_ = 0; s_ < traces.size(); ++s_) {
       const Stretch& s = log.stretches[s_];

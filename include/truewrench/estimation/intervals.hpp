@@ -67,7 +67,7 @@ struct RawSums {
 class Intervals {
  public:
   int M = 6, n = 6, nt = 0, orders = 2;
-  // features of a sample, phi: f = [w, 1, temperature, steps] (nf), which every channel has for itself; (C_0 w)_i^2 (n);
+  // features of a sample, phi: f = [w, 1, temperature, ramps, steps] (nf), which every channel has for itself; (C_0 w)_i^2 (n);
   // d w / d (dense parameters) (6, nd)
   int nf = 7, nd = 10, features = 0, ld = 0;
   std::vector<int> feature;        // (n, nf): columns of f
@@ -93,6 +93,7 @@ class Intervals {
       for (int k = 0; k < 6; ++k) feature.push_back(columns.C + 6 * i + k);
       feature.push_back(columns.b + i);
       if (columns.slope >= 0) feature.push_back(columns.slope + i);
+      for (const int at : columns.ramps) feature.push_back(at + i);
       for (const int at : columns.steps) feature.push_back(at + i);
     }
     nf = static_cast<int>(feature.size()) / n;
@@ -353,6 +354,7 @@ class Intervals {
       phi[6] = 1.0;
       int at = 7;
       if (columns.slope >= 0) phi[at++] = s.warmth(k);
+      for (std::size_t j = 0; j < columns.ramps.size(); ++j) phi[at++] = columns.ramped(j, s.raw.time[k]);
       for (const double begin : columns.step_times) phi[at++] = s.raw.time[k] >= begin ? 1.0 : 0.0;
       // the exact gradient: J^T V^-1 r
       double y[6] = {};

@@ -261,7 +261,7 @@ class Stretch {
     }
   }
 
-  // raw = C w + b + u (C_0 w)^2 + sum a 1[t >= t_j] + d + slope dT                                                  (10.3)
+  // raw = C w + b + u (C_0 w)^2 + ramps + sum a 1[t >= t_j] + d + slope dT                                                  (10.3)
   void predict_raw(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
                    bool discrepancy) {
     evaluate_motion();
@@ -298,6 +298,8 @@ class Stretch {
         }
         cw[i] = with;
         sum += quadratic[i] * with * with + d[i];
+        for (std::size_t j = 0; j < columns.ramps.size(); ++j)
+          sum += columns.ramped(j, raw.time[k]) * theta[columns.ramps[j] + i];
         for (std::size_t j = 0; j < columns.steps.size(); ++j)
           if (raw.time[k] >= columns.step_times[j]) sum += theta[columns.steps[j] + i];
         if (columns.slope >= 0) sum += warm * theta[columns.slope + i];

@@ -268,7 +268,8 @@ class Sweep {
     if (!d_) return;
     for (int k = 0; k < kLocal; ++k)
       for (int l = 0; l < kLocal; ++l) {
-        const double R = discrepancy_.inside(k, l) + (interval == 0 ? discrepancy_.start(k, l) : 0.0);
+        const double R = discrepancy_.inside(k, l) + (interval == 0 ? discrepancy_.start(k, l) : 0.0) +
+                         (interval + 1 == s.spline.intervals() ? discrepancy_.end(k, l) : 0.0);
         const double* e = s.e.data() + (interval + l) * n_;
         for (int i = 0; i < n_; ++i) {
           double* row = at.row[k] + (M_ + i) * ld_;

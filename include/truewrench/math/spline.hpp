@@ -73,10 +73,10 @@ struct SplineTable {
   }
 };
 
-// A penalty that repeats on every interval, and what its start adds on the first.
+// A penalty that repeats on every interval, and what its start adds on the first, its end on the last.
 struct Penalty {
   Gram inside = Gram::Zero();
-  Gram start = Gram::Zero();
+  Gram start = Gram::Zero(), end = Gram::Zero();
   bool of_derivative =
       false;  // it annihilates a constant, beside which what it measures would drown in rounding
 
@@ -89,7 +89,9 @@ struct Penalty {
         local[k] = x[(i + k) * columns] - (of_derivative ? x[i * columns] : 0.0);
       for (int l = 0; l < kLocal; ++l) {
         double row = 0.0;
-        for (int k = 0; k < kLocal; ++k) row += (inside(k, l) + (i == 0 ? start(k, l) : 0.0)) * local[k];
+        for (int k = 0; k < kLocal; ++k)
+          row += (inside(k, l) + (i == 0 ? start(k, l) : 0.0) + (i + kLocal == size ? end(k, l) : 0.0)) *
+                 local[k];
         sum += row * local[l];
       }
     }
@@ -101,8 +103,9 @@ struct Penalty {
   }
 };
 
-// Where the discrepancy's process comes from (METHOD 10.2, 10.3).
-enum class Form { none, matern, walk };
+// Where the discrepancy's process comes from (METHOD 10.2, 10.3); bridge: a walk of a stated rate, delta, about the line between
+// its ends, which theta holds.
+enum class Form { none, matern, walk, bridge };
 
 class Spline {
  public:
@@ -165,7 +168,7 @@ class Spline {
   }
 
   // R_p (10.1) of one interval.
-  Penalty smoothness(int p) const { return {gram(p, p), Gram::Zero(), true}; }
+  Penalty smoothness(int p) const { return {gram(p, p), Gram::Zero(), Gram::Zero(), true}; }
 
   // log |R_p + A^T A| with A the values of the first p derivatives at the beginning, in the coordinates (p coefficients,
   // p-th differences) where it falls apart (10.2, below (10.7)): log |G| - ((2p - 1)(N - p) + p (p - 1)) log h.
@@ -176,9 +179,22 @@ class Spline {
     return repeated_logdet(local, Gram::Zero(), kLocal - p, functions) - scale * std::log(h_);
   }
 
-  // R_M of (10.2), or that of a random walk (10.3), at k = 1 / tau.
+  // R_M of (10.2), or that of a random walk (10.3), at k = 1 / tau; of a bridge int d'^2, and zero at both ends to 1 % of what a
+  // walk does in between.
   Penalty discrepancy(double k, Form form) const {
     const Basis d0 = basis(0.0, 0), d1 = basis(0.0, 1);
+    if (form == Form::bridge) {
+      const Basis last = basis(1.0, 0);
+      const double pin = 1e4 / (end() - begin());
+      Penalty out;
+      out.inside = gram(1, 1);
+      for (int i = 0; i < kLocal; ++i)
+        for (int j = 0; j < kLocal; ++j) {
+          out.start(i, j) = pin * d0[i] * d0[j];
+          out.end(i, j) = pin * last[i] * last[j];
+        }
+      return out;
+    }
     const bool walk = form == Form::walk;
     // of the products of derivatives [p][q]
     const double walk_of[3][3] = {
@@ -199,6 +215,7 @@ class Spline {
     return out;
   }
 
+  // Without what its end adds: for penalties whose sizes are found.
   double logdet(const Penalty& penalty) const {
     return repeated_logdet(penalty.inside, penalty.start, kLocal, size());
   }

@@ -16,13 +16,19 @@ namespace truewrench {
 struct Columns {
   int n = 0;                                                             // channels
   int C = 0, b = 0, u = 0, body = 0, slope = -1, tilt = -1, gamma = -1;  // -1: there is none
-  std::vector<int> clock;  // of each motion stream: s, then kappa
-  std::vector<int> bias;   // of each motion stream, -1: none
+  std::vector<int> clock;     // of each motion stream: s, then kappa
+  std::vector<int> bias;      // of each motion stream, -1: none
+  std::vector<int> ramps;     // of an offset that walks: from each of its knots to the next
+  std::vector<double> knots;  // [s]
   std::vector<int> steps;
   std::vector<double> step_times;  // [s]
   std::vector<int> global;         // place in theta of each of them
 
   int size() const { return static_cast<int>(global.size()); }
+  // Share of a ramp at a time.
+  double ramped(std::size_t j, double time) const {
+    return std::clamp((time - knots[j]) / (knots[j + 1] - knots[j]), 0.0, 1.0);
+  }
 };
 
 // theta of all logs: shared by all first, then log by log.
@@ -63,17 +69,7 @@ class Layout {
       c.b = take(pooled, n);
       c.u = take(u, n);
       c.body = take(bodies[static_cast<std::size_t>(log.body)], kBodyParameters);
-      const Columns* before = log.continued && l > 0 ? &logs_.back() : nullptr;
-      for (std::size_t i = 0; i < log.motion.size(); ++i) {
-        const MotionStream& stream = log.motion[i];
-        if (before) {
-          c.clock.push_back(take(before->global[static_cast<std::size_t>(before->clock[i])], 2));
-          const int bias = before->bias[i];
-          c.bias.push_back(bias < 0 ? -1
-                                    : take(before->global[static_cast<std::size_t>(bias)],
-                                           static_cast<int>(stream.bias_prior.size())));
-          continue;
-        }
+      for (const MotionStream& stream : log.motion) {
         c.clock.push_back(take(add(2, 0.0), 2));
         const double mean[2] = {stream.clock_mean, stream.kappa_mean},
                      width[2] = {stream.time_offset_prior, constants::filter_prior};
@@ -89,14 +85,15 @@ class Layout {
       }
       if (gravity) c.tilt = take(tilt, 2);
       if (gravity && log.source == Source::twist) {
-        if (before) {
-          c.gamma = take(before->global[static_cast<std::size_t>(before->gamma)], 1);
-        } else {
-          c.gamma = take(add(1, constants::filter_prior), 1);
-          set(mean_, &rig.gamma_mean, 1);
-        }
+        c.gamma = take(add(1, constants::filter_prior), 1);
+        set(mean_, &rig.gamma_mean, 1);
       }
       if (warm) c.slope = take(slope, n);
+      c.knots = log.offset_knots;
+      for (std::size_t j = 1; j < c.knots.size(); ++j) {
+        c.ramps.push_back(take(add(n, 0.0), n));
+        set(sigma_, rig.offset_prior.data(), n);
+      }
       if (l < steps.size()) {
         c.step_times = steps[l];
         for (std::size_t j = 0; j < steps[l].size(); ++j)

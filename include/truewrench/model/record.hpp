@@ -55,10 +55,12 @@ struct RecordedLog {
   Payload payload;                  // as stated
   Vector3 point = Vector3::Zero();  // that the twist belongs to, from the sensor origin
   int body = 0;                     // which payload of theta it carries
-  bool continued = false;  // the log before, after a pause: its clocks and biases, an offset of its own
-  std::vector<double> offset_steps;  // [s] at which the offset may be another, as stated
-  Eigen::VectorXd time;              // (K) [s] of the sensor's samples
-  RowMatrix raw;                     // (K, n)
+  // where the offset is stated to walk: [s] between which it goes by straight lines, a walk of this rate about them, fraction of
+  // range per sqrt(s); stretches begin and end there
+  std::vector<double> offset_knots;
+  double offset_walk = 0.0;
+  Eigen::VectorXd time;     // (K) [s] of the sensor's samples
+  RowMatrix raw;            // (K, n)
   RowMatrix R_sensor_root;  // (K, 9) row by row, or empty: no gravity, or a mapped motion that brings its own
   Eigen::VectorXd temperature;  // (K) above the reference [K], or empty
   std::vector<MotionStream> motion;

@@ -1,8 +1,8 @@
 """What poses, motion and known figures say of theta: residuals, derivatives, and the offset's walk.
 
 The vector x is theta in the order of `Layout`, then, where there are any, the ten of a body that was there
-before and its offset, the offsets of all logs but the last, those of parts of moves between dwells, and the
-slope of the offset with temperature.
+before and its offset, the offsets of all logs but the last, those where moves between dwells begin and end,
+and the slope of the offset with temperature.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Vector:
     on: bool = False
     warm: bool = False
     session: bool = False
-    parts: int = 0  # of moves, those with an offset of their own
+    knots: int = 0  # of moves whose offset walks
 
     @property
     def layout(self) -> Layout:
@@ -62,15 +62,15 @@ class Vector:
         start = self.carried.stop + self.n * log
         return slice(start, start + self.n)
 
-    def part(self, k: int) -> slice:
-        """Mean offset of a part that has one of its own: n."""
+    def knot(self, k: int) -> slice:
+        """Offset where a move begins, or ends, of those whose offset walks: n."""
         start = self.carried.stop + self.n * (self.logs - 1 + k)
         return slice(start, start + self.n)
 
     @property
     def slope(self) -> slice:
         """Of the offset, per K: n."""
-        start = self.part(self.parts).start
+        start = self.knot(self.knots).start
         return slice(start, start + self.n * self.warm)
 
     @property
@@ -106,9 +106,9 @@ def about_center(y: Array, n: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionInformation:
-    """What moves say of y = [gain with mounting (6n), log m, c, inertia, offset of each part, tilt (2)].
+    """What moves say of y = [gain with mounting (6n), log m, c, inertia, offsets of moves, tilt (2)].
 
-    The first of these as `about_center` has them.
+    The first of these as `about_center` has them; offsets at the knots of each log, or its own.
 
     log p(data | y) = -(y - at)^T information (y - at) / 2 + gradient^T (y - at)
 
@@ -124,16 +124,6 @@ class MotionInformation:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """A part of a move: its log, middle and length, and whether its offset is its own or the log's."""
-
-    log: int
-    time_ns: int
-    seconds: float
-    own_offset: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Link:
     """The offset at the end of a log, and the same as the walk brought it from, or to, another time.
 
@@ -141,13 +131,11 @@ class Link:
         log: which log.
         place: of the other offset in x.
         time_ns: of that.
-        seconds: that it is the mean over; 0: of an instant.
     """
 
     log: int
     place: slice
     time_ns: int
-    seconds: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,22 +154,15 @@ class Problem:
         """Places in x."""
         warm = self.rig.temperature.prior > 0.0 and bool(np.isfinite(self.poses.temperature).any())
         session = self.prior.session_ns is not None
-        own = sum(part.own_offset for part in self.parts())
-        return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm, session, own)
+        knots = sum(move.knots.size for move in self.moves)
+        return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm, session, knots)
 
-    def parts(self) -> list[Part]:
-        """What of each move has one offset."""
-        out = []
+    def offsets_of_moves(self) -> list[slice]:
+        """Places in x of the offsets that `MotionInformation` is of."""
+        v, free, out = self.vector, count(), []
         for move in self.moves:
-            edges = move.parts
-            middles = int(move.record.time_ns[0]) + np.rint(0.5e9 * (edges[1:] + edges[:-1])).astype(np.int64)
-            out += [Part(move.log, int(at), float(edges[1]), move.own_offset) for at in middles]
+            out += [v.knot(next(free)) for _ in move.knots] or [v.offset(move.log)]
         return out
-
-    def offsets_of_parts(self) -> list[slice]:
-        """Places in x of each part's offset."""
-        own, v = count(), self.vector
-        return [v.part(next(own)) if part.own_offset else v.offset(part.log) for part in self.parts()]
 
     def prior_of_all(self) -> tuple[Array, Array]:
         """Mean (p,) and covariance (p, p) of x."""
@@ -189,7 +170,7 @@ class Problem:
         count = len(self.prior.mean)
         mean, P = np.zeros(v.size), np.zeros((v.size, v.size))
         mean[:count], P[:count, :count] = self.prior.mean, self.prior.covariance
-        for place in (*(v.offset(log) for log in range(v.logs - 1)), *(v.part(k) for k in range(v.parts))):
+        for place in (*(v.offset(log) for log in range(v.logs - 1)), *(v.knot(k) for k in range(v.knots))):
             at = np.arange(place.start, place.stop)
             P[at, at] = np.maximum(sensor.offset_prior_array, 1e-9 * sensor.channel_scale) ** 2
         at = np.arange(v.slope.start, v.slope.stop)
@@ -197,10 +178,9 @@ class Problem:
         return mean, P
 
     def links(self) -> list[Link]:
-        """Between offsets of one session first, then from each part of a move to its log's end."""
-        places = zip(self.parts(), self.offsets_of_parts(), strict=True)
-        own = [Link(part.log, at, part.time_ns, part.seconds) for part, at in places if part.own_offset]
-        return [*self.session_links(), *own]
+        """Between offsets of one session first, then from each knot of a move to its log's end."""
+        knots, v = [(move.log, int(at)) for move in self.moves for at in move.knots_ns], self.vector
+        return [*self.session_links(), *(Link(log, v.knot(k), at) for k, (log, at) in enumerate(knots))]
 
     def session_links(self) -> list[Link]:
         """From each log's offset to the one before, where all are of one session."""
@@ -297,7 +277,7 @@ class Problem:
             gain[:, layout.mounting.start + k] = (C @ turn).ravel()
         body, by_x = self.total(x)
         parts, jacobians = [(C @ R6).ravel(), body], [gain, by_x]
-        for place in (*self.offsets_of_parts(), layout.tilt):
+        for place in (*self.offsets_of_moves(), layout.tilt):
             parts.append(x[place])
             jacobians.append(np.eye(v.size)[place])
         y, by_y = about_center(np.concatenate(parts), n)
@@ -331,11 +311,11 @@ class Problem:
         links = self.links() if linked else []
         time = np.append(self.poses.time_ns, np.array([one.time_ns for one in links], dtype=np.int64))
         log = np.append(self.poses.log, np.array([one.log for one in links], dtype=np.int64))
-        lasts = np.append(self.poses.seconds, [one.seconds for one in links])
         end = np.array(self.end_ns, dtype=np.int64)[log]
         away = np.abs(end - time) * 1e-9
         K: Array = np.minimum(away[:, None], away) * (log[:, None] == log)
-        K[np.diag_indices_from(K)] -= lasts / 6.0  # of a mean over T, from T / 2 before to T / 2 after
+        at = np.arange(len(self.poses))
+        K[at, at] -= self.poses.seconds / 6.0  # of a mean over T, from T / 2 before to T / 2 after
         return K
 
     def roots(self, rate: float, repeatability: float, K: Array) -> list[Array]:

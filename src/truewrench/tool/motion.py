@@ -68,6 +68,7 @@ def motion_information(
     body: Array,
     tilt_std: float,
     *,
+    walk: float,
     threads: int = 0,
 ) -> MotionFit | None:
     """Run the estimator about a gain and a body; None where it finds nothing that could be solved.
@@ -79,6 +80,7 @@ def motion_information(
         gain_std: (n, 6) 1 sigma of it.
         body: (10,) log m, c, inertia about which to work.
         tilt_std: [rad] of gravity.
+        walk: rate of the offset in moves where it walks, fraction of range per sqrt(s).
         threads: of the core.
     """
     scale, span = rig.sensor.channel_scale, rig.sensor.range_array
@@ -96,11 +98,11 @@ def motion_information(
     )
     shared = statement(assumed)
     streams = []
-    for k, move in enumerate(moves):
+    for move in moves:
         record = recorded(rig, assumed, move.record).streams
         record.payload = _physical(body)
-        record.continued = k > 0 and move.log == moves[k - 1].log
-        record.offset_steps = move.parts[1:-1].tolist()
+        if move.knots.size:
+            record.offset_knots, record.offset_walk = move.knots.tolist(), walk
         streams.append(record)
     settings = _core.Settings()
     settings.threads, settings.discrepancy = threads, assumed.discrepancy
@@ -129,11 +131,11 @@ def _taken(
     body = at[columns[0].body : columns[0].body + 10]
     rows.append(np.eye(theta.size)[body])
     for move, c in zip(moves, columns, strict=True):
-        for begin in move.parts[:-1] if move.own_offset else [np.inf]:  # the log's: after all steps
+        for j, knot in enumerate(move.knots if move.knots.size else [np.inf]):
+            steps = [at for at, time in zip(c.steps, c.step_times, strict=True) if time <= knot]
             pick = np.zeros((n, theta.size))
-            for b, step in zip((c.b, *c.steps), (0.0, *c.step_times), strict=True):
-                if step <= begin:
-                    pick[np.arange(n), np.array(c.at)[b : b + n]] += 1.0
+            for b in (c.b, *c.ramps[:j], *steps):
+                pick[np.arange(n), np.array(c.at)[b : b + n]] += 1.0
             rows.append(pick * scale[:, None])
     tilt = columns[0].tilt if tilts else -1
     if tilt >= 0:
@@ -156,7 +158,7 @@ def _taken(
     gradient[:count] = pull / root
     y = np.append(pick @ theta, np.zeros(size - count))
     y[6 * n : 6 * n + 10] += _of_payload(stated)
-    # offsets of steps are sums of priors of mean zero: the gradient above holds for them, too
+    # offsets at knots are sums of priors of mean zero: the gradient above holds for them, too
     at_center, by_y = about_center(y, n)
     back = np.linalg.inv(by_y)
     clock = columns[-1].clock[0]
@@ -177,7 +179,7 @@ def _taken(
             (
                 float(np.max(fit.sizes(k).delta))
                 for k in range(len(moves))
-                if fit.sizes(k).form != _core.Form.none
+                if fit.sizes(k).form not in (_core.Form.none, _core.Form.bridge)
             ),
             default=0.0,
         ),

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-from truewrench.model.split import rows_of
 from truewrench.model.temperature import temperature_at
 from truewrench.robot.arm import robot_of
 from truewrench.robot.attitude import attitude_of
@@ -29,8 +28,6 @@ STILL = 5.0  # sigma of the motion's noise, and
 CREEP = 1e-3  # [m/s, rad/s] that is no motion; tolerance
 MOVING = 2.0  # [s] of motion that are worth an estimate of their own
 MOVE = 1.0  # [s] of motion between two dwells, at least
-PART = 0.5  # [s] of a move that share an offset: 1 s finds 0.8 of the walk's rate (median), this 0.9
-MOST_PARTS = 8  # of a move: each adds n unknowns
 _MEAN = 0.1  # [s] of positions on either side of a row
 FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
 
@@ -75,25 +72,23 @@ class Poses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """Motion within a log: what lies between two of its dwells, or all that there is.
+    """What of a log is motion.
 
     Attributes:
         log: which log.
-        record: its rows.
-        own_offset: whether poses of the same log tell how its offset walks, so that each part of a move has
-            one of its own; else the log's.
+        record: the log, channels where it moves alone.
+        knots: [s] since its first row, where poses tell how its offset walks: begin and end of each move in
+            turn, at which it has an offset of its own; empty: the log's.
     """
 
     log: int
     record: Log
-    own_offset: bool
+    knots: Array
 
     @property
-    def parts(self) -> Array:
-        """Edges (parts + 1,) [s] of what has one offset: since its first row, of equal length."""
-        lasts = float(self.record.time[-1])
-        count = min(max(1, round(lasts / PART)), MOST_PARTS) if self.own_offset else 1
-        return np.linspace(0.0, lasts, 1 + count)
+    def knots_ns(self) -> Rows:
+        """Stamps of the knots."""
+        return int(self.record.time_ns[0]) + np.rint(1e9 * self.knots).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +97,7 @@ class Split:
 
     Attributes:
         poses: of all logs.
-        moves: of all logs, in the order of logs, and of time in each.
+        moves: of the logs that move, in their order.
         end_ns: last stamp of each log.
     """
 
@@ -162,19 +157,22 @@ def _split(rig: Rig, k: int, log: Log) -> tuple[Poses, list[Move]]:
     kept = rest.copy()
     for rows in dwells:
         kept[rows] = False
-    if rig.motion.source == "joints" and log.position is None:  # velocities go on from the log's first row
-        return poses, [Move(k, replace(log, raw=np.where(kept[:, None], log.raw, np.nan)), bool(pieces))]
-    between = np.searchsorted([rows[0] for rows in dwells], np.arange(len(kept)), side="right")
-    moves = []
-    for piece in range(len(dwells) + 1):
-        rows = np.flatnonzero(kept & (between == piece))
-        if rows.size and (not dwells or seconds[rows].sum() >= MOVE):
-            within = np.zeros(len(kept), dtype=bool)
-            within[rows[0] : rows[-1] + 1] = True
-            record = rows_of(log, within)
-            raw = np.where(kept[within][:, None], record.raw, np.nan)
-            moves.append(Move(k, replace(record, raw=raw), bool(pieces)))
-    return poses, moves
+    runs = [np.flatnonzero(kept)]
+    if pieces:
+        runs = _runs(log.time, runs[0])
+        runs = [rows for rows in runs if seconds[rows].sum() >= MOVE]
+    if not runs:
+        return poses, []
+    raw = np.full_like(log.raw, np.nan)
+    for rows in runs:
+        raw[rows] = log.raw[rows]
+    knots = log.time[[row for rows in runs for row in (rows[0], rows[-1])]] if pieces else np.zeros(0)
+    return poses, [Move(k, replace(log, raw=raw), knots)]
+
+
+def _runs(time: Array, rows: Rows) -> list[Rows]:
+    """Rows, cut where nothing is for `APART`."""
+    return np.split(rows, np.flatnonzero(np.diff(time[rows]) >= APART) + 1)
 
 
 def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:
