@@ -27,6 +27,7 @@ from truewrench.judging.words import (
     log_name,
     looks_fast,
     looks_slow,
+    slow_stands,
 )
 from truewrench.model.calibration_parts import AXES, Undetermined, Verdict
 from truewrench.model.log import Log
@@ -78,14 +79,16 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
     undetermined = _undetermined(estimate, rig, silent)
     reasons = [fault.words for fault in faults]
     unexplained = _unexplained(estimate, rig, logs)
+    of_record: list[str] = []
     if unexplained or not estimate.solved:  # what else was found is no more than what nothing explains
         reasons += still_motion(logs) or unexplained or _unsolved(estimate, logs)
     else:
-        reasons += _of_record(estimate, rig, logs)
+        of_record = _of_record(estimate, rig, logs)
+        reasons += of_record
         if len(undetermined) == 6 * n:
             reasons += still_motion(logs) or [_nothing_learnt(estimate)]
     if estimate.solved and not silent:  # whose gains look like any mistake
-        reasons += [suspicion.words for suspicion in comparisons.setup]
+        reasons += _suspicions(estimate, comparisons, rig, logs, alone=not of_record)
     reasons += comparisons.worse
     std = _std(estimate, n)
     std[silent] = 0.0  # no further reason is needed
@@ -140,6 +143,16 @@ def _unexplained(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]
         f"{largest_departure(estimate, rig, logs)}"
         for k in np.flatnonzero(estimate.unexplained > _core.MOST_LOST)
     ]
+
+
+def _suspicions(
+    estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log], *, alone: bool
+) -> list[str]:
+    """Mistakes of the set-up; where they alone speak, what else may look like one."""
+    out = [suspicion.words for suspicion in comparisons.setup]
+    if out and alone and slow_stands(estimate):
+        out[0] += f"; or a slow disturbance that looks like one: {listed(looks_slow(estimate, rig, logs))}"
+    return out
 
 
 def _nothing_learnt(estimate: Estimate) -> str:

@@ -132,7 +132,9 @@ def _scores(y: Array, known: Array, columns: Mapping[str, Array]) -> dict[str, f
             if p == 0 or p > CROWDED * worth:
                 continue
             left = max(1.0 - float(np.sum((added.T @ y[:, i]) ** 2)) / total[i], 1e-6)
-            score += max(0.0, worth * float(np.log((1.0 - p / worth) / left)) - PENALTY * (2.0 * p) ** 0.5)
+            # of the unbiased variance, by the values that are left to find it from
+            fall = (worth - p) * float(np.log((1.0 - p / worth) / left))
+            score += max(0.0, fall - PENALTY * (2.0 * p) ** 0.5)
         name = kind.split(",")[0]
         found[name] = max(found.get(name, 0.0), score)
     return found

@@ -30,6 +30,7 @@ __all__ = [
     "log_name",
     "looks_fast",
     "looks_slow",
+    "slow_stands",
 ]
 
 MOST = 3  # kinds that are named at once
@@ -99,20 +100,32 @@ def kinds_of_disturbances(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> 
     for event in (event for of_log in estimate.events for event in of_log):
         count["contact" if event.lasting else "outliers"] += event.samples
     kinds = [kind for kind in sorted(count, key=lambda kind: -count[kind]) if count[kind]] or ["contact"]
-    stands = any(slow.form != "none" for of_log in estimate.slow for slow in of_log)
-    slow = looks_slow(estimate, rig, logs)[:1] if stands else ()
-    return (*slow, *[looks.kind for looks in fast_looks(estimate, rig, logs)[:1]], *kinds)
+    if slow_stands(estimate):
+        return (*looks_slow(estimate, rig, logs)[: MOST - 1], *kinds)
+    return (*[looks.kind for looks in fast_looks(estimate, rig, logs)[:1]], *kinds)
+
+
+def slow_stands(estimate: Estimate) -> bool:
+    """Whether a slow disturbance is in the estimate."""
+    return any(slow.form != "none" for of_log in estimate.slow for slow in of_log)
 
 
 def kinds_of_disagreement(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
-    """Why parts of a record may disagree: slow departures, and noise far beyond the stated."""
+    """Why parts of a record may disagree: slow departures, and noise far beyond the stated.
+
+    Where nothing slow was found: what was left out, then a filter that was.
+    """
     noisy = any(
         found.what in CHANNELS and found.factor > _core.NOISE_TOLD
         for of_log in estimate.noise
         for found in of_log
     )
     fast = [looks.kind for looks in fast_looks(estimate, rig, logs)[:1]] if noisy else []
-    return (*looks_slow(estimate, rig, logs)[: MOST - len(fast)], *fast)
+    kinds = [*looks_slow(estimate, rig, logs)[: MOST - len(fast)], *fast]
+    if not slow_stands(estimate) and not any(slow.z > TOLD for of_log in estimate.slow for slow in of_log):
+        told = [found.what.split(":")[0].split(", ")[0] for found in findings(estimate, rig, logs)]
+        kinds = [*(kind for kind in ("contact", "outliers", "filter") if kind in told), *kinds]
+    return tuple(dict.fromkeys(kinds))[:MOST]
 
 
 def log_name(logs: Sequence[Log], k: int) -> str:
