@@ -60,7 +60,7 @@ TEST(Spline, WholeBlocksFitBetweenItsEnds) {
 
 TEST(Spline, DiscrepancyHasTheLogDeterminantOfItsMatrix) {
   const Spline s(0.0, 2.0, 0.1);
-  for (const Form form : {Form::matern, Form::walk}) {
+  for (const Form form : {Form::matern, Form::walk, Form::bridge}) {
     const Penalty p = s.discrepancy(1.0 / 0.3, form);
     const Eigen::MatrixXd R = dense(s, p);
     EXPECT_NEAR(s.logdet(p), std::log(R.determinant()), 1e-8 * std::abs(std::log(R.determinant())));

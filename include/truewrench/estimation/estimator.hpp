@@ -83,14 +83,10 @@ class Estimator {
     bool hopeful = true;
     for (std::size_t l = 0; l < count; ++l)
       hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
-    // an offset that is stated to walk has what is slow: nothing that is found beside it competes with it
-    const bool asked = hopeful && std::all_of(recorded_.begin(), recorded_.end(), [](const RecordedLog* log) {
-                         return log->offset_knots.empty();
-                       });
     if (hopeful) seek_steps(robust, steps, out);
     set_mask(*robust);
-    Rows best = fit_rows(*robust, steps, out, asked ? Slow::asked : Slow::never);
-    if (asked) repair(best, steps, out);
+    Rows best = fit_rows(*robust, steps, out, hopeful ? Slow::asked : Slow::never);
+    if (hopeful) repair(best, steps, out);
     finish(best, out);
     if (hopeful) refine(best, steps, out);
     return out;
@@ -244,7 +240,7 @@ class Estimator {
     return Status::ok;
   }
 
-  // What a walk of a stated rate does about the line between its ends.
+  // What a walk of a stated rate does about the line between its ends: in V unless something slow is found in its place.
   static void bridge_walks(Fit& fit) {
     for (LogFit& log : fit.logs()) {
       if (log.log->offset_walk == 0.0) continue;
@@ -265,10 +261,7 @@ class Estimator {
     Rows rows{plain, {}, {}, 0.0, false};
     const int n = plain->channels();
     if (plain->failed) return rows;
-    for (std::size_t l = 0; l < plain->logs().size(); ++l)
-      rows.moments.push_back(plain->logs()[l].sizes.form == Form::bridge
-                                 ? std::vector<Moment>(static_cast<std::size_t>(raw_groups(n)))
-                                 : moments(*plain, l));
+    for (std::size_t l = 0; l < plain->logs().size(); ++l) rows.moments.push_back(moments(*plain, l));
     rows.added = spread(*plain, rows.moments, unmasked(*plain));
     plain->release();
     const Eigen::MatrixXd P = plain->covariance();
@@ -386,8 +379,7 @@ class Estimator {
       for (int i = 0; i < n; ++i) {
         const int r = raw_group(i, n);
         const Moment& m = best.moments[l][static_cast<std::size_t>(r)];
-        double f2 = z.form == Form::none ? m.delta2 + m.sd : z.delta[r] * z.delta[r];
-        if (z.form == Form::bridge) f2 = 0.0;  // a walk does not follow the pose
+        double f2 = best.found ? z.delta[r] * z.delta[r] : m.delta2 + m.sd;
         if (z.form == Form::walk) f2 *= 2.0 * (1.0 - std::exp(-z.k * out.pose.period));
         out.discrepancy2[i] += rows * f2;
       }

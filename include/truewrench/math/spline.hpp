@@ -107,6 +107,9 @@ struct Penalty {
 // its ends, which theta holds.
 enum class Form { none, matern, walk, bridge };
 
+// Variance of what a walk does over that of a bridge at its ends.
+inline constexpr double kPinned = 1e4;
+
 class Spline {
  public:
   Spline() = default;
@@ -185,7 +188,7 @@ class Spline {
     const Basis d0 = basis(0.0, 0), d1 = basis(0.0, 1);
     if (form == Form::bridge) {
       const Basis last = basis(1.0, 0);
-      const double pin = 1e4 / (end() - begin());
+      const double pin = kPinned / (end() - begin());
       Penalty out;
       out.inside = gram(1, 1);
       for (int i = 0; i < kLocal; ++i)
@@ -215,9 +218,10 @@ class Spline {
     return out;
   }
 
-  // Without what its end adds: for penalties whose sizes are found.
+  // What a bridge's end adds: log(1 + pin K(T, T)), K(T, T) = T + 1 / pin of a walk that begins at zero.
   double logdet(const Penalty& penalty) const {
-    return repeated_logdet(penalty.inside, penalty.start, kLocal, size());
+    const double pinned = penalty.end.isZero(0.0) ? 0.0 : std::log(2.0 + kPinned);
+    return pinned + repeated_logdet(penalty.inside, penalty.start, kLocal, size());
   }
 
  private:

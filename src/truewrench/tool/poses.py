@@ -77,8 +77,8 @@ class Move:
     Attributes:
         log: which log.
         record: the log, channels where it moves alone.
-        knots: [s] since its first row, where poses tell how its offset walks: begin and end of each move in
-            turn, at which it has an offset of its own; empty: the log's.
+        knots: [s] since its first row, where poses of any log tell how the offset walks: begin and end of
+            each move in turn, at which it has an offset of its own; empty: the log's.
     """
 
     log: int
@@ -112,11 +112,15 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     Raises:
         InputError: for a pose whose direction of gravity nothing tells.
     """
-    parts, moves = [], []
-    for k, log in enumerate(logs):
-        poses, moved = _split(rig, k, log)
-        parts.append(poses)
-        moves += moved
+    cut = [_cut(rig, log) for log in logs]
+    walks = any(pieces for pieces, _, _ in cut)
+    parts = [
+        _poses(rig, k, log, pieces) for k, (log, (pieces, _, _)) in enumerate(zip(logs, cut, strict=True))
+    ]
+    moves = []
+    for k, (log, (_, kept, seconds)) in enumerate(zip(logs, cut, strict=True)):
+        if kept.size and (move := _move(k, log, kept, seconds, walks)) is not None:
+            moves.append(move)
     names = ("log", "time_ns", "seconds", "raw", "variance", "R_sensor_root", "temperature")
     joined = Poses(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
     return Split(joined, tuple(moves), tuple(int(log.time_ns[-1]) for log in logs))
@@ -143,7 +147,8 @@ def _pieces(rig: Rig, log: Log) -> tuple[list[Rows], list[Rows], NDArray[np.bool
     return pieces, _dwells(time, rest & still, rest), rest, seconds
 
 
-def _split(rig: Rig, k: int, log: Log) -> tuple[Poses, list[Move]]:
+def _cut(rig: Rig, log: Log) -> tuple[list[Rows], Rows, Array]:
+    """Rows of each pose, rows of what moves (none if too little does), and seconds moved before each row."""
     pieces, dwells, rest, seconds = _pieces(rig, log)
     moved = float(seconds.sum())
     if moved < MOVING or len(dwells) >= FEWEST:
@@ -151,23 +156,22 @@ def _split(rig: Rig, k: int, log: Log) -> tuple[Poses, list[Move]]:
     else:
         dwells = []
     pieces.sort(key=lambda rows: int(rows[0]))
-    poses = _poses(rig, k, log, pieces)
-    if moved < MOVING:
-        return poses, []
-    kept = rest.copy()
     for rows in dwells:
-        kept[rows] = False
-    runs = [np.flatnonzero(kept)]
-    if pieces:
-        runs = _runs(log.time, runs[0])
-        runs = [rows for rows in runs if seconds[rows].sum() >= MOVE]
+        rest[rows] = False
+    return pieces, np.flatnonzero(rest & (moved >= MOVING)), seconds
+
+
+def _move(k: int, log: Log, kept: Rows, seconds: Array, walks: bool) -> Move | None:
+    runs = [kept]
+    if walks:
+        runs = [rows for rows in _runs(log.time, kept) if seconds[rows].sum() >= MOVE]
     if not runs:
-        return poses, []
+        return None
     raw = np.full_like(log.raw, np.nan)
     for rows in runs:
         raw[rows] = log.raw[rows]
-    knots = log.time[[row for rows in runs for row in (rows[0], rows[-1])]] if pieces else np.zeros(0)
-    return poses, [Move(k, replace(log, raw=raw), knots)]
+    knots = log.time[[row for rows in runs for row in (rows[0], rows[-1])]] if walks else np.zeros(0)
+    return Move(k, replace(log, raw=raw), knots)
 
 
 def _runs(time: Array, rows: Rows) -> list[Rows]:
