@@ -26,7 +26,7 @@ __all__ = ["Link", "MotionInformation", "Problem", "Vector", "about_center"]
 
 Array = NDArray[np.float64]
 
-_EXACT = 1e-9  # of range: 1 sigma of a link beside the walk
+_EXACT = 1e-6  # of range: 1 sigma of a link beside the walk, which a knot at the end of its log has none of
 
 
 @dataclass(frozen=True, slots=True)
