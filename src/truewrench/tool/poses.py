@@ -77,7 +77,7 @@ class Move:
     Attributes:
         log: which log.
         record: the log, channels where it moves alone.
-        knots: [s] since its first row, where poses of any log tell how the offset walks: begin and end of
+        knots: [s] since its first row, where its poses tell how its offset walks: begin and end of
             each move in turn, at which it has an offset of its own; empty: the log's.
     """
 
@@ -112,14 +112,11 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     Raises:
         InputError: for a pose whose direction of gravity nothing tells.
     """
-    cut = [_cut(rig, log) for log in logs]
-    walks = any(pieces for pieces, _, _ in cut)
-    parts = [
-        _poses(rig, k, log, pieces) for k, (log, (pieces, _, _)) in enumerate(zip(logs, cut, strict=True))
-    ]
-    moves = []
-    for k, (log, (_, kept, seconds)) in enumerate(zip(logs, cut, strict=True)):
-        if kept.size and (move := _move(k, log, kept, seconds, walks)) is not None:
+    parts, moves = [], []
+    for k, log in enumerate(logs):
+        pieces, kept, seconds = _cut(rig, log)
+        parts.append(_poses(rig, k, log, pieces))
+        if kept.size and (move := _move(k, log, kept, seconds, bool(pieces))) is not None:
             moves.append(move)
     names = ("log", "time_ns", "seconds", "raw", "variance", "R_sensor_root", "temperature")
     joined = Poses(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
