@@ -326,10 +326,6 @@ class Estimator {
     }
   }
 
-  static bool any(const std::vector<std::vector<double>>& steps) {
-    return std::any_of(steps.begin(), steps.end(), [](const auto& t) { return !t.empty(); });
-  }
-
   static bool agree(const Estimate& e) {
     return e.halves.p >= 0.5 * constants::doubt && e.quarters.p >= 0.5 * constants::doubt;
   }
@@ -347,7 +343,8 @@ class Estimator {
       if (!alone.back()) return;
     }
     std::shared_ptr<Fit> robust = together(alone, out);
-    if (!robust->failed && any(steps)) robust = robust_from(*robust, steps, out);
+    if (!robust->failed && std::any_of(steps.begin(), steps.end(), [](const auto& t) { return !t.empty(); }))
+      robust = robust_from(*robust, steps, out);
     if (robust->failed) return;
     set_mask(*robust);
     Estimate finer = out;

@@ -261,7 +261,7 @@ class Stretch {
     }
   }
 
-  // raw = C w + b + u (C_0 w)^2 + ramps + sum a 1[t >= t_j] + d + slope dT                                                  (10.3)
+  // raw = C w + b + u (C_0 w)^2 + ramps + sum a 1[t >= t_j] + d + slope dT                                         (10.3)
   void predict_raw(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
                    bool discrepancy) {
     evaluate_motion();

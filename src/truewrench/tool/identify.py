@@ -29,7 +29,7 @@ from truewrench.tool.parameters import ELEMENTS, channel_turn, inertia_of
 from truewrench.tool.poses import split_poses
 from truewrench.tool.prior import make_prior, settings_of, widening, with_known_wrenches
 from truewrench.tool.setup import mistakes_of_motion
-from truewrench.tool.solve import WALK, Solution, solve
+from truewrench.tool.solve import Solution, solve
 
 __all__ = ["Evidence", "identify_tool"]
 
@@ -152,7 +152,7 @@ def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, M
     motion = None
     solution = still
     for turn in range(_ROUNDS):
-        walk = WALK if solution is None else solution.rate
+        walk = 0.0 if solution is None else solution.rate  # without poses no log has a walk
         found = motion_information(
             rig, problem.moves, gain, gain_std, body, tilt_std, walk=walk, threads=threads or 0
         )

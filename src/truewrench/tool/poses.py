@@ -159,15 +159,16 @@ def _cut(rig: Rig, log: Log) -> tuple[list[Rows], Rows, Array]:
 
 
 def _move(k: int, log: Log, kept: Rows, seconds: Array, walks: bool) -> Move | None:
+    """The motion of a log: all, or, where the offset walks, what goes on for `MOVE`; None: nothing does."""
     runs = [kept]
     if walks:
-        runs = [rows for rows in _runs(log.time, kept) if seconds[rows].sum() >= MOVE]
+        runs = [run for run in _runs(log.time, kept) if seconds[run].sum() >= MOVE]
     if not runs:
         return None
     raw = np.full_like(log.raw, np.nan)
-    for rows in runs:
-        raw[rows] = log.raw[rows]
-    knots = log.time[[row for rows in runs for row in (rows[0], rows[-1])]] if walks else np.zeros(0)
+    rows = np.concatenate(runs)
+    raw[rows] = log.raw[rows]
+    knots = log.time[[row for run in runs for row in (run[0], run[-1])]] if walks else np.zeros(0)
     return Move(k, replace(log, raw=raw), knots)
 
 
@@ -209,7 +210,7 @@ def _changing(time: Array, values: Array) -> NDArray[np.bool_]:
     count = max(1, round(_MEAN / float(np.median(step[step < APART]))))
     known = np.isfinite(values).all(axis=1)
     x, rows = values[known], np.flatnonzero(known)
-    for piece in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(time[rows]) >= APART) + 1):
+    for piece in _runs(time[rows], np.arange(len(rows))):
         if piece.size < 2:
             continue
         n, at = min(count, piece.size // 2), x[piece]
