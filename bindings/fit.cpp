@@ -162,7 +162,7 @@ void bind_fit(nb::module_& m) {
       .def("reweigh", &Fit::reweigh)
       .def("linearise", &Fit::linearise)
       .def("solve", &Fit::solve, nb::arg("frozen") = false)
-      .def("advance", &Fit::advance)
+      .def("advance", &Fit::advance, nb::arg("share") = 1.0)
       .def("resize", &Fit::resize)
       .def(
           "run", [](Fit& f) { f.run(); }, nb::call_guard<nb::gil_scoped_release>())

@@ -26,6 +26,8 @@ inline constexpr double most_lost =
     0.2;  // share of the samples that are masked, or of the raw output that no motion explains, beyond which a result is
 // refused: 9 of 476 imperfect records; explained by none at most 0.05 in 150 of them, with a foreign motion 0.26 to 1
 inline constexpr double filter_prior = 0.5;  // 1 sigma of kappa and gamma
+inline constexpr double slope_step = 0.05;   // of kappa, for what x adds to its score: tolerance
+inline constexpr double slope_share = 0.2;   // of the smoothness, likewise: tolerance
 inline constexpr double undetermined =
     0.5;  // of the prior's sigma, from which on nothing was told: words (METHOD 6); kappa and gamma are held: NEES 27 -> 1.1
 inline constexpr double delay_left =

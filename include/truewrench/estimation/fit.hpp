@@ -35,6 +35,8 @@ class Fit {
     for (const LogFit& l : logs_) recorded.push_back(l.log);
     layout_ = Layout(*rig_, recorded, steps_);
     theta = layout_.mean();
+    slope_ = Eigen::VectorXd::Zero(layout_.size());
+    slope_at_ = Eigen::VectorXd::Constant(layout_.size(), std::numeric_limits<double>::infinity());
     stated_ = layout_.sigma().cwiseMax(1e-9).cwiseMin(1e30).cwiseAbs2();
     prior = stated_;
     active.assign(static_cast<std::size_t>(layout_.size()), 1);
@@ -233,8 +235,9 @@ class Fit {
   }
 
   // Take the step of the last solve, halved until the objective falls.
-  void advance() {
-    const double before = objective();
+  void advance(double share = 1.0) {
+    const auto sum = [this] { return objective() + slope_.dot(theta); };
+    const double before = sum();
     const Eigen::VectorXd from = theta;
     std::vector<std::vector<std::array<RowMatrix, 4>>> x(logs_.size());  // c, e and their steps
     for (std::size_t l = 0; l < logs_.size(); ++l) x[l].resize(logs_[l].stretches.size());
@@ -246,7 +249,6 @@ class Fit {
       de = RowMatrix::Zero(e.rows(), e.cols());
       sweep.back(pick(step_, layout_.log(l)), dc, de);
     });
-    double share = 1.0;
     for (int halving = 0; halving <= constants::most_halvings; ++halving, share *= 0.5) {
       theta = from + share * step_;
       for (std::size_t l = 0; l < logs_.size(); ++l)
@@ -256,7 +258,7 @@ class Fit {
           if (logs_[l].sizes.form != Form::none) logs_[l].stretches[i].e = e + share * de;
         }
       predict();
-      if (objective() <= before + 1e-3 * share) return;
+      if (sum() <= before + 1e-3 * share) return;
     }
   }
 
@@ -269,11 +271,14 @@ class Fit {
     converged = false;
     for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
       compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
+      if (iterations > 1 && !robust) find_slopes();
+      const Eigen::VectorXd last = step_;
       if (!linearise() || !solve()) return *this;
-      advance();
+      advance(iterations > 1 && turned(last) ? 0.5 : 1.0);
       const auto count = static_cast<double>(active_places().size());
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
-      if (resize() < constants::move && move < constants::move && iterations > 1) {
+      if (resize() < constants::move && move < constants::move && iterations > 1 &&
+          (robust || slopes_hold())) {
         converged = true;
         break;
       }
@@ -343,8 +348,12 @@ class Fit {
       }
       const Columns &to = layout_.log(l), &has = other.layout_.log(l);
       for (std::size_t i = 0; i < std::min(to.global.size(), has.global.size()); ++i) {  // steps come last
-        theta[to.global[i]] = other.theta[has.global[i]];
-        prior[to.global[i]] = other.prior[has.global[i]];
+        const auto here = static_cast<Eigen::Index>(to.global[i]),
+                   there = static_cast<Eigen::Index>(has.global[i]);
+        theta[here] = other.theta[there];
+        prior[here] = other.prior[there];
+        slope_[here] = other.slope_[there];
+        slope_at_[here] = other.slope_at_[there];
       }
     }
     return *this;
@@ -378,6 +387,8 @@ class Fit {
   int threads_ = 1, n_ = 6;
   Layout layout_;
   Eigen::VectorXd stated_, gradient_, step_;
+  Eigen::VectorXd slope_,
+      slope_at_;  // what x adds to the gradient of kappa, and where that was found
   Eigen::MatrixXd data_, S_, P_;
   std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
@@ -418,7 +429,7 @@ class Fit {
   Eigen::VectorXd pull() const {
     Eigen::VectorXd out(layout_.size());
     for (Eigen::Index i = 0; i < out.size(); ++i)
-      out[i] = gradient_[i] - (theta[i] - layout_.mean()[i]) / prior[i];
+      out[i] = gradient_[i] - (theta[i] - layout_.mean()[i]) / prior[i] - 0.5 * slope_[i];
     return out;
   }
 
@@ -428,90 +439,17 @@ class Fit {
     return S;
   }
 
-  // Sums over the unmasked samples of each log, at the motion as it stands.
-  void compare_delays() {
-    delays_.assign(logs_.size(), DelaySums());
-    for (std::size_t l = 0; l < logs_.size(); ++l)
-      for (const Stretch& s : logs_[l].stretches) {
-        delays_[l].cut();
-        for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
-          if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
-            delays_[l].add(s.raw.time[k], s.now.w.data() + 6 * k);
-          else
-            delays_[l].cut();
-      }
-    imitated_ = !delays_.empty();
-    for (std::size_t l = 0; l < logs_.size();
-         ++l)  // one that tells its delay tells the gain, and the others' delays
-      imitated_ = imitated_ &&
-                  delays_[l].imitated(theta.data() + layout_.C, n_, [this, l](int i) { return sigma(l, i); });
-  }
-
-  // Less d theta / ds, and d^2 theta / ds^2, of the gain and the offset that imitate the s of a log, where i is one.
-  void imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& bend) const {
-    if (!imitated_) return;
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      const Columns& c = layout_.log(l);
-      if (c.clock.empty() || c.global[static_cast<std::size_t>(c.clock[0])] != i) continue;
-      L.setZero();
-      bend = Eigen::VectorXd::Zero(L.size());
-      for (int r = 0; r < n_; ++r) {
-        double gain[2][6], offset[2];
-        delays_[l].imitate(theta.data() + layout_.C + 6 * r, gain, offset);
-        for (int j = 0; j < 6; ++j) {
-          L[layout_.C + 6 * r + j] = -gain[0][j];
-          bend[layout_.C + 6 * r + j] = gain[1][j];
-        }
-        L[c.global[static_cast<std::size_t>(c.b + r)]] = -offset[0];
-        bend[c.global[static_cast<std::size_t>(c.b + r)]] = offset[1];
-      }
-    }
-  }
-
-  // s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2) (10.1).
-  bool clock_prior() {
-    Eigen::MatrixXd P;
-    double logdet = 0.0;
-    if (!dense::invert(with_prior(), P, logdet)) return false;
-    const Eigen::VectorXd step = dense::times(P, pull());
-    for (std::size_t l = 0; l < logs_.size(); ++l)
-      for (const int at : layout_.log(l).clock) {
-        const int i = layout_.log(l).global[static_cast<std::size_t>(at)];
-        const double s = theta[i] + step[i];
-        const double V = 1.0 / std::max(1.0 / P(i, i) - 1.0 / prior[i], 1e-12);
-        const double apart = (s - layout_.mean()[i]) * V / P(i, i);
-        prior[i] = stated_[i] + (imitated_ ? 0.0 : std::max(0.0, apart * apart - V - stated_[i]));
-      }
-    return true;
-  }
-
-  // kappa and gamma are held at their means unless the data's own variance is below 1/16 (10.1), and the first s of a log where
-  // the gain imitates it: the others are told by the motion that they share. `moved`: whether that changed theta.
-  bool hold(bool& moved) {
-    Eigen::MatrixXd P;
-    double logdet = 0.0;
-    if (!dense::invert(with_prior(), P, logdet)) return false;
-    std::fill(active.begin(), active.end(), char{1});
-    const auto rest = [&](int i) {
-      active[static_cast<std::size_t>(i)] = 0;
-      moved = moved || theta[i] != layout_.mean()[i];
-      theta[i] = layout_.mean()[i];
-    };
-    const auto judge = [&](int i) {
-      const double own = std::max(1.0 / P(i, i) - 1.0 / prior[i], 0.0);
-      if (own > told(constants::filter_prior)) return;
-      rest(i);
-    };
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      const Columns& c = layout_.log(l);
-      if (imitated_ && !c.clock.empty()) rest(c.global[static_cast<std::size_t>(c.clock[0])]);
-      for (const int at : c.clock) judge(c.global[static_cast<std::size_t>(at + 1)]);
-      if (c.gamma >= 0) judge(c.global[static_cast<std::size_t>(c.gamma)]);
-    }
-    return true;
-  }
-
   double resize_tau(LogFit& l, const std::vector<Traces>& traces);
+
+  void compare_delays();
+  void imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& bend) const;
+  bool clock_prior();
+  bool hold(bool& moved);
+  double bend_of_determinant(std::size_t l, Eigen::VectorXd* pull);
+  void find_slopes();
+  bool slope_holds(int k) const;
+  bool slopes_hold() const;
+  bool turned(const Eigen::VectorXd& last) const;
 };
 
 }  // namespace truewrench

@@ -1,7 +1,7 @@
 // The sizes by marginal likelihood: (10.6), tau, upsilon and alpha.
 #pragma once
 
-#include "truewrench/estimation/fit.hpp"
+#include "truewrench/estimation/clocks.hpp"
 
 namespace truewrench {
 
