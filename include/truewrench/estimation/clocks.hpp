@@ -161,12 +161,11 @@ inline void Fit::find_slopes() {
   if (any) predict();
 }
 
-// Whether the slope of a kappa is that of where it stands, or too small to count.
+// Whether the slope of a kappa is that of near where it stands (over 7 sigma it changed by 0.8 sigma), or too small to count.
 inline bool Fit::slope_holds(int k) const {
   if (active[static_cast<std::size_t>(k)] == 0) return true;
   const double sigma_k = std::sqrt(P_(k, k)), moved = std::abs(theta[k] - slope_at_[k]);
-  return std::isfinite(moved) &&
-         (moved < 0.5 * sigma_k || 0.5 * std::abs(slope_[k]) * sigma_k < constants::move);
+  return std::isfinite(moved) && (moved < sigma_k || 0.5 * std::abs(slope_[k]) * sigma_k < constants::move);
 }
 
 inline bool Fit::slopes_hold() const {
