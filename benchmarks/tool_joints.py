@@ -14,14 +14,14 @@ from tool_draws import walk_of
 from truewrench import robots
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig, load_rig
-from truewrench.model.rig.tool_rig import UNKNOWN, tool_rig
+from truewrench.model.rig.tool_rig import UNKNOWN, load_tool_rig, tool_rig
 from truewrench.planning.tool.plan import plan_tool
 from truewrench.robot.track import track
 from truewrench.simulation.arm import simulate_plan
 from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, inertia_of, tilted
 
 Array = NDArray[np.float64]
-ARMS = ("panda_ground", "ur10_ground")
+ARMS = ("panda_ground", "ur10_ground", "ur3e_tool", "ur5e_tool", "ur10e_tool", "fr3_tool")
 POSES, DWELL, SECONDS = 8, 2.5, 10.0
 RATE = 100  # [Hz] of joints and sensor
 PAUSE = 10**10  # [ns] between the logs
@@ -31,7 +31,7 @@ LAYOUT = Layout(6)
 def rig_of(arm: str, gain_prior: float) -> Rig:
     """The arm's rig as the owner of an unknown tool has it; nothing pulls that a discrepancy stands for."""
     path = robots.path(arm)
-    data = load_rig(path).to_mapping()
+    data = (load_tool_rig if arm.endswith("_tool") else load_rig)(path).to_mapping()
     data["sensor"] |= {"gain_prior": gain_prior, "discrepancy": 0}
     data["plan"]["duration"] = SECONDS
     data["simulate"] = {"rate": RATE, "sensor_rate": RATE}
