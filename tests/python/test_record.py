@@ -103,6 +103,25 @@ def test_eight_channels(settings: dict[str, Any]) -> None:
     assert nees(estimate(rig, run.log), rig, run.truth) < HONEST
 
 
+@pytest.mark.parametrize(
+    ("walk", "knots", "status"),
+    [
+        (np.nan, [0.0, 1.0], _core.Status.not_finite),
+        (-1e-4, [0.0, 1.0], _core.Status.not_positive),
+        (1e-4, [], _core.Status.wrong_size),
+        (0.0, [1.0], _core.Status.wrong_size),
+        (1e-4, [1.0, 1.0], _core.Status.not_increasing),
+    ],
+)
+def test_a_walk_of_the_offset_that_makes_no_sense_is_told_by_a_status(
+    settings: dict[str, Any], walk: float, knots: list[float], status: _core.Status
+) -> None:
+    rig = rig_with(settings)
+    _, statement, (log,) = recorded_logs(rig, [simulate(rig).log])
+    log.offset_knots, log.offset_walk = knots, walk
+    assert _core.estimate(statement, [log], _core.Settings()).status == status
+
+
 def test_missing_cells_and_a_gap_leave_out_their_residuals(settings: dict[str, Any]) -> None:
     rig = rig_with(settings, gravity=G, plan={"duration": 12})
     run = simulate(rig)
