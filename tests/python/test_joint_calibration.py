@@ -217,15 +217,15 @@ def test_twists_of_a_joint_rig_are_refused_without_joints(scene: Callable[..., S
 
 
 def test_a_clock_that_is_late_looks_like_a_clock_and_not_like_a_filter(scene: Callable[..., Scene]) -> None:
-    """Where encoders are fine and the sensor late, x and theta together took the noise for a filtered sensor (10.4)."""
+    """Noise and smoothness bend the motion that kappa is told by: over fine encoders to less than 0 (10.4)."""
     late = scene(delay=0.02, duration=8.0)
-    score = []
+    kappa = []
     for seed in range(4):
         found = estimate(late.rig, [late.log(seed)[0]], threads=1)
-        score += [
+        kappa += [
             (clock.kappa - 0.5) / clock.kappa_std
             for clock in found.clocks[0]
             if clock.kappa is not None and clock.kappa_std is not None
         ]
-    assert score
-    assert np.mean(score) > -2.0
+    assert kappa
+    assert abs(np.mean(kappa)) < 1.0
