@@ -217,7 +217,7 @@ def test_twists_of_a_joint_rig_are_refused_without_joints(scene: Callable[..., S
 
 
 def test_a_clock_that_is_late_looks_like_a_clock_and_not_like_a_filter(scene: Callable[..., Scene]) -> None:
-    """Noise and smoothness bend the motion that kappa is told by: over fine encoders to less than 0 (10.4)."""
+    """Noise and smoothness bend the motion that kappa is told by: over fine encoders to below 0 (10.4)."""
     late = scene(delay=0.02, duration=8.0)
     kappa = []
     for seed in range(4):
