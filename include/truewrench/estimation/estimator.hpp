@@ -10,6 +10,7 @@
 
 #include <cmath>
 #include <memory>
+#include <utility>
 #include <vector>
 
 namespace truewrench {
@@ -182,9 +183,10 @@ class Estimator {
     out.fits += whole.fits();
     rungs_[l] = found;
     out.unresolved[l] = finest(l) ? 1 : 0;
-    if (out.unresolved[l] != 0 && gathered_[l])
-      if (const auto fine = choose_by_samples(l, *whole.fit(found), out)) return fine;
-    return whole.fit(found);
+    const std::shared_ptr<Fit> best = whole.fit(found);
+    if (out.unresolved[l] != 0 && gathered_[l] && best)
+      if (const auto finer = choose_by_samples(l, *best, out)) return finer;
+    return best;
   }
 
   bool finest(std::size_t l) const { return rungs_[l] + 1 == spacings(motion_period(*recorded_[l])).size(); }

@@ -387,8 +387,7 @@ class Fit {
   int threads_ = 1, n_ = 6;
   Layout layout_;
   Eigen::VectorXd stated_, gradient_, step_;
-  Eigen::VectorXd slope_,
-      slope_at_;  // what x adds to the gradient of kappa, and where that was found
+  Eigen::VectorXd slope_, slope_at_;  // what x adds to kappa's gradient, and where that was found
   Eigen::MatrixXd data_, S_, P_;
   std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
