@@ -166,16 +166,12 @@ class Estimator {
     std::size_t found = 0;
     // a motion that the coarsest knots do not follow leaves residuals faster than 2 h, the shortest tau of (10.9)
     if (coarsest) out.unexplained[l] = unexplained_by(*coarsest);
-    const double duration = lasting(pieces_[l]);
     if (out.unexplained[l] > constants::most_lost) {
       out.fits += whole.fits();
       return coarsest;
     }
-    if (coarsest && duration > 2.0 * constants::pilot) {
-      const Piece part = worst_part(*coarsest);
-      SpacingSearch pilot = search_of(l, {part}, duration / (part.end - part.begin));
-      const std::size_t tried = pilot.best();
-      out.fits += pilot.fits();
+    if (coarsest && lasting(pieces_[l]) > 2.0 * constants::pilot) {
+      const std::size_t tried = best_of_worst_part(l, *coarsest, out);
       if (tried > 0) found = whole.better(tried) ? tried : whole.best();
     } else {
       found = whole.best();
@@ -189,6 +185,15 @@ class Estimator {
     return best;
   }
 
+  // The place in the ladder that is best for the seconds which a fit explains worst, were the whole log like them.
+  std::size_t best_of_worst_part(std::size_t l, const Fit& fit, Estimate& out) const {
+    const Piece part = worst_part(fit);
+    SpacingSearch pilot = search_of(l, {part}, lasting(pieces_[l]) / (part.end - part.begin));
+    const std::size_t best = pilot.best();
+    out.fits += pilot.fits();
+    return best;
+  }
+
   bool finest(std::size_t l) const { return rungs_[l] + 1 == spacings(motion_period(*recorded_[l])).size(); }
 
   // What gathered rows do not resolve, the samples themselves may: 20 Hz at 5e-5 of range from 1 kHz on. Null where neither do.
@@ -196,10 +201,7 @@ class Estimator {
     const auto kept = std::exchange(gathered_[l], nullptr);
     const std::size_t rung = rungs_[l];
     recorded_[l] = whole_[l];
-    const Piece part = worst_part(gathered);
-    SpacingSearch pilot = search_of(l, {part}, lasting(pieces_[l]) / (part.end - part.begin));
-    rungs_[l] = pilot.best();
-    out.fits += pilot.fits();
+    rungs_[l] = best_of_worst_part(l, gathered, out);
     if (!finest(l)) {
       SpacingSearch whole = search_of(l, pieces_[l], 1.0);
       const std::shared_ptr<Fit> fit = whole.fit(rungs_[l]);

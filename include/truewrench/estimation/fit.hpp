@@ -274,7 +274,7 @@ class Fit {
       if (iterations > 1 && !robust) find_slopes();
       const Eigen::VectorXd last = step_;
       if (!linearise() || !solve()) return *this;
-      advance(iterations > 1 && turned(last) ? 0.5 : 1.0);
+      advance(turned(last) ? 0.5 : 1.0);
       const auto count = static_cast<double>(active_places().size());
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
       if (resize() < constants::move && move < constants::move && iterations > 1 &&
@@ -348,8 +348,7 @@ class Fit {
       }
       const Columns &to = layout_.log(l), &has = other.layout_.log(l);
       for (std::size_t i = 0; i < std::min(to.global.size(), has.global.size()); ++i) {  // steps come last
-        const auto here = static_cast<Eigen::Index>(to.global[i]),
-                   there = static_cast<Eigen::Index>(has.global[i]);
+        const int here = to.global[i], there = has.global[i];
         theta[here] = other.theta[there];
         prior[here] = other.prior[there];
         slope_[here] = other.slope_[there];
