@@ -14,18 +14,20 @@ import pytest
 import yaml
 from scipy.stats import binomtest, multivariate_normal
 
-import truewrench.campaign
+import truewrench.campaign.figures
+import truewrench.campaign.run
 import truewrench.campaign.trial
 from truewrench.calibrating.pipeline import calibrate
-from truewrench.campaign import campaign
 from truewrench.campaign.figures import coverage_figure, nees_figure, sigma_figure
+from truewrench.campaign.run import campaign
 from truewrench.campaign.statistics import cluster_interval, summarise, wilson_interval, wrong_and_confident
-from truewrench.campaign.trial import SCHEMA, nees, run_trial, trial_seed
+from truewrench.campaign.trial import SCHEMA, run_trial, trial_seed
 from truewrench.campaign.workers import Lost
 from truewrench.cli import main
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import default_trajectory, simulate
+from truewrench.simulation.truth import nees
 
 SETTINGS: dict[str, Any] = {
     "sensor": {
@@ -66,10 +68,10 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[int]:
             trials.append(item)
             yield item, function(item)
 
-    monkeypatch.setattr(truewrench.campaign, "in_processes", here)
-    monkeypatch.setattr(truewrench.campaign, "_build", lambda: "build")
+    monkeypatch.setattr(truewrench.campaign.run, "in_processes", here)
+    monkeypatch.setattr(truewrench.campaign.run, "_build", lambda: "build")
     for name in ("nees_figure", "sigma_figure", "coverage_figure"):
-        monkeypatch.setattr(truewrench.campaign, name, lambda path, result: False)
+        monkeypatch.setattr(truewrench.campaign.figures, name, lambda path, result: False)
     return trials
 
 
@@ -128,7 +130,7 @@ def test_nees_counts_only_the_directions_that_a_covariance_has() -> None:
 def test_rows_are_the_same_for_any_number_of_processes(
     rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(truewrench.campaign, "_build", lambda: "build")
+    monkeypatch.setattr(truewrench.campaign.run, "_build", lambda: "build")
     one, two = (campaign(rig, 2, tmp_path / f"{k}", seed=1, processes=k) for k in (1, 2))
     assert stored(tmp_path / "1") == stored(tmp_path / "2")
     assert one.summary["usable_trials"] == two.summary["usable_trials"]
@@ -168,7 +170,7 @@ def test_other_rig_seed_or_build_is_refused_by_name_until_restarted(
         campaign(rig, 1, tmp_path, "ls", seed=1)
     with pytest.raises(InputError, match="estimator: found ls, expected map"):
         campaign(rig, 1, tmp_path)
-    monkeypatch.setattr(truewrench.campaign, "_build", lambda: "another")
+    monkeypatch.setattr(truewrench.campaign.run, "_build", lambda: "another")
     with pytest.raises(InputError, match="build: found build, expected another"):
         campaign(rig, 1, tmp_path, "ls")
     assert stored(tmp_path) == before
@@ -191,7 +193,7 @@ def test_no_trial_is_lost_to_refusals_faults_or_dying_processes(
     assert fault["outcome"] == "fault"
     assert "ZeroDivisionError: by nought (test_campaign.py:" in fault["reasons"][0]
     results = {0: refused, 1: fault, 2: Lost("its process was killed by SIGKILL, 2 times")}
-    monkeypatch.setattr(truewrench.campaign, "in_processes", lambda *_: iter(results.items()))
+    monkeypatch.setattr(truewrench.campaign.run, "in_processes", lambda *_: iter(results.items()))
     summary = campaign(rig, 3, tmp_path).summary
     assert summary["outcomes"] == {"usable": 0, "not_usable": 0, "refused": 1, "faults": 2}
     assert not summary["verdict"]["usable"]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2, norm
 
 from truewrench.campaign.statistics import Campaign, wilson_interval
+from truewrench.io.pictures import BLUE, GREY, VERMILION, finish
 from truewrench.model.calibration import AXES
-from truewrench.report.figures import BLUE, GREY, VERMILION, finish
 
 __all__ = ["coverage_figure", "nees_figure", "sigma_figure"]
 

@@ -16,7 +16,7 @@ from rich import box
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
-from scipy.stats import beta, chi2, norm
+from scipy.special import betaincinv, chdtrc, chdtri, ndtri
 
 from truewrench.model.rig import Rig
 
@@ -128,13 +128,13 @@ def wrong_and_confident(rows: pa.Table) -> Flags:
     """Trials whose verdict says usable although a gain, or all of them together, is out of the question."""
     deviation, nees, freedom = (_column(rows, name) for name in ("largest_deviation", "nees", "nees_dof"))
     with np.errstate(invalid="ignore"):
-        right = (deviation <= DEVIATION) & (chi2.sf(nees, freedom) >= TAIL)  # false for NaN, too
+        right = (deviation <= DEVIATION) & (chdtrc(freedom, nees) >= TAIL)  # false for NaN, too
     return np.asarray((_column(rows, "usable") > 0.0) & ~right)
 
 
 def wilson_interval(successes: float, trials: float) -> tuple[float, float]:
     """95% interval of a share, from independent trials (not necessarily a whole number of them)."""
-    z = float(norm.ppf(0.975))
+    z = float(ndtri(0.975))
     p = successes / trials
     middle = (p + z**2 / (2.0 * trials)) / (1.0 + z**2 / trials)
     half = z / (1.0 + z**2 / trials) * np.sqrt(p * (1.0 - p) / trials + z**2 / (4.0 * trials**2))
@@ -156,7 +156,7 @@ def cluster_interval(shares: Array, size: int) -> tuple[float, float]:
 
 def _upper_limit(found: int, trials: int) -> float:
     """The rate that is exceeded with 5% confidence only (Clopper and Pearson)."""
-    return float(beta.ppf(0.95, found + 1, trials - found)) if found < trials else 1.0
+    return float(betaincinv(found + 1, trials - found, 0.95)) if found < trials else 1.0
 
 
 def campaign_words(result: Campaign) -> Iterator[RenderableType]:
@@ -265,7 +265,7 @@ def _statistics(rows: pa.Table, chosen: Flags) -> dict[str, Any]:
         "efficiency": None if not error or oracle is None else (oracle / error) ** 2,  # of variances
         "nees_mean": float(squared.sum() / freedom.sum()) if squared.size else None,
         "nees_dof": float(freedom.mean()) if squared.size else None,
-        "nees_honest_95": (chi2.ppf([0.025, 0.975], freedom.sum()) / freedom.sum()).tolist()
+        "nees_honest_95": (chdtri(freedom.sum(), [0.975, 0.025]) / freedom.sum()).tolist()
         if squared.size
         else None,
         "coverage": float(shares.mean()) if shares.size else None,

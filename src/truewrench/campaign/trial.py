@@ -19,8 +19,9 @@ from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import Trajectory
 from truewrench.simulation.free_body import Truth, simulate
+from truewrench.simulation.truth import nees
 
-__all__ = ["SCHEMA", "STREAMS", "Row", "make_row", "nees", "run_trial", "trial_seed"]
+__all__ = ["SCHEMA", "STREAMS", "Row", "make_row", "run_trial", "trial_seed"]
 
 STREAMS = {"force": "force", "moment": "moment", "v": "velocities v", "Omega": "velocities Omega"}
 
@@ -28,7 +29,6 @@ Array = NDArray[np.float64]
 Outcome = Literal["calibrated", "refused", "fault"]
 Row = dict[str, Any]
 
-_NO_ERROR = 1e-6  # sigma, over the largest: a direction without any
 _WITHIN_95 = float(ndtri(0.975))
 
 _NUMBERS = (
@@ -82,23 +82,6 @@ def run_trial(
 def trial_seed(seed: int, trial: int) -> int:
     """The seed with which `simulate` repeats the log of a trial; campaigns of other seeds share none."""
     return int(np.random.SeedSequence((seed, trial)).generate_state(1, np.uint64)[0] >> np.uint64(1))
-
-
-def nees(error: Array, covariance: Array) -> tuple[float, int]:
-    """Normalised estimation error squared, e^T P^-1 e, and its degrees of freedom, the rank of P.
-
-    NaN where P is not a covariance, infinite for an error that P rules out. P is scaled to correlations
-    first: its rank must not depend on units.
-    """
-    scale = np.sqrt(np.diag(covariance))
-    if not (np.isfinite(covariance).all() and np.isfinite(error).all() and (scale > 0.0).all()):
-        return float("nan"), 0
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > _NO_ERROR**2 * values[-1]
-    parts = vectors.T @ (error / scale)
-    if (np.abs(parts[~kept]) > _NO_ERROR).any():
-        return float("inf"), int(kept.sum())
-    return float(np.sum(parts[kept] ** 2 / values[kept])), int(kept.sum())
 
 
 def make_row(trial: int, seed: int, outcome: Outcome, reasons: Sequence[str], **values: Any) -> Row:

@@ -27,7 +27,7 @@ from truewrench.cli.common import (
 from truewrench.model.errors import UnsupportedError
 
 if TYPE_CHECKING:
-    from truewrench.estimation.evidence import Evidence
+    from truewrench import Evidence
     from truewrench.model.calibration import Calibration
 
 __all__ = ["apply", "calibrate", "validate", "write_report_beside"]
@@ -53,7 +53,7 @@ def calibrate(
     debug: DebugOption = False,
 ) -> Outcome:
     """Calibrate gain and offset from one or more logs."""
-    from truewrench.calibrating.pipeline import calibrate as run
+    from truewrench import calibrate as run
     from truewrench.io.exports import write_exports
     from truewrench.io.tables import read_log
     from truewrench.model.rig import load_rig
@@ -137,8 +137,8 @@ def validate(
     debug: DebugOption = False,
 ) -> Outcome:
     """Judge a calibration by logs it was not made with: is it better than the nominal gain?"""
+    from truewrench import validate as run
     from truewrench.io.tables import read_log
-    from truewrench.judging.validation import validate as run
     from truewrench.model.calibration import load_calibration
     from truewrench.model.rig import load_rig
     from truewrench.report.summary import validation_summary

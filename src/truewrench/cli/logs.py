@@ -26,8 +26,8 @@ def inspect(
 ) -> Outcome:
     """Show what is in a log: streams, rates, gaps, ranges; of a recording, its topics too."""
     from truewrench.inspection.log import inspect_log
+    from truewrench.inspection.words import log_summary
     from truewrench.io.recordings.reader import is_recording
-    from truewrench.report.summary import log_summary
 
     if log.exists() and is_recording(log):
         return _inspect_recording(log)

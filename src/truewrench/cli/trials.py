@@ -73,7 +73,7 @@ def campaign(
     debug: DebugOption = False,
 ) -> Outcome:
     """Simulate and calibrate many times: accuracy, honesty, time. A rerun goes on where it stood."""
-    from truewrench.campaign import campaign as run
+    from truewrench.campaign.run import campaign as run
     from truewrench.campaign.statistics import campaign_words
     from truewrench.io.plans import read_plan
     from truewrench.model.rig import load_rig

@@ -20,6 +20,7 @@ from truewrench.estimation.bound import bound
 from truewrench.estimation.ekf import EkfEstimate, estimate_ekf
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.least_squares import least_squares
+from truewrench.io.pictures import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
 from truewrench.model.files import write_yaml
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import (
@@ -31,12 +32,6 @@ from truewrench.motion.trajectory import (
     rotation_matrix,
 )
 from truewrench.report.figures import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    VERMILION,
     Curve,
     Panel,
     ReadingError,

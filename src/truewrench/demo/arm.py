@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from truewrench import robots
 from truewrench.calibrating.pipeline import calibrate
-from truewrench.campaign.trial import nees
+from truewrench.io.pictures.arm import arm_figure
 from truewrench.io.tables import read_log
 from truewrench.judging.validation import Validation, validate
 from truewrench.model.calibration import Calibration
@@ -21,10 +21,11 @@ from truewrench.model.files import write_yaml
 from truewrench.model.rig import Rig, load_rig
 from truewrench.planning.planner import plan as make_plan
 from truewrench.planning.result import Plan
-from truewrench.report.figures.arm import arm_figure, driven_figure, gain_figure
+from truewrench.report.figures.arm import driven_figure, gain_figure
 from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm import ArmRun, simulate_arm, simulate_plan
 from truewrench.simulation.arm.run import arm_with
+from truewrench.simulation.truth import nees
 
 __all__ = ["run_arm"]
 

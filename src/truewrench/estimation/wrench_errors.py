@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from truewrench.estimation.lasting_errors import ErrorSize, Spread, find_sizes
 from truewrench.estimation.wrench_regression import Part, Problem, Solution, solve
@@ -164,8 +164,8 @@ def _sizes(
     sizes, fall, lasting = find_sizes(rows.chain(mask), design, residual / sigma, within)
     # -2 log L falls by chance about like a chi-square of 2 degrees of freedom a channel, of which 1 is that
     # something lasts: false alarms in 0 to 3% of the records (docs/results.md)
-    found = float(fall.sum()) > chi2.isf(_FOUND, 2 * n)
-    last = found and float(lasting.sum()) > chi2.isf(_FOUND, n)
+    found = float(fall.sum()) > float(chdtri(2 * n, _FOUND))
+    last = found and float(lasting.sum()) > float(chdtri(n, _FOUND))
     if not found:
         return as_stated(rows, n)
     return FoundErrors(rows.stepped, rows.logs, tuple(sizes), lasting, found, last)
@@ -204,7 +204,7 @@ def findings_of(
             if not _NOTED[0] <= ratio <= _NOTED[1]:
                 what = "noise: white errors of sensor and reference, over the stated"
                 said.append(Assumed(what, where, ratio, spread.white, "residuals from row to row"))
-            if found.last and fall > chi2.isf(_FOUND, 2):
+            if found.last and fall > chdtri(2, _FOUND):
                 kind = "a plateau, and beyond it" if found.stepped else "about"
                 why = f"they last for {kind} {s.time:.2g} s; -2 log likelihood falls by {fall:.3g}"
                 what = "drift, hysteresis or cable: errors that last, fraction of range"

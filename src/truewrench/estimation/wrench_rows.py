@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from truewrench.estimation.lasting_errors import Chain, ErrorSize, predicted
 from truewrench.estimation.plateaus import is_stepped, plateaus
@@ -176,9 +176,9 @@ def consistent(
         count, mean = rows.count(mask), rows.mean(own, mask)
         if all(s == ErrorSize() for s in size):
             squared = np.sum(own * np.linalg.solve(solution.noise, own.T).T, axis=1)
-            limit = float(chi2.isf(_OUTLIER / len(used), stated.size))
+            limit = float(chdtri(stated.size, _OUTLIER / len(used)))
             if robust:
-                squared /= max(1.0, float(np.median(squared) / chi2.median(stated.size)))
+                squared /= max(1.0, float(np.median(squared) / chdtri(stated.size, 0.5)))
             kept[rows.index] = _within(squared, leverage[rows.index], mask, limit)
             continue
         white = np.array([s.white for s in size])
@@ -193,7 +193,7 @@ def consistent(
         left = white + variance[rows.place] * (1.0 - share)
         # how channels go together is not known of what was found: the worst of them counts
         squared = np.max((own - center) ** 2 / (left * stated), axis=1)
-        limit = float(chi2.isf(_OUTLIER / (len(used) * stated.size), 1))
+        limit = float(chdtri(1, _OUTLIER / (len(used) * stated.size)))
         # what lasts takes up most of what parameters leave: on average they follow that share of a place
         followed = np.full(len(count), min(0.5, every.shape[1] / len(count)))
         ok = _within(squared, followed[rows.place] / np.maximum(count[rows.place], 1.0), mask, limit)
@@ -201,7 +201,7 @@ def consistent(
             any_of = mask | (count == 0.0)[rows.place]
             left = white / rows.count(any_of)[:, None] + variance
             squared = np.max((rows.mean(own, any_of) - lasting) ** 2 / (left * stated), axis=1)
-            limit = float(chi2.isf(_OUTLIER / (len(count) * stated.size), 1))
+            limit = float(chdtri(1, _OUTLIER / (len(count) * stated.size)))
             ok &= _within(squared, followed, count > 0.0, limit)[rows.place]
         kept[rows.index] = ok
     return kept

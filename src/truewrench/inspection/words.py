@@ -1,4 +1,4 @@
-"""What is in a recording, in tables that a person reads in a terminal."""
+"""What is in a log or a recording, in tables that a person reads in a terminal."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from truewrench.inspection.log import LogContent
 from truewrench.inspection.recording import RecordingContent, StreamContent
 
-__all__ = ["recording_summary"]
+__all__ = ["log_summary", "recording_summary"]
 
 
 def recording_summary(content: RecordingContent) -> Iterator[RenderableType]:
@@ -46,6 +47,39 @@ def recording_summary(content: RecordingContent) -> Iterator[RenderableType]:
     if columns.rows:
         yield streams
         yield columns
+
+
+def log_summary(content: LogContent) -> Iterator[RenderableType]:
+    """Streams with their rates and gaps, then every column with its range."""
+    yield Text(f"{content.path}: {content.rows} rows in {content.duration:.6g} s")
+    titles = ["stream", "columns", "samples", "rate, Hz", "jitter", "gaps", "longest gap, s"]
+    streams = _table("Streams", titles)
+    for stream in content.streams:
+        longest = max((gap.duration for gap in stream.gaps), default=0.0)
+        streams.add_row(
+            stream.name,
+            str(len(stream.columns)),
+            str(stream.samples),
+            f"{stream.rate:.6g}",
+            f"{100 * stream.jitter:.2g} %",
+            str(len(stream.gaps)),
+            f"{longest:.4g}" if stream.gaps else "-",
+        )
+    yield streams
+    columns = _table("Columns", ["column", "smallest", "largest", "numbers", "empty", "NaN"])
+    for stream in content.streams:
+        for column in stream.columns:
+            columns.add_row(
+                Text(column.name),
+                f"{column.smallest:.6g}",
+                f"{column.largest:.6g}",
+                str(column.numbers),
+                str(column.empty),
+                str(column.nan),
+            )
+    yield columns
+    if content.unknown:
+        yield Text(f"Columns without a meaning here: {', '.join(content.unknown)}")
 
 
 def _figures(stream: StreamContent) -> list[str]:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.judging.advice import advice
 from truewrench.judging.blind import blind_to
 from truewrench.judging.channels import channel_faults, still_motion
 from truewrench.judging.comparisons import Comparisons
 from truewrench.judging.departure import largest_departure
 from truewrench.judging.setup_odds import Suspicion, setup_errors
-from truewrench.judging.undetermined import undetermined_directions
 from truewrench.judging.words import (
     MOST,
     findings,

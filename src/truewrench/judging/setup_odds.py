@@ -24,6 +24,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from truewrench import _core
 from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.judging.setup_mistakes import (
     PRIOR_ODDS,
     Hypothesis,
@@ -36,7 +37,6 @@ from truewrench.judging.setup_mistakes import (
     scales,
     turns,
 )
-from truewrench.judging.undetermined import undetermined_directions
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.stats import poisson
+from scipy.special import pdtrc
 
 from truewrench import _core
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
@@ -326,7 +326,7 @@ def _events(
         words = f"{len(rest)} more contacts, {seconds:.3g} s in all, left out"
         yield Assumed("contact: left out, s", where, seconds, None, words)
     outliers = sum(event.samples for event in estimate.events[k] if not event.lasting)
-    if outliers and poisson.sf(outliers - 1, CLEAN_OUTLIERS * _samples(rows)) < CHANCE:
+    if outliers and pdtrc(outliers - 1, CLEAN_OUTLIERS * _samples(rows)) < CHANCE:
         words = f"{outliers} single samples left out of {_samples(rows)}"
         yield Assumed("outliers: samples left out", where, float(outliers), None, words)
 

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
+from truewrench.io.pictures.arm import arm_figure, colour_bar, heat_map
 from truewrench.planning.check import AXES
 from truewrench.planning.limits import Usage, wrench_fraction
 from truewrench.planning.result import Plan
-from truewrench.report.figures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
-from truewrench.report.figures.arm import arm_figure, colour_bar, heat_map
 
 __all__ = ["draw_plan"]
 

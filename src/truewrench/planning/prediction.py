@@ -26,7 +26,7 @@ from truewrench.estimation.pose import (
     pose_share,
     with_pose,
 )
-from truewrench.judging.undetermined import undetermined_directions
+from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.model.calibration_parts import BlindTo, Undetermined
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig, SimulateSpec

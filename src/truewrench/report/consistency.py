@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
@@ -94,5 +94,5 @@ def _in_blocks(name: str, stamps: Array, squares: Array, freedom: Array) -> tupl
     starts = np.unique(np.linspace(0, stamps.size, min(_MOST, stamps.size), endpoint=False).astype(int))
     last = np.append(starts[1:], stamps.size) - 1
     total, degrees = np.add.reduceat(squares, starts), np.add.reduceat(freedom, starts)
-    low, high = (chi2.ppf(q, degrees) / degrees for q in (CHANCE / 2, 1.0 - CHANCE / 2))
+    low, high = (chdtri(degrees, q) / degrees for q in (1.0 - CHANCE / 2, CHANCE / 2))
     return (Consistency(name, stamps[starts], stamps[last], total / degrees, low, high),)

@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from truewrench.report.series import Record, Series
 
@@ -111,6 +110,8 @@ def spectrum(record: Record) -> Spectrum | None:
     runs = [(series, run) for series in record.logs for run in _runs(series)]
     if not runs:
         return None
+    from scipy.signal import welch  # brings scipy.stats: half a second
+
     size = min(_LONGEST, max(run.stop - run.start for _, run in runs))
     period = float(np.median([np.median(np.diff(series.time[run])) for series, run in runs]))
     total, segments = np.zeros((size // 2 + 1, 6)), 0
@@ -136,7 +137,7 @@ def _banded(frequency: Array, ratio: Array, segments: int) -> Spectrum:
     middle = np.add.reduceat(frequency, starts) / count
     # overlapping halves under Hann's window: 1.06 times as many averages as half the segments
     freedom = 2.0 * count * max(1.0, 0.53 * segments)
-    low, high = (chi2.ppf(q, freedom) / freedom for q in (0.025, 0.975))
+    low, high = (chdtri(freedom, q) / freedom for q in (0.975, 0.025))
     return Spectrum(middle, mean, low, high)
 
 

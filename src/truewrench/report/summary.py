@@ -13,7 +13,6 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from truewrench.inspection.log import LogContent
 from truewrench.io.exports import Exports
 from truewrench.judging.validation import Validation
 from truewrench.model.calibration import AXES, Calibration, LogReport
@@ -21,7 +20,6 @@ from truewrench.model.calibration import AXES, Calibration, LogReport
 __all__ = [
     "calibration_summary",
     "exports_summary",
-    "log_summary",
     "show",
     "validation_summary",
     "with_uncertainty",
@@ -267,36 +265,3 @@ def validation_summary(validation: Validation) -> Iterator[RenderableType]:
     yield Text(
         f"Compared: {basis}, each log with a constant of its own." if validation.tared else f"{basis}."
     )
-
-
-def log_summary(content: LogContent) -> Iterator[RenderableType]:
-    """Streams with their rates and gaps, then every column with its range."""
-    yield Text(f"{content.path}: {content.rows} rows in {content.duration:.6g} s")
-    titles = ["stream", "columns", "samples", "rate, Hz", "jitter", "gaps", "longest gap, s"]
-    streams = _table("Streams", titles)
-    for stream in content.streams:
-        longest = max((gap.duration for gap in stream.gaps), default=0.0)
-        streams.add_row(
-            stream.name,
-            str(len(stream.columns)),
-            str(stream.samples),
-            f"{stream.rate:.6g}",
-            f"{100 * stream.jitter:.2g} %",
-            str(len(stream.gaps)),
-            f"{longest:.4g}" if stream.gaps else "-",
-        )
-    yield streams
-    columns = _table("Columns", ["column", "smallest", "largest", "numbers", "empty", "NaN"])
-    for stream in content.streams:
-        for column in stream.columns:
-            columns.add_row(
-                Text(column.name),
-                f"{column.smallest:.6g}",
-                f"{column.largest:.6g}",
-                str(column.numbers),
-                str(column.empty),
-                str(column.nan),
-            )
-    yield columns
-    if content.unknown:
-        yield Text(f"Columns without a meaning here: {', '.join(content.unknown)}")

@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import cont2discrete, lfilter
 
 __all__ = ["LowPass", "PoseForce", "dahl", "half_sine", "nonlinearity", "play", "pose_force", "wandering"]
 
@@ -149,6 +148,8 @@ class LowPass:
         corner = 2.0 * np.pi * self.hz
         numerator = np.array([corner**self.order])
         denominator = np.array([1.0, np.sqrt(2.0) * corner, corner**2] if self.order == 2 else [1.0, corner])
+        from scipy.signal import cont2discrete, lfilter  # brings scipy.stats: half a second
+
         b, a, _ = cont2discrete((numerator, denominator), 1.0 / rate, method=between)
         return np.asarray(lfilter(b.ravel(), a, signal, axis=0))
 

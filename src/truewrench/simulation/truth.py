@@ -25,6 +25,7 @@ __all__ = [
     "Truth",
     "begin",
     "draw_truth",
+    "nees",
     "read_truth",
     "readings",
     "stamps_of",
@@ -36,6 +37,7 @@ Array = NDArray[np.float64]
 Stamp = NDArray[np.int64]
 
 _PERFECT = Readout()
+_NO_ERROR = 1e-6  # sigma, over the largest: a direction without any
 _ELEMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
@@ -278,3 +280,20 @@ def _draw_payload(spec: PayloadSpec, rng: np.random.Generator) -> Body:
     raise InputError.at(
         None, "payloads: uncertainty", f"{sigma}", "an uncertainty that leaves physical bodies likely"
     )
+
+
+def nees(error: Array, covariance: Array) -> tuple[float, int]:
+    """Normalised estimation error squared, e^T P^-1 e, and its degrees of freedom, the rank of P.
+
+    NaN where P is not a covariance, infinite for an error that P rules out. P is scaled to correlations
+    first: its rank must not depend on units.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    if not (np.isfinite(covariance).all() and np.isfinite(error).all() and (scale > 0.0).all()):
+        return float("nan"), 0
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = values > _NO_ERROR**2 * values[-1]
+    parts = vectors.T @ (error / scale)
+    if (np.abs(parts[~kept]) > _NO_ERROR).any():
+        return float("inf"), int(kept.sum())
+    return float(np.sum(parts[kept] ** 2 / values[kept])), int(kept.sum())

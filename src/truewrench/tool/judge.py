@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from truewrench import _core
 from truewrench.model.log import Log
@@ -148,13 +148,14 @@ def _reasons(
             "At least 4 poses, better 12, in directions of gravity far apart, opposite ones in turn."
         )
     count = v.n * 6
-    if chi2.sf(figures["gain_departure"] * count, count) < CHANCE:
+    if chdtrc(count, figures["gain_departure"] * count) < CHANCE:
         reasons.append(
             f"The gains would have to be {figures['gain_worst']:.0f} of their stated sigma away: sign, "
             "axes or units of the log are not as stated."
         )
     reasons += [*_turns(solution), *_zeroed(solution)]
     reasons += [*misfit_of_poses(solution, figures), *misfit_of_motion(motion)]
+    named: Sequence[str] = ()
     if reasons or figures["offset_walk_over_start"] > SUSPECT_WALK:
         named = mistakes(rig, poses, solution.problem.prior.gain_std)
         if not named and motion is not None:
@@ -165,9 +166,10 @@ def _reasons(
             f"No physical body is near what was found (squared distance {figures['physical_distance']:.0f}): "
             "sign, axes, units or the tool's rigidity are not as stated."
         )
-    if figures["offset_walk_over_start"] > WORST_WALK and (alone := _jump(solution)) is not None:
+    wanders = figures["offset_walk_over_start"] > WORST_WALK
+    if wanders and not named and (alone := _jump(solution)) is not None:
         reasons.append(_touched(poses, np.array([alone])))
-    elif figures["offset_walk_over_start"] > WORST_WALK:
+    elif wanders:
         reasons.append(
             f"The offset wanders {figures['offset_walk_over_start']:.0f} times as fast as sensors do: drift, "
             "a cable that pulls, or a contact."
@@ -190,7 +192,7 @@ def _zeroed(solution: Solution) -> list[str]:
     for link, gap in zip(session, gaps[: len(session)], strict=True):
         seconds = 1e-9 * abs(problem.end_ns[link.log] - link.time_ns)
         squares = gap**2 / (P[link.place] + (SUSPECT_WALK * WALK * scale) ** 2 * seconds)
-        if chi2.sf(float(squares.sum()), len(gap)) < CHANCE:
+        if chdtrc(len(gap), float(squares.sum())) < CHANCE:
             return [
                 f"The offset is {np.sqrt(squares.max()):.0f} sigma from where the record before left it: the "
                 "sensor was zeroed in between, or this is another session (`sensor.pool_offsets: false`)."
@@ -224,8 +226,8 @@ def misfit_of_poses(solution: Solution, figures: Mapping[str, Any]) -> list[str]
     if not len(poses):
         return []
     freedom, total = figures["freedom"], figures["chi_square"] * figures["freedom"]
-    touched = np.flatnonzero(chi2.sf(solution.pose_chi_square, n) * len(poses) < CHANCE)
-    bad = chi2.sf(total, freedom) < CHANCE and figures["chi_square"] > 1.5
+    touched = np.flatnonzero(chdtrc(n, solution.pose_chi_square) * len(poses) < CHANCE)
+    bad = chdtrc(freedom, total) < CHANCE and figures["chi_square"] > 1.5
     if touched.size and touched.size <= max(1, len(poses) // 6):
         return [_touched(poses, touched)]
     if bad:
@@ -247,7 +249,7 @@ def _turns(solution: Solution) -> list[str]:
         if sigma.min() < HELD:
             continue
         turn = (solution.x - solution.prior_mean)[place]
-        if chi2.sf(float(np.sum((turn / sigma) ** 2)), turn.size) < CHANCE:
+        if chdtrc(turn.size, float(np.sum((turn / sigma) ** 2))) < CHANCE:
             said = words.format(f"{np.degrees(np.linalg.norm(turn)):.0f}")
             out.append(
                 f"{said} or sign of the log are not as stated ({np.abs(turn / sigma).max():.0f} sigma)."

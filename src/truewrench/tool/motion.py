@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions, statement
@@ -273,6 +272,8 @@ def measured_motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array,
     values = log.angular_velocity if imu else log.twist
     if values is None:
         return out
+    from scipy.signal import savgol_filter  # brings scipy.stats: half a second
+
     rows = np.flatnonzero(np.isfinite(values).all(axis=1))
     if imu:
         assert log.specific_force is not None

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtrc
 
 from truewrench.judging.validation.residuals import LONGEST_LAG, Residuals, joined_columns, residuals
 from truewrench.judging.validation.residuals import tared as is_tared
@@ -285,8 +285,8 @@ def _probability(nis: float, spread: float, skew: float, share: float, freedom: 
     """
     if nis > 1.0:
         k = 8.0 * spread**3 / skew**2
-        return float(chi2.sf(k + np.sqrt(2.0 * k / spread) * (nis - 1.0), k))
-    return float(chi2.cdf(freedom * nis / share, freedom))
+        return float(chdtrc(k, k + np.sqrt(2.0 * k / spread) * (nis - 1.0)))
+    return float(chdtr(freedom, freedom * nis / share))
 
 
 def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
@@ -331,7 +331,7 @@ def _whiteness(found: Array, expected: Array, size: int) -> tuple[float, float]:
     )
     excess = found[1:] - expected[1 : LAGS + 1]
     statistic = size * float(excess @ np.linalg.solve(covariance, excess))
-    return float(excess[np.argmax(np.abs(excess))] / c[0]), float(chi2.sf(statistic, LAGS))
+    return float(excess[np.argmax(np.abs(excess))] / c[0]), float(chdtrc(LAGS, statistic))
 
 
 def worse(name: str, axis: AxisValidation) -> str:

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
 from truewrench.planning.tool.plan import ToolPlan
-from truewrench.report.figures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
 
 __all__ = ["draw_hemispheres", "draw_tool_plan"]
 

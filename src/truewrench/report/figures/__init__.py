@@ -1,12 +1,7 @@
-"""The figures of the demo: path, gain error and reading error, each with its caption below (after [A00] 2-4).
-
-Colours are those of Okabe and Ito, which people with colour-blind vision can tell apart; curves differ in
-line style as well.
-"""
+"""The figures of the demo: path, gain error and reading error (after [A00] 2-4)."""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,31 +15,19 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
+from truewrench.io.pictures import AXES_COLOURS, FONT, finish
+
 __all__ = [
     "Curve",
     "Panel",
     "ReadingError",
     "ReadingPanels",
     "convergence_figure",
-    "finish",
     "path_figure",
     "reading_error_figure",
 ]
 
 Array = NDArray[np.float64]
-
-BLUE, GREEN, ORANGE, VERMILION, PURPLE, GREY = (
-    "#0072B2",
-    "#009E73",
-    "#E69F00",
-    "#D55E00",
-    "#CC79A7",
-    "#595959",
-)
-AXES_COLOURS = (BLUE, VERMILION, GREEN)
-LINE_STYLES = ("-", "--", "-.", ":")
-_DPI = 160
-_FONT = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +89,7 @@ def path_figure(path: Path, time: Array, position: Array, rotation: Array, capti
             ax.plot(*ends.T, color=colour, linewidth=1.6)
     for k, name in ((0, "start"), (-1, f"{time[-1]:.0f} s")):
         ax.scatter(*position[k], color="black", s=26, depthshade=False)
-        ax.text(*(position[k] + [0.10 * span, 0.0, 0.03 * span]), name, fontsize=_FONT + 1)
+        ax.text(*(position[k] + [0.10 * span, 0.0, 0.03 * span]), name, fontsize=FONT + 1)
     bounds = zip(low - margin, high + margin, strict=True)
     ax.set(**dict(zip(("xlim", "ylim", "zlim"), bounds, strict=True)))
     ax.set_box_aspect(high - low + 2 * margin, zoom=0.98)
@@ -142,7 +125,7 @@ def convergence_figure(path: Path, panels: Sequence[Panel], caption: str) -> Non
                     drawstyle=curve.drawstyle,
                 )
         _logarithmic(ax)
-        ax.set_title(panel.title, fontsize=_FONT + 1)
+        ax.set_title(panel.title, fontsize=FONT + 1)
         ax.set_xlabel("time [s]")
     axes[0].set_ylabel(r"gain error $\|C-\hat{C}\|_\infty$ [SI units]")
     _legend(figure, axes[0], 0.215)
@@ -161,7 +144,7 @@ def reading_error_figure(path: Path, columns: Sequence[ReadingPanels], caption: 
         for ax, noise in zip(column, panels.noise, strict=True):
             ax.axhline(noise, color="black", linestyle=":", linewidth=1.4, label="noise of the sensor")
             _logarithmic(ax)
-        column[0].set_title(panels.title, fontsize=_FONT + 1)
+        column[0].set_title(panels.title, fontsize=FONT + 1)
         column[1].set_xlabel("time [s]")
     axes[0, 0].set_ylabel("force reading error [N]")
     axes[1, 0].set_ylabel("moment reading error [N m]")
@@ -179,13 +162,3 @@ def _logarithmic(ax: Axes) -> None:
 def _legend(figure: Figure, ax: Axes, height: float) -> None:
     handles, labels = ax.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.53, height), ncols=3, frameon=False)
-
-
-def finish(figure: Figure, path: Path, caption: str) -> None:
-    """Write the caption below a figure, and the figure to a file."""
-    width = int(figure.get_figwidth() * 14.2)
-    text = textwrap.fill(caption, width)
-    figure.text(
-        0.02, 0.015, text, fontsize=_FONT - 0.5, color="0.15", va="bottom", ha="left", linespacing=1.35
-    )
-    figure.savefig(path, dpi=_DPI, facecolor="white", metadata={"Software": None})

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from truewrench.report.figures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, ORANGE, finish
+from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, ORANGE, finish
 
 __all__ = ["body_figure", "contact_figure"]
 
