@@ -13,7 +13,6 @@ from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import cross_matrix
@@ -318,25 +317,23 @@ class Problem:
         K[at, at] -= self.poses.seconds / 6.0  # of a mean over T, from T / 2 before to T / 2 after
         return K
 
-    def roots(self, rate: float, repeatability: float, K: Array) -> list[Array]:
-        """Cholesky factors, as large as K, of every channel's covariance of the readings.
+    def roots(self, rate: float, repeatability: float, K: Array) -> Array:
+        """Cholesky factors (n, N, N) of every channel's covariance of the readings.
 
         Args:
             rate: of the walk, fraction of range per sqrt(s).
             repeatability: 1 sigma of a pose, fraction of range.
-            K: of `walked`.
+            K: (N, N) of `walked`.
         """
-        scale = self.rig.sensor.channel_scale
-        out = []
-        for i in range(len(scale)):
-            V = (rate * scale[i]) ** 2 * K
-            T = len(self.poses)
-            V[np.arange(T), np.arange(T)] += self.poses.variance[:, i] + (repeatability * scale[i]) ** 2
-            V[np.arange(T, len(V)), np.arange(T, len(V))] += (_EXACT * scale[i]) ** 2
-            out.append(cholesky(V, lower=True))
-        return out
+        scale, T = self.rig.sensor.channel_scale, len(self.poses)
+        own = np.full((len(scale), len(K)), _EXACT**2) * scale[:, None] ** 2
+        own[:, :T] = self.poses.variance.T + (repeatability * scale[:, None]) ** 2
+        V = (rate * scale[:, None, None]) ** 2 * K
+        at = np.arange(len(K))
+        V[:, at, at] += own
+        return np.linalg.cholesky(V)
 
 
-def whitened(root: Array, values: Array) -> Array:
-    """L^-1 values."""
-    return np.asarray(solve_triangular(root, values, lower=True))
+def whitened(roots: Array, values: Array) -> Array:
+    """L^-1 values (n, N, k) of every channel."""
+    return np.linalg.solve(roots, values)

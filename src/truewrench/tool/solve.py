@@ -105,13 +105,13 @@ def _sums(problem: Problem, at: _Linear, sizes: Array) -> tuple[Array, Array, fl
     """Information, gradient, sum of squares at x, log determinant of the readings' covariance."""
     A, g, squares, logdet = at.information.copy(), at.pull.copy(), at.constant, 0.0
     if len(at.r):
-        for i, root in enumerate(problem.roots(float(np.exp(sizes[0])), float(np.exp(sizes[1])), at.K)):
-            both = whitened(root, np.column_stack([at.J[i], at.r[:, i]]))
-            Jw, rw = both[:, :-1], both[:, -1]
-            A += Jw.T @ Jw
-            g += Jw.T @ rw
-            squares += float(rw @ rw)
-            logdet += 2.0 * float(np.log(np.diag(root)).sum())
+        roots = problem.roots(float(np.exp(sizes[0])), float(np.exp(sizes[1])), at.K)
+        both = whitened(roots, np.concatenate([at.J, at.r.T[:, :, None]], axis=2)).reshape(-1, len(g) + 1)
+        Jw, rw = both[:, :-1], both[:, -1]
+        A += Jw.T @ Jw
+        g += Jw.T @ rw
+        squares += float(rw @ rw)
+        logdet = 2.0 * float(np.log(np.diagonal(roots, axis1=1, axis2=2)).sum())
     return A, g, squares, logdet
 
 
@@ -176,16 +176,15 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
     if len(residual):
         rate = float(np.exp(now[0]))
         inner = np.linalg.inv(A)
-        for i, root in enumerate(problem.roots(float(np.exp(now[0])), float(np.exp(now[1])), K)):
-            rw, Jw = whitened(root, residual[:, i]), whitened(root, at.J[i])
-            V_rate = (rate * problem.rig.sensor.channel_scale[i]) ** 2 * K
-            solved = np.linalg.solve(root.T, rw)
-            walk[:, i] = V_rate @ solved
+        roots = problem.roots(rate, float(np.exp(now[1])), K)
+        upper = np.linalg.inv(roots).transpose(0, 2, 1)  # V^-1 = L^-T L^-1
+        for i, scale_i in enumerate(problem.rig.sensor.channel_scale):
+            rw, Jw = upper[i].T @ residual[:, i], upper[i].T @ at.J[i]
+            solved = upper[i] @ rw
+            walk[:, i] = (rate * scale_i) ** 2 * K @ solved
             chi += float(rw @ rw)
             taken += float(np.einsum("tp,pq,tq->", Jw, inner, Jw))
-            weight = np.linalg.inv(root.T) ** 2
-            precision = weight.sum(axis=1)  # diagonal of V^-1
-            per_pose += solved**2 / precision
+            per_pose += solved**2 / (upper[i] ** 2).sum(axis=1)  # over the diagonal of V^-1
     freedom = max(1, round(residual.size - taken))
     return Solution(
         problem,
