@@ -136,7 +136,7 @@ void bind_fit(nb::module_& m) {
       .def(
           "sizes", [](Fit& f, std::size_t l) -> Sizes& { return f.logs().at(l).sizes; },
           nb::rv_policy::reference_internal)
-      .def("spacing", [](const Fit& f, std::size_t l) { return f.logs().at(l).stretches.front().spline.h(); })
+      .def("spacing", [](const Fit& f, std::size_t l) { return f.logs().at(l).stretches.at(0).spline.h(); })
       .def("pieces",
            [](const Fit& f, std::size_t l) {
              std::vector<std::vector<double>> out;

@@ -121,6 +121,16 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     for (const MotionStream& m : log->motion) settings.rate = std::max(settings.rate, rate_of(m.time));
   }
   OnlineEstimate out;
+  std::vector<int> short_of(logs.size(), 0);  // stretches too short, as Estimator::run counts them
+  for (std::size_t l = 0; l < logs.size(); ++l) {
+    const double coarsest =
+        std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*logs[l]));
+    if (pieces_of(*logs[l], coarsest, short_of[l]).empty()) out.status = Status::wrong_size;
+  }
+  if (out.status != Status::ok) {
+    out.dropped = short_of;
+    return out;
+  }
   auto online = std::make_unique<Incremental>(rig, without_samples(*logs[0]), settings);
   for (std::size_t l = 0; l < logs.size(); ++l) {
     const RecordedLog& log = *logs[l];

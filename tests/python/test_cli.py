@@ -16,6 +16,7 @@ import pyarrow.csv as pacsv
 import pytest
 import yaml
 
+import truewrench
 from truewrench.cli import main
 from truewrench.model.calibration import Calibration, Verdict, load_calibration
 from truewrench.model.rig import Rig
@@ -64,7 +65,9 @@ def pipeline(monkeypatch: pytest.MonkeyPatch, calibration: Calibration) -> Modul
 
     module.calibrate = calibrate  # type: ignore[attr-defined]
     module.verdict = Verdict(usable=True)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "truewrench.calibrating.pipeline", module)
+    monkeypatch.setattr(
+        truewrench, "calibrate", lambda *logs, **options: module.calibrate(*logs, **options), raising=False
+    )
     return module
 
 

@@ -118,16 +118,27 @@ def test_any_number_of_threads_gives_the_same_bits(run: Any) -> None:
     assert np.array_equal(one.covariance, two.covariance)
 
 
+@pytest.mark.parametrize("estimator", ["map", "online", "ekf", "ls"])
 @pytest.mark.parametrize("rows", range(13))
-def test_a_record_of_a_few_rows_is_refused_with_a_reason(run: Any, rows: int) -> None:
+def test_a_record_of_a_few_rows_is_refused_with_a_reason(run: Any, rows: int, estimator: Any) -> None:
     log = run.log
     short = replace(log, time_ns=log.time_ns[:rows], raw=log.raw[:rows], twist=log.twist[:rows])
     try:
-        found = tw.calibrate(_rig(), short)
+        found = tw.calibrate(_rig(), short, estimator)
     except tw.InputError:
         return  # status 2
     assert not found.verdict.usable
     assert found.verdict.reasons
+
+
+@pytest.mark.parametrize("estimator", ["map", "online"])
+def test_a_log_too_short_beside_a_long_one_is_named(run: Any, estimator: Any) -> None:
+    log = run.log
+    short = replace(log, time_ns=log.time_ns[:10], raw=log.raw[:10], twist=log.twist[:10])
+    for logs in ([log, short], [short, log]):
+        verdict = tw.calibrate(_rig(), logs, estimator).verdict
+        assert not verdict.usable
+        assert "shorter than 12 knots" in verdict.reasons[0]
 
 
 @pytest.mark.parametrize("prior", [1e-12, 1e200])

@@ -120,7 +120,8 @@ def test_random_time_offset_follows_its_prior_and_changes_no_other_draw() -> Non
     sensor = {"time_offset_prior": 2e-3}
     options = {"gain": "random", "offset": "random", "payload": "random", "rate": 20, "sensor_rate": 20}
     drawn = rig_of(sensor=sensor, simulate=options | {"time_offset": "random"})
-    truths = [simulate(drawn, seed=seed).truth for seed in range(300)]
+    motion = default_trajectory(drawn)
+    truths = [simulate(drawn, motion, seed=seed).truth for seed in range(300)]
     offsets = np.array([truth.time_offset for truth in truths])
     assert abs(offsets.std() / 2e-3 - 1.0) < 4.0 / np.sqrt(2.0 * offsets.size)
     assert abs(offsets.mean()) < 4.0 * 2e-3 / np.sqrt(offsets.size)
@@ -175,7 +176,8 @@ def test_random_truth_has_the_spread_of_the_priors() -> None:
         "plan": {"duration": 0.1},
     }
     rig = rig_of(**changes)
-    truths = [simulate(rig, seed=s).truth for s in range(300)]
+    motion = default_trajectory(rig)
+    truths = [simulate(rig, motion, seed=s).truth for s in range(300)]
     scale = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
     gains = np.array([(t.gain - np.eye(6)) * scale for t in truths])
     assert gains.std() == pytest.approx(0.3, rel=0.05)

@@ -151,14 +151,11 @@ def pose_log(
 
 def newton_euler(mass: float, center: Array, inertia: Array, nu: Array, a: Array, fall: Array) -> Array:
     """Wrench (N, 6) on the sensor about its origin, written apart from the package's."""
-    out = np.empty((len(nu), 6))
-    for k in range(len(nu)):
-        omega, alpha = nu[k, 3:], a[k, 3:]
-        at_mass = a[k, :3] + np.cross(omega, nu[k, :3]) + np.cross(alpha, center)
-        at_mass = at_mass + np.cross(omega, np.cross(omega, center)) - fall[k]
-        moment = inertia @ alpha + np.cross(omega, inertia @ omega) + mass * np.cross(center, at_mass)
-        out[k] = -np.concatenate([mass * at_mass, moment])
-    return out
+    omega, alpha = nu[:, 3:], a[:, 3:]
+    at_mass = a[:, :3] + np.cross(omega, nu[:, :3]) + np.cross(alpha, center)
+    at_mass = at_mass + np.cross(omega, np.cross(omega, center)) - fall
+    moment = alpha @ inertia.T + np.cross(omega, omega @ inertia.T) + mass * np.cross(center, at_mass)
+    return -np.hstack([mass * at_mass, moment])
 
 
 def tour_log(

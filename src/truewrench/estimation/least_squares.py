@@ -90,16 +90,17 @@ def least_squares(
             continue
         design = np.column_stack([wrench, ones]) if with_offset else wrench
         q, r = np.linalg.qr(design)
-        u, s, vt = np.linalg.svd(r)
-        seen = s > s[0] * 1e-12
-        solution = vt[seen].T @ ((u[:, seen].T @ (q.T @ departure[:, channels])) / s[seen, None])
+        u, s, vt = np.linalg.svd(r)  # of fewer rows than columns vt has more directions than s values
+        seen = np.arange(len(vt)) < np.count_nonzero(s > s[0] * 1e-12)
+        u, s = u[:, : seen.sum()], s[: seen.sum()]
+        solution = vt[seen].T @ ((u.T @ (q.T @ departure[:, channels])) / s[:, None])
         residual = departure[:, channels] - design @ solution
         for k, i in enumerate(channels):
             sigma = sensor.noise_array[i] / sensor.channel_scale[i]
             prior = np.full(design.shape[1], sensor.gain_prior)
             prior[6:] = offset_prior[i]
             unseen = vt[~seen].T @ vt[~seen]
-            of_row = (vt[seen].T * (sigma / s[seen]) ** 2) @ vt[seen] + unseen @ np.diag(prior**2) @ unseen
+            of_row = (vt[seen].T * (sigma / s) ** 2) @ vt[seen] + unseen @ np.diag(prior**2) @ unseen
             gain[i] += solution[:6, k]
             chi_square[i] = np.sum((residual[:, k] / sigma) ** 2) / max(1, len(design) - seen.sum())
             where = 6 * i + np.arange(6)

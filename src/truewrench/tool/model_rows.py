@@ -331,9 +331,9 @@ class Problem:
         V = (rate * scale[:, None, None]) ** 2 * K
         at = np.arange(len(K))
         V[:, at, at] += own
-        return np.linalg.cholesky(V)
+        return np.asarray(np.linalg.cholesky(V), np.float64)
 
 
 def whitened(roots: Array, values: Array) -> Array:
     """L^-1 values (n, N, k) of every channel."""
-    return np.linalg.solve(roots, values)
+    return np.asarray(np.linalg.solve(roots, values), np.float64)
