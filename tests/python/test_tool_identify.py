@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -230,6 +230,18 @@ def test_gravity_of_another_planet_is_bad_input() -> None:
     moon = replace(log, gravity=log.gravity / 6.0, attitude=None)
     with pytest.raises(InputError, match=r"free fall of 1\.635 m/s\^2, expected 9\.81 m/s\^2"):
         tw.identify_tool(RIG, moon)
+
+
+@pytest.mark.parametrize("rows", range(8))
+def test_a_record_of_a_few_rows_is_no_tool(rows: int) -> None:
+    log = swing_log(RIG, MASS, CENTER, INERTIA, seconds=0.2)
+    kept = {f.name: getattr(log, f.name) for f in fields(log)}
+    short = {name: v[:rows] for name, v in kept.items() if isinstance(v, np.ndarray)}
+    try:
+        verdict = tw.identify_tool(RIG, replace(log, **short)).verdict
+    except InputError:
+        return  # status 2
+    assert not verdict.usable
 
 
 def test_degrees_are_bad_input() -> None:

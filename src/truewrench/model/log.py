@@ -125,5 +125,4 @@ class Log:
     @property
     def time(self) -> FloatArray:
         """(N,) time since the first row [s]."""
-        seconds: FloatArray = (self.time_ns - self.time_ns[:1]) * 1e-9
-        return seconds
+        return np.asarray((self.time_ns - self.time_ns[:1]) * 1e-9, np.float64)
