@@ -244,6 +244,13 @@ def test_a_record_of_a_few_rows_is_no_tool(rows: int) -> None:
     assert not verdict.usable
 
 
+def test_a_reading_far_beyond_the_range_is_bad_input() -> None:
+    log, _ = pose_log(RIG, MASS, CENTER)
+    log.raw[3, 2] *= 1e100
+    with pytest.raises(InputError, match=r"times its range, expected a reading within its range"):
+        tw.identify_tool(RIG, log)
+
+
 def test_degrees_are_bad_input() -> None:
     swing = swing_log(RIG, MASS, CENTER, INERTIA, seconds=3.0)
     assert swing.twist is not None

@@ -29,6 +29,7 @@ CREEP = 1e-3  # [m/s, rad/s] that is no motion; tolerance
 MOVING = 2.0  # [s] of motion that are worth an estimate of their own
 MOVE = 1.0  # [s] of motion between two dwells, at least
 _MEAN = 0.1  # [s] of positions on either side of a row
+_OVERLOAD = 100.0  # times its range, at rest: a unit, or a broken cell; tolerance
 FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
 
 
@@ -258,13 +259,18 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
     turn = _attitudes(rig, log) if pieces else None
     for i, rows in enumerate(pieces):
         raw[i] = log.raw[rows].mean(axis=0)
+        over = np.abs(raw[i]) / rig.sensor.channel_scale
+        place = f"row at {log.time[rows[0]]:g} s"
+        if over.max() > _OVERLOAD:
+            channel = rig.sensor.channels[int(np.argmax(over))]
+            found = f"{channel} at {over.max():.3g} times its range"
+            raise InputError.at(log.path, place, found, "a reading within its range")
         variance[i] = _of_mean(log.raw[rows], rig.sensor.noise_array)
         stamps[i] = (int(log.time_ns[rows[0]]) + int(log.time_ns[rows[-1]])) // 2
         seconds[i] = log.time[rows[-1]] - log.time[rows[0]]
         assert turn is not None
         told = turn[rows][np.isfinite(turn[rows][:, 0, 0])]
         if not len(told):
-            place = f"row at {log.time[rows[0]]:g} s"
             expected = "gx gy gz, qw qx qy qz, joints or an IMU, which tell the direction of gravity"
             raise InputError.at(log.path, place, "a pose without attitude", expected)
         U, _, Vt = np.linalg.svd(told.mean(axis=0))
