@@ -345,3 +345,22 @@ def test_whatever_is_no_list_of_numbers_is_refused_with_its_key(
 ) -> None:
     with pytest.raises(InputError, match=rf"(?m)^{re.escape(key)}(\[\d+\])*: found .*, expected "):
         Rig.from_mapping(put(deepcopy(valid_settings), key, value))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("simulate.rate", 1e30, "a number of at most 1e+06"),
+        ("simulate.sensor_rate", 0, "a number greater than 0"),
+        ("plan.duration", 1e-320, "a number of at least 0.001"),
+        ("plan.duration", 1e9, "a number of at most 1e+06"),
+    ],
+)
+def test_rates_and_durations_are_those_of_this_world(
+    settings: dict[str, Any], key: str, value: float, expected: str
+) -> None:
+    section, name = key.split(".")
+    settings[section] = {**settings.get(section, {}), name: value}
+    with pytest.raises(InputError, match=re.escape(f"{key}: found")) as caught:
+        Rig.from_mapping(settings)
+    assert expected in str(caught.value)

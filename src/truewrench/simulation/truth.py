@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 Stamp = NDArray[np.int64]
 
 _PERFECT = Readout()
+_MOST_ROWS = 1e8  # a day at 1 kHz
 _NO_ERROR = 1e-6  # sigma, over the largest: a direction without any
 _ELEMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -162,8 +163,12 @@ def stamps_of(rig: Rig, duration: float, time_offset: float) -> Stamps:
     """The stamps of a motion that begins at time 0, at the rates of ``rig.simulate``.
 
     Raises:
-        InputError: for a time offset that leaves the sensor nothing of the motion.
+        InputError: for a time offset that leaves the sensor nothing of the motion, and for more rows than
+            anybody can hold.
     """
+    rows = duration * max(rig.simulate.rate, rig.simulate.sensor_rate)
+    if rows > _MOST_ROWS:
+        raise InputError.at(rig.path, "simulate.rate", f"{rows:.2g} rows", f"at most {_MOST_ROWS:.2g}")
     motion_ns = _stamps(duration, rig.simulate.rate)
     sensor_ns = _stamps(duration, rig.simulate.sensor_rate)
     shown = _seconds(sensor_ns) + time_offset

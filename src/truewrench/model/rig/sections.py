@@ -15,6 +15,7 @@ from pydantic import AfterValidator, ValidationInfo, model_validator
 from truewrench.model.rig.ati_cal import read_ati_cal
 from truewrench.model.rig.imperfections import ImperfectionsSpec
 from truewrench.model.rig.strict import (
+    Duration,
     Listed,
     Mapped,
     Matrix,
@@ -25,6 +26,7 @@ from truewrench.model.rig.strict import (
     Positive,
     PositiveInteger,
     Positives,
+    Rate,
     Section,
     SixPositives,
     Switch,
@@ -314,8 +316,8 @@ class LimitsSpec(Section):
 class PlanSpec(Section):
     """How a motion is planned."""
 
-    duration: Positive = 20.0  # [s]
-    rate: Positive = 40.0  # [Hz]
+    duration: Duration = 20.0  # [s]
+    rate: Rate = 40.0  # [Hz]
     harmonics: PositiveInteger = 6
     seed: WholeNumber = 0
     rest_to_rest: Switch = True
@@ -324,8 +326,8 @@ class PlanSpec(Section):
 class SimulateSpec(Section):
     """What a simulated run is made of."""
 
-    rate: Positive = 100.0  # [Hz] of the motion
-    sensor_rate: Positive = 100.0  # [Hz] of the sensor
+    rate: Rate = 100.0  # [Hz] of the motion
+    sensor_rate: Rate = 100.0  # [Hz] of the sensor
     seed: WholeNumber = 0
     gain: Annotated[
         Annotated[Literal["nominal", "random"], Word] | Annotated[Matrix, Listed],

@@ -28,6 +28,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.files import Locate
 
 __all__ = [
+    "Duration",
     "Listed",
     "Mapped",
     "Matrix",
@@ -38,6 +39,7 @@ __all__ = [
     "Positive",
     "PositiveInteger",
     "Positives",
+    "Rate",
     "Section",
     "SixNumbers",
     "SixPositives",
@@ -130,6 +132,8 @@ def _for_all_or_each(value: Any) -> Any:
 
 Number = Annotated[float, Strict(), AllowInfNan(False)]
 Positive = Annotated[Number, Field(gt=0)]
+Rate = Annotated[Number, Field(gt=0, le=1e6)]  # [Hz]: stamps are whole nanoseconds
+Duration = Annotated[Number, Field(ge=1e-3, le=1e6)]  # [s]
 NonNegative = Annotated[Number, Field(ge=0)]
 Switch = Annotated[bool, Strict()]
 Text = Annotated[str, Strict(), StringConstraints(min_length=1)]
