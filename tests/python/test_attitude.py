@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import HarmonicTwist, attitude
@@ -173,3 +174,11 @@ def test_attitude_between_rows_is_on_the_shortest_way(heavy: Rig) -> None:
         attitude_at(log.time, truth, np.array([-1.0, 99.0])), truth[[0, -1]], atol=1e-12
     )
     np.testing.assert_array_equal(attitude_at(log.time[:1], truth[:1], log.time[:3]), truth[[0, 0, 0]])
+
+
+def test_a_rate_that_no_body_has_is_bad_input(heavy: Rig) -> None:
+    log, _ = turned_log(START)
+    assert log.twist is not None
+    log.twist[7, 4] = 1e90
+    with pytest.raises(InputError, match=r"wx wy wz: found 1e\+90 rad/s, expected an angular velocity"):
+        attitude_of(heavy, log)

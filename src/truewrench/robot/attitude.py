@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp
 
+from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
@@ -25,6 +26,7 @@ __all__ = ["attitude_at", "attitude_of", "free_fall"]
 Array = NDArray[np.float64]
 
 _GAUSS = 0.5 / np.sqrt(3.0)  # of a step, from its middle: the two points of Gauss' rule
+_NO_RATE = 1e6  # [rad/s]: tolerance
 _OPPOSITE = 1e-12  # 1 + cosine of two directions that are taken for opposite
 
 
@@ -96,6 +98,9 @@ def _angular_velocity(log: Log) -> tuple[Array, Array]:
     if omega is None:
         return np.empty(0), np.empty((0, 3))
     known = np.isfinite(omega).all(axis=1)
+    fastest = float(np.abs(omega[known]).max(initial=0.0))
+    if fastest > _NO_RATE:
+        raise InputError.at(log.path, "wx wy wz", f"{fastest:.3g} rad/s", "an angular velocity of a body")
     return log.time[known], omega[known]
 
 
