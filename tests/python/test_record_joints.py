@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from record_cases import HONEST, Array, RigOf, arm_with, base_log, estimate, nees
 from scipy.spatial.transform import Rotation
 
+import truewrench as tw
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions
 from truewrench.estimation.joint_map import joint_map
 from truewrench.estimation.record import recorded, recorded_logs
@@ -197,3 +199,23 @@ def test_samples_while_the_base_is_not_known_are_left_out(arm_rig: RigOf) -> Non
     log.base_twist[:20], log.base_twist[100:130] = np.nan, np.nan
     found = recorded(rig, Assumptions.of(rig, [log]), log)
     assert found.notes == ("50 samples of the sensor left out: the motion of the base is not known then",)
+
+
+@pytest.mark.parametrize("estimator", ["map", "online", "ekf"])
+def test_angles_logged_within_one_turn_are_the_same_record(arm_rig: RigOf, estimator: Any) -> None:
+    rig = arm_with(arm_rig, "panda_ground", position_noise=[1e-5] * 7)
+    log = simulate_arm(rig).log
+    assert log.position is not None
+    wrapped = log.position.copy()
+    for k in (0, 6):  # the cut where the joint passes it, not at 180 deg, is as good
+        known = np.isfinite(wrapped[:, k])
+        cut = np.median(wrapped[known, k])
+        wrapped[known & (wrapped[:, k] > cut), k] -= 2.0 * np.pi
+    plain, again = (
+        tw.calibrate(rig, one, estimator, held_out=False) for one in (log, replace(log, position=wrapped))
+    )
+    # the same posture to rounding; whole turns are one thing apart from it
+    np.testing.assert_allclose(again.gain, plain.gain, atol=1e-6 * np.abs(plain.gain).max())
+    if estimator != "ekf":
+        assert any("within one turn" in note for note in again.figures["notes"])
+        assert not any("within one turn" in note for note in plain.figures["notes"])

@@ -49,6 +49,7 @@ from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated
+from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
 
 __all__ = ["calibrate"]
@@ -96,6 +97,7 @@ def calibrate(
     records = [logs] if isinstance(logs, Log) else list(logs)
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
+    records = [unwrapped(rig, log) for log in records]
     _check_supported(rig, estimator)
     _check_options(
         estimator,

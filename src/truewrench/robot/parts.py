@@ -1,19 +1,47 @@
-"""Joints of one arm whose parts were sampled at times of their own."""
+"""Joints of one arm as logs have them: parts sampled at times of their own, turns that begin anew."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
+from truewrench.robot.arm import robot_of
 
-__all__ = ["on_common_rows", "together"]
+__all__ = ["on_common_rows", "together", "unwrapped"]
 
 Array = NDArray[np.float64]
 
 _POINTS = 4  # of a cubic
+_APART = 1.0  # [s] between rows of which nobody says that the joint went on
+
+
+def unwrapped(rig: Rig, log: Log) -> Log:
+    """The log with angles that go on where they were logged within one turn, as from 180 to -180 deg.
+
+    The arm is where it was: only a spline through the angles sees the difference.
+    """
+    if rig.motion.source != "joints" or log.position is None:
+        return log
+    robot, position, notes = robot_of(rig), log.position.copy(), []
+    if position.shape[1] != robot.n:
+        return log  # which is told where the joints are read
+    for k, (name, joint) in enumerate(zip(robot.joints, robot.model.joints[1:], strict=True)):
+        if not joint.shortname().startswith("JointModelR"):
+            continue
+        rows = np.flatnonzero(np.isfinite(position[:, k]))
+        angle = position[rows, k]
+        position[rows, k] = np.unwrap(angle)
+        turned = np.abs(np.diff(position[rows, k] - angle)) > np.pi
+        turns = int(np.count_nonzero(turned & (np.diff(log.time[rows]) < _APART)))
+        if turns:
+            notes.append(f"q_{name} was logged within one turn: it goes on across {turns} jumps of 360 deg")
+    return replace(log, position=position, notes=(*log.notes, *notes))
 
 
 def together(

@@ -22,7 +22,7 @@ from truewrench.model.rig import Rig
 from truewrench.motion.joint_spline import JointSpline, fit_joints
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import BaseMotion, Robot, robot_of, rotation_of
-from truewrench.robot.parts import together
+from truewrench.robot.parts import together, unwrapped
 
 __all__ = ["TrackedStream", "measured_twists", "track", "tracked", "tracked_streams"]
 
@@ -76,6 +76,7 @@ def track(rig: Rig, log: Log, *, exact_positions: bool = False) -> Log:
         if values is not None and values.shape[1] != robot.n:
             expected = f"{robot.n}: {', '.join(robot.joints)}"
             raise InputError.at(log.path, name, f"{values.shape[1]} joints", expected)
+    log = unwrapped(rig, log)
     base = _Base(rig, log)
     position, of_positions = together(log.time, base.within(log.position), robot.joints, "positions")
     velocity, of_velocities = together(log.time, base.within(log.velocity), robot.joints, "velocities")

@@ -17,6 +17,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated
+from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
 from truewrench.tool.bodies import joined, nearest_physical, total_body
 from truewrench.tool.checks import check_known, check_logs, check_session
@@ -98,7 +99,7 @@ def identify_tool(
         raise InputError.at(None, "", "no log", "at least one")
     report = progress or (lambda phase, share: None)
     rig = settings_of(rig_or_calibration)
-    records = [replace(log, payload=next(iter(rig.payloads))) for log in records]
+    records = [unwrapped(rig, replace(log, payload=next(iter(rig.payloads)))) for log in records]
     check_known(known or {})
     check_logs(rig, records)
     check_session(rig, records, on)
