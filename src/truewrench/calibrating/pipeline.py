@@ -47,6 +47,7 @@ from truewrench.judging.validation.comparison import Comparison, compare_held_ou
 from truewrench.model.calibration import Bound, Calibration, LogReport, Verdict
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated
 from truewrench.robot.parts import unwrapped
@@ -98,6 +99,8 @@ def calibrate(
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     records = [unwrapped(rig, log) for log in records]
+    if estimator in ("map", "online"):
+        records = [without_repeats(log) for log in records]
     _check_supported(rig, estimator)
     _check_options(
         estimator,

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated
 from truewrench.robot.parts import unwrapped
@@ -99,7 +100,8 @@ def identify_tool(
         raise InputError.at(None, "", "no log", "at least one")
     report = progress or (lambda phase, share: None)
     rig = settings_of(rig_or_calibration)
-    records = [unwrapped(rig, replace(log, payload=next(iter(rig.payloads)))) for log in records]
+    records = [replace(log, payload=next(iter(rig.payloads))) for log in records]
+    records = [without_repeats(unwrapped(rig, log)) for log in records]
     check_known(known or {})
     check_logs(rig, records)
     check_session(rig, records, on)

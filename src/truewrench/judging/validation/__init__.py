@@ -24,6 +24,7 @@ from truewrench.model.calibration import AXES, AxisImprovement, Calibration, Ver
 from truewrench.model.errors import InputError
 from truewrench.model.files import write_yaml
 from truewrench.model.log import Log
+from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated
 from truewrench.robot.track import tracked
@@ -156,7 +157,7 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     Raises:
         InputError: for a rig of another sensor, or logs without enough rows.
     """
-    records = [logs] if isinstance(logs, Log) else list(logs)
+    records = [without_repeats(log) for log in ([logs] if isinstance(logs, Log) else logs)]
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     _check_same_sensor(calibration, rig)

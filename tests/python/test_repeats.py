@@ -1,0 +1,80 @@
+"""Streams that are slower than the rows that they are logged in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from record_cases import light_rig
+
+import truewrench as tw
+from truewrench.model.log import Log
+from truewrench.model.repeats import without_repeats
+from truewrench.simulation.free_body import SimulatedRun
+
+Array = NDArray[np.float64]
+
+
+def held(values: Array) -> Array:
+    """Each value until the next one, as a driver with a loop of its own reports it."""
+    known = np.isfinite(values).all(axis=1)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
+    return np.where(last[:, None] >= 0, values[np.maximum(last, 0)], np.nan)
+
+
+def slower(rate: float, sensor_rate: float) -> tuple[tw.Rig, SimulatedRun, Log]:
+    settings = light_rig(seconds=8, rate=rate, discrepancy=0, time_offset_prior=0.02).to_mapping()
+    settings["simulate"]["sensor_rate"] = sensor_rate
+    rig = tw.Rig.from_mapping(settings)
+    run = tw.simulate(rig)
+    assert run.log.twist is not None
+    faster = np.isfinite((run.log.twist if rate > sensor_rate else run.log.raw)[:, 0])
+    raw, twist = held(run.log.raw)[faster], held(run.log.twist)[faster]
+    return rig, run, replace(run.log, time_ns=run.log.time_ns[faster], raw=raw, twist=twist)
+
+
+@pytest.mark.parametrize(("rate", "sensor_rate"), [(500, 125), (500, 200), (125, 500)])
+def test_a_stream_that_is_held_says_what_it_says_by_itself(rate: float, sensor_rate: float) -> None:
+    rig, run, logged = slower(rate, sensor_rate)
+    apart, found = (tw.calibrate(rig, log, held_out=False) for log in (run.log, logged))
+    assert found.verdict.usable
+    assert any("held by the driver" in note for note in found.figures["notes"])
+    std = np.sqrt(np.diag(apart.covariance)[:36]).reshape(6, 6)
+    assert np.abs((found.gain - apart.gain) / std).max() < 0.5  # a held value is late by part of a row
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)[:36]).reshape(6, 6), std, rtol=0.1)
+
+
+def test_coarse_readings_are_no_repeats() -> None:
+    log = tw.simulate(light_rig(seconds=8, rate=200)).log
+    step = 3.0 * np.std(np.diff(log.raw, axis=0), axis=0)
+    assert without_repeats(replace(log, raw=step * np.round(log.raw / step))).notes == log.notes
+
+
+def test_an_arm_that_rests_is_not_held() -> None:
+    """Encoders repeat themselves for as long as it does (40% here): without these rows nobody would know."""
+    t = np.arange(2000)[:, None] * 0.01
+    moving = np.clip(np.sin(0.3 * np.pi * t), -0.4, 0.4) * np.array([[1.0, 0.7, -0.5]])
+    log = Log(None, "default", "", np.arange(2000) * 10_000_000, np.full((2000, 6), np.nan), position=moving)
+    assert without_repeats(log).position is log.position
+
+
+def test_rows_that_a_slow_stream_held_for_longer_stay() -> None:
+    """At rest a held stream says more than nothing: that it rests."""
+    rng = np.random.default_rng(0)
+    values: Any = np.repeat(rng.normal(size=(200, 6)), 4, axis=0)
+    values[300:400] = values[300]
+    log = Log(None, "default", "", np.arange(800) * 2_000_000, values)
+    kept = np.isfinite(without_repeats(log).raw[:, 0])
+    assert kept[300:400].all()
+    assert kept[:300].sum() == 75
+
+
+def test_few_rows_and_dead_channels_tell_nothing() -> None:
+    rng = np.random.default_rng(0)
+    for rows, dead in ((8, False), (300, True)):
+        values = np.zeros((rows, 6)) if dead else np.repeat(rng.normal(size=(rows // 4, 6)), 4, axis=0)
+        log = Log(None, "default", "", np.arange(rows) * 2_000_000, values)
+        assert without_repeats(log) is log
