@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tool_cases import Array, a_rig, pose_log, swing_log, tour_log
+from tool_cases import Array, a_rig, apart, pose_log, swing_log, tour_log
 
 import truewrench as tw
 from truewrench.model.log import Log
@@ -108,11 +108,25 @@ def test_positions_alone_tell_where_an_arm_dwells(step: float) -> None:
     position = step * np.round(position / step) if step else position
     raw = rig.sensor.noise_array * rng.normal(size=position.shape)
     log = Log(None, "tool", "", np.arange(len(raw)) * 10_000_000, raw, position=position)
-    split = split_poses(rig, [log])
     dwells = 1.25e9 + 4.0e9 * np.arange(8) + 0.5e9 * (np.arange(8) > 0)  # a second of settling left out
-    assert len(split.poses) == 8
-    np.testing.assert_allclose(split.poses.time_ns[1:], dwells[1:], atol=0.3e9)
-    assert len(split.moves) == 1
-    lasts = np.diff(split.moves[0].knots)[::2]
-    assert lasts.size == 7
-    assert ((lasts > 1.5) & (lasts < 3.2)).all()
+    for split in (split_poses(rig, [one]) for one in (log, apart(log, 2_000_000))):
+        assert len(split.poses) == 8
+        np.testing.assert_allclose(split.poses.time_ns[1:], dwells[1:], atol=0.3e9)
+        assert len(split.moves) == 1
+        lasts = np.diff(split.moves[0].knots)[::2]
+        assert lasts.size == 7
+        assert ((lasts > 1.5) & (lasts < 3.3)).all()
+
+
+@pytest.mark.parametrize("kind", ["tour", "swing"])
+def test_topics_with_stamps_of_their_own_say_the_same(kind: str) -> None:
+    """Of a recording the sensor's samples and those of the motion share no row."""
+    if kind == "tour":
+        log = tour_log(PLAIN, MASS, CENTER, INERTIA, dwell=2.5, walk=1e-4, seed=1)[0]
+    else:
+        log = swing_log(PLAIN, MASS, CENTER, INERTIA)
+    plain, found = (tw.identify_tool(PLAIN, one) for one in (log, apart(log, 20_000)))
+    assert found.verdict.usable
+    body = plain.layout.body
+    std = np.sqrt(np.diag(plain.covariance)[body])
+    assert np.abs((found.theta - plain.theta)[body] / std).max() < 0.2

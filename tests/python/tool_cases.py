@@ -235,3 +235,22 @@ def write_log(path: Path, log: Log) -> Path:
     columns |= dict(zip(("qw", "qx", "qy", "qz"), log.attitude.T, strict=True))
     write_table(path, columns)
     return path
+
+
+def apart(log: Log, by_ns: int) -> Log:
+    """The samples of the sensor on rows of their own, so much later, as topics of a recording have them."""
+    sensed = np.isfinite(log.raw).all(axis=1)
+    stamps = np.concatenate([log.time_ns, log.time_ns[sensed] + by_ns])
+    order, rows = np.argsort(stamps), len(log.time_ns)
+    changed: dict[str, Any] = {"time_ns": stamps[order]}
+    for name in ("raw", "twist", "gravity", "attitude", "position", "velocity"):
+        values = getattr(log, name)
+        if values is None:
+            continue
+        out = np.full((len(stamps), values.shape[1]), np.nan)
+        if name == "raw":
+            out[rows:] = values[sensed]
+        else:
+            out[:rows] = values
+        changed[name] = out[order]
+    return replace(log, **changed)

@@ -32,6 +32,7 @@ _LOG_MASS, _CENTER, _GYRATION = 1.0, 0.1, 0.01  # 1 sigma of the broad body: 1, 
 _LEAST_GAIN = 1e-4  # 1 sigma of the gains that the estimator is given at least, normalised
 _TOLD = 1e-6  # information of a direction in units of its prior: below, it is rounding
 _WINDOW = 0.15  # [s] of the derivative for the start
+_GAP = 0.1  # [s] across which a stream is read on the rows of another, for the start: tolerance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,8 +237,8 @@ def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
     back = np.linalg.pinv(gain)
     for k, log in enumerate(logs):
         for rows, nu, a, g in measured_motions(rig, log):
-            w = rig.sensor.sign * log.raw[rows] @ back.T
-            know = np.isfinite(w).all(axis=1)
+            w = rig.sensor.sign * on_rows(log, log.raw, rows) @ back.T
+            know = np.isfinite(np.column_stack([w, g])).all(axis=1)
             if know.sum() < 3:
                 continue
             Y = regressor(nu[know], a[know], g[know])
@@ -260,6 +261,26 @@ def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
     return np.concatenate([near[:4], inertia_of(mass, np.clip(near[4:], -0.25, 0.25))])
 
 
+def on_rows(log: Log, values: Array, rows: NDArray[np.int64]) -> Array:
+    """Values (N, k) at some rows; where a stream has rows of its own, on a line between those on both sides.
+
+    NaN across more than `_GAP`. For starts: the estimator reads every stream at its own stamps.
+    """
+    out = values[rows].copy()
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    lacking = ~np.isfinite(out).all(axis=1)
+    if not lacking.any() or known.size < 2:
+        return out
+    time, at = log.time[known], log.time[rows[lacking]]
+    after = np.clip(np.searchsorted(time, at), 1, known.size - 1)
+    before, step = after - 1, time[after] - time[after - 1]
+    share = (at - time[before]) / step
+    line = (1.0 - share)[:, None] * values[known[before]] + share[:, None] * values[known[after]]
+    line[(share < 0.0) | (share > 1.0) | (step > _GAP)] = np.nan
+    out[lacking] = line
+    return out
+
+
 def measured_motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array, Array, Array]]:
     """Rows, twist of the sensor's origin, its derivative and free fall there, piece by piece."""
     out: list[tuple[NDArray[np.int64], Array, Array, Array]] = []
@@ -278,8 +299,7 @@ def measured_motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array,
     if imu:
         assert log.specific_force is not None
         rows = rows[np.isfinite(log.specific_force[rows]).all(axis=1)]
-    elif log.gravity is not None:
-        rows = rows[np.isfinite(log.gravity[rows]).all(axis=1)]
+    fall = np.zeros((len(log.time), 3)) if log.gravity is None or imu else log.gravity
     for piece in segments(log.time[rows]):
         at = rows[piece]
         if at.size < 7:
@@ -294,8 +314,7 @@ def measured_motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array,
             zero = np.zeros_like(force)
             out.append((at, np.column_stack([zero, smooth]), np.column_stack([force, rate]), zero))
         else:
-            fall = np.zeros((at.size, 3)) if log.gravity is None else log.gravity[at]
-            out.append((at, smooth, rate, fall))
+            out.append((at, smooth, rate, on_rows(log, fall, at)))
     return out
 
 

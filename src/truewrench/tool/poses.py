@@ -140,7 +140,9 @@ def _pieces(rig: Rig, log: Log) -> tuple[list[Rows], list[Rows], NDArray[np.bool
     still = _still(rig, log)
     rest = sensed & ~alone
     moves = rest & ~still
-    seconds = np.where(moves, np.minimum(np.diff(time, prepend=time[:1]), APART), 0.0)
+    since = np.zeros(len(time))
+    since[sensed] = np.diff(time[sensed], prepend=time[sensed][:1])
+    seconds = np.where(moves, np.minimum(since, APART), 0.0)
     pieces = [np.array([row]) for row in np.flatnonzero(alone & still)]
     return pieces, _dwells(time, rest & still, rest), rest, seconds
 
@@ -180,22 +182,42 @@ def _runs(time: Array, rows: Rows) -> list[Rows]:
 
 def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:
     """Rows at which nothing moves, as far as the measurements of motion tell."""
-    motion, still = rig.motion, np.ones(len(log.time_ns), dtype=bool)
+    motion, values, bias = rig.motion, log.twist, 0.0
     if motion.source == "joints":
-        if log.velocity is not None:
-            limit = STILL * motion.noise_array + CREEP if motion.noise is not None else 2.0 * CREEP
-            still &= ~(np.abs(np.nan_to_num(log.velocity)) > limit).any(axis=1)
-        elif log.position is not None:
-            still &= ~_changing(log.time, log.position)
+        values = log.velocity
+        if values is None and log.position is not None:
+            quiet = np.logical_not(_changing(log.time, log.position))
+            return _between(log.time, _any(log.position), quiet)
     elif motion.source == "imu":
-        if log.angular_velocity is not None:
-            bias = STILL * (motion.gyro_bias_prior or 0.0)
-            limit = STILL * motion.noise_array + CREEP + bias
-            still &= ~(np.abs(np.nan_to_num(log.angular_velocity)) > limit).any(axis=1)
-    elif log.twist is not None:
-        limit = STILL * motion.noise_array + CREEP
-        still &= ~(np.abs(np.nan_to_num(log.twist)) > limit).any(axis=1)
-    return still
+        values, bias = log.angular_velocity, STILL * (motion.gyro_bias_prior or 0.0)
+    if values is None:
+        return np.ones(len(log.time_ns), dtype=bool)
+    limit = STILL * motion.noise_array + CREEP + bias if motion.noise is not None else 2.0 * CREEP
+    fast = (np.abs(np.nan_to_num(values)) > limit).any(axis=1)
+    return _between(log.time, _any(values), np.logical_not(fast))
+
+
+def _any(values: Array) -> NDArray[np.bool_]:
+    """Rows with a value: parts of an arm may have rows of their own."""
+    return np.asarray(np.isfinite(values).any(axis=1))
+
+
+def _between(time: Array, known: NDArray[np.bool_], quiet: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether rows are still: those of the motion as they are, others where the motion's on both sides are.
+
+    Of rows `APART` from any of the motion nothing tells that something moved.
+    """
+    rows = np.flatnonzero(known)
+    if rows.size in (0, len(time)):
+        return quiet
+    out = quiet.copy()
+    others = np.flatnonzero(~known)
+    after = np.searchsorted(rows, others)
+    for side in (after - 1, after):
+        at = rows[np.clip(side, 0, rows.size - 1)]
+        near = np.abs(time[at] - time[others]) < APART
+        out[others] &= quiet[at] | ~near
+    return out
 
 
 def _changing(time: Array, values: Array) -> NDArray[np.bool_]:
@@ -269,7 +291,7 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
         stamps[i] = (int(log.time_ns[rows[0]]) + int(log.time_ns[rows[-1]])) // 2
         seconds[i] = log.time[rows[-1]] - log.time[rows[0]]
         assert turn is not None
-        told = turn[rows][np.isfinite(turn[rows][:, 0, 0])]
+        told = turn[_around(log.time, rows, np.isfinite(turn[:, 0, 0]))]
         if not len(told):
             expected = "gx gy gz, qw qx qy qz, joints or an IMU, which tell the direction of gravity"
             raise InputError.at(log.path, place, "a pose without attitude", expected)
@@ -278,6 +300,16 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
         if warm is not None:
             temperature[i] = warm[rows].mean()
     return Poses(np.full(len(pieces), k), stamps, seconds, raw, variance, R, temperature)
+
+
+def _around(time: Array, rows: Rows, known: NDArray[np.bool_]) -> Rows:
+    """Rows that are known while others last; where none is, the nearest less than `APART` away."""
+    inside = np.arange(rows[0], rows[-1] + 1)
+    if known[inside].any():
+        return inside[known[inside]]
+    at = np.flatnonzero(known)
+    away = np.abs(time[at] - time[rows[0]])
+    return at[away == away.min(initial=np.inf)][:1] if away.min(initial=np.inf) < APART else at[:0]
 
 
 def _attitudes(rig: Rig, log: Log) -> Array:

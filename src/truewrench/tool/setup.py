@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import free_fall
-from truewrench.tool.motion import measured_motions, regressor
+from truewrench.tool.motion import measured_motions, on_rows, regressor
 from truewrench.tool.poses import Poses
 from truewrench.tool.recipe import Recipe, recipe
 
@@ -108,8 +108,8 @@ def _moved(
     back = np.linalg.pinv(rig.sensor.nominal_gain_array)
     for k, log in enumerate(logs):
         for at, nu, a, g in measured_motions(rig, log):
-            w = rig.sensor.sign * log.raw[at] @ back.T
-            known = np.isfinite(w).all(axis=1)
+            w = rig.sensor.sign * on_rows(log, log.raw, at) @ back.T
+            known = np.isfinite(np.column_stack([w, g])).all(axis=1)
             w = w[known] if turn is None else turn(w[known])
             Y = regressor(nu[known], a[known], 0.0 * g[known] if weightless else g[known])
             own = np.zeros((len(Y), 6, 6 * len(logs)))
