@@ -122,8 +122,13 @@ class Incremental {
   std::int64_t blocks() const { return blocks_; }    // completed
   std::int64_t samples() const { return samples_; }  // that left the lag
   std::int64_t masked_samples() const { return masked_samples_; }
-  int dropped() const { return dropped_; }         // stretches too short
-  bool unresolved() const { return unresolved_; }  // (10.7) still falls at the finest h that was tried
+  int dropped() const { return dropped_; }  // stretches too short
+  // (10.7) still falls at one knot a sample; or at the finest h that memory is for, beside more noise than stated: what these
+  // knots do not follow is in it
+  bool unresolved() const {
+    return at_finest_ &&
+           (h_ <= 1.01 * motion_period_ || lag_.sizes.raw_factor.maxCoeff() > constants::noise_told);
+  }
   Status status() const { return status_; }
   double spacing() const { return h_; }
   const Eigen::VectorXd& theta() const { return lag_.theta; }
@@ -183,7 +188,7 @@ class Incremental {
   double period_ = 0.0, motion_period_ = 0.0;  // [s] as the stretch began with
   double limit_ = 0.0;                         // [s] end of a stretch that is over
   bool imitated_ = false, told_ = false;       // this log, an earlier one: see DelaySums
-  bool standing_ = false, ready_ = false, unresolved_ = false, first_stretch_ = true, first_log_ = true,
+  bool standing_ = false, ready_ = false, at_finest_ = false, first_stretch_ = true, first_log_ = true,
        chosen_ = false;
   double h_ = 0.0, coarsest_ = constants::knot_spacing;
   std::int64_t blocks_ = 0, samples_ = 0, masked_samples_ = 0;

@@ -131,7 +131,7 @@ inline void Incremental::choose_spacing(double origin, bool partial) {
     }
   }
   h_ = ladder[now];
-  unresolved_ = count > 1 && now + 1 == count;
+  at_finest_ = count > 1 && now + 1 == count;
   chosen_ = true;
 }
 
