@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from record_cases import light_rig
 
 import truewrench as tw
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.estimator import estimate
+from truewrench.model.payload import payload_wrench
 
 BASE: dict[str, Any] = {
     "sensor": {
@@ -145,3 +147,33 @@ def test_a_log_too_short_beside_a_long_one_is_named(run: Any, estimator: Any) ->
 def test_any_gain_prior_ends_in_a_verdict(run: Any, prior: float) -> None:
     found = tw.calibrate(_rig(gain_prior=prior), run.log, held_out=False)
     assert found.verdict.usable or found.verdict.reasons
+
+
+@pytest.mark.parametrize("rest", [2.5, 6.0])
+def test_online_waits_for_the_motion(rest: float) -> None:
+    """An arm rests before it starts: sizes found at rest took its motion for noise of the velocities."""
+    rig = light_rig(seconds=10, rate=100, discrepancy=0, time_offset_prior=5e-3)
+    run = tw.simulate(rig)
+    rng, rate = np.random.default_rng(0), 100.0
+    time = np.arange(round((rest + 9.0) * rate)) / rate
+    u = np.clip((time - rest) / 2.0, 0.0, 1.0)
+    speed = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)  # of the simulated motion: from rest to as it was in 2 s
+    at = np.cumsum(speed) / rate
+    nu, a = run.trajectory.twist(at), run.trajectory.acceleration(at)
+    acceleration = a * speed[:, None] ** 2 + nu * np.gradient(speed, time)[:, None]
+    twist, none = nu * speed[:, None], np.zeros((time.size, 3))
+    raw = (
+        payload_wrench(rig, next(iter(rig.payloads)), twist, acceleration, none) @ run.truth.gain.T
+        + run.truth.offset
+    )
+    log = replace(
+        run.log,
+        time_ns=np.round(time * 1e9).astype(np.int64),
+        raw=raw + rng.normal(size=raw.shape) * rig.sensor.noise_array,
+        twist=twist + rng.normal(size=twist.shape) * rig.motion.noise_array,
+    )
+    whole, live = (estimate(rig, [log], online=online) for online in (False, True))
+    assert (_sigma(live) / _sigma(whole)).max() < 1.2
+    unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
+    error = ((live.gain - run.truth.gain) * unit).ravel()
+    assert error @ np.linalg.solve(live.normalised_covariance[:36, :36], error) / 36.0 < 1.8

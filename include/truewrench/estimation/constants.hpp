@@ -16,9 +16,7 @@ inline constexpr double gather_window =
 inline constexpr double jacobian_spread =
     1e-3;  // of the motion's information in an interval, that a shared Jacobian may leave out: of 168 clean records of wrench motions and
            // tumbling wrong 2 -> 0, NEES 1.32 -> 0.99; 0.01 left 1
-inline constexpr double smoothness_start = 1e3;  // q, SI: tolerance
-inline constexpr double smoothness_waiting =
-    1e-6;  // the same while samples arrive: what rested may move yet; of 10 SPDM arms one held still, its motion taken for noise
+inline constexpr double smoothness_start = 1e3;    // q, SI: tolerance
 inline constexpr double smoothness_least = 1e-12;  // q's, by the rows of R against a sample's own: tolerance
 inline constexpr double freedom = 4.0;             // of the Student-t weights: 1 % of spikes at NEES 1.03
 inline constexpr double mask_weight = 0.3;         // share of clean samples masked: 0.0003 of six channels

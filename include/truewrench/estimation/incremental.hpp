@@ -302,6 +302,7 @@ class Incremental {
   Status advance() noexcept;
   double covered() const;  // [s] to where all streams have come
   Status start(bool partial) noexcept;
+  bool resting() noexcept;
   void choose_spacing(double origin, bool partial);
   long blocks_of(double origin, double h, bool partial) const;
   void lay(double origin, double h, bool partial);
@@ -310,6 +311,7 @@ class Incremental {
   Status arrive(bool last) noexcept;
   bool sweep(long leaving, bool last);
   bool run(int most, bool last);
+  bool surprised();
   Status hop() noexcept;
   void abandon(Status status) noexcept;
   void drop_samples() noexcept {  // that wait

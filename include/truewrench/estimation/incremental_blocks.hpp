@@ -135,10 +135,39 @@ inline void Incremental::choose_spacing(double origin, bool partial) {
   chosen_ = true;
 }
 
-// The first lag of a stretch.
+// Whether no stream of the motion has moved by more than noise that would be told.
+inline bool Incremental::resting() noexcept {
+  for (std::size_t i = 0; i < lag_.streams(); ++i) {
+    const auto& rows = motion_[i];
+    for (int j = 0; j < kComponents; ++j) {
+      const auto ju = static_cast<std::size_t>(j);
+      double n = 0.0, mean = 0.0, squares = 0.0;  // Welford's
+      for (long k = rows.begin(); k < rows.end(); ++k) {
+        const double x = rows[k].value[ju];
+        if (!std::isfinite(x)) continue;
+        const double d = x - mean;
+        mean += d / ++n;
+        squares += d * (x - mean);
+      }
+      const double most = constants::noise_told * lag_.about().motion[i].sigma[j];
+      if (squares > most * most * n) return false;
+    }
+  }
+  return true;
+}
+
+// The first lag of a stretch. The first of all begins with the motion: what rests tells no gain, and its sizes are those of rest.
 inline Status Incremental::start(bool partial) noexcept {
   period_ = raw_period();
   motion_period_ = motion_period();
+  if (!partial && first_log_ && first_stretch_ && resting()) {
+    const double later = common_begin() + 0.5 * settings_.lag;
+    while (!raw_.empty() && raw_[raw_.begin()].time < later) raw_.drop_before(raw_.begin() + 1);
+    for (std::size_t i = 0; i < lag_.streams(); ++i)
+      while (!motion_[i].empty() && motion_[i][motion_[i].begin()].time < later)
+        motion_[i].drop_before(motion_[i].begin() + 1);
+    return Status::ok;
+  }
   const double origin = common_begin() - 0.5 * period_;
   while (!raw_.empty() && raw_[raw_.begin()].time < origin) raw_.drop_before(raw_.begin() + 1);
   for (std::size_t i = 0; i < lag_.streams(); ++i)
@@ -301,12 +330,30 @@ inline SizeSums Incremental::window_sums(long from) const {
   return out;
 }
 
+// Whether the motion's rows depart from it by more than noise that would be told: what rested when the sizes were found has
+// begun to move.
+inline bool Incremental::surprised() {
+  const SizeSums now = lag_.departures(past_);
+  for (std::size_t i = 0; i < lag_.streams(); ++i)
+    for (Eigen::Index r = 0; r < lag_.sizes.motion_factor[i].size(); ++r) {
+      const auto g = static_cast<std::size_t>(r);
+      const double most = constants::noise_told * lag_.sizes.motion_factor[i][r];
+      if (now.motion[i][g] > most * most * now.motion_count[i][g]) return true;
+    }
+  return false;
+}
+
 // Two lags are full: linearise all of them at what is known now; the older one
 // leaves.
 inline Status Incremental::hop() noexcept {
   const long first = lag_.first(), leaving = lag_blocks(h_);
   lag_.back(first);
-  if (hops_ < 2 && !run(hops_ == 0 ? 6 : 1, false)) return status_ = Status::not_factorizable;
+  int steps = hops_ == 0 ? 6 : hops_ == 1 ? 1 : 0;
+  if (surprised()) {  // from START's q again: small q hold the motion, and it is taken for noise
+    lag_.sizes.q = lag_.sizes.q.cwiseMax(constants::smoothness_start);
+    steps = 6;
+  }
+  if (steps > 0 && !run(steps, false)) return status_ = Status::not_factorizable;
   for (long g = first; g < lag_.end(); ++g) {
     lag_.predict(g);
     lag_.reweigh(g);

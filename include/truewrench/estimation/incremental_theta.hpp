@@ -164,8 +164,8 @@ inline double Incremental::resize(const SizeSums& sums) {
   for (int j = 0; j < kComponents; ++j) {
     const auto ju = static_cast<std::size_t>(j);
     const double size = sums.knots + kDegree5 - smoothness_order(lag_.about().source, j);
-    const double to = smoothness_found(lag_.about(), j, lag_.h(), sums.energy[ju],
-                                       size - sums.energy_trace[ju], constants::smoothness_waiting);
+    const double to =
+        smoothness_found(lag_.about(), j, lag_.h(), sums.energy[ju], size - sums.energy_trace[ju]);
     const double ratio = std::clamp(to / z.q[j], 1e-3, 1e3);
     z.q[j] *= ratio;
     move = std::max(move, 0.5 * std::abs(std::log(ratio)));

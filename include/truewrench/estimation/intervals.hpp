@@ -37,13 +37,13 @@ inline int smoothness_order(Source source, int component) {
 
 // q of a component by (10.6), from e^T R e and what is left of its coefficients; at least so much that the rows of R stay within
 // bounds beside a sample's own: where nothing moved q would fall until nothing could be factored.
-inline double smoothness_found(const RecordedLog& log, int component, double h, double energy, double left,
-                               double least = constants::smoothness_least) {
+inline double smoothness_found(const RecordedLog& log, int component, double h, double energy, double left) {
   double sample = std::numeric_limits<double>::infinity();
   for (const MotionStream& m : log.motion)
     sample = std::min(sample, std::pow(m.sigma[component] * std::pow(h, m.derivative), 2.0));
-  return std::max(energy / std::max(left, 1.0),
-                  least * sample * std::pow(h, 1 - 2 * smoothness_order(log.source, component)));
+  return std::max(
+      energy / std::max(left, 1.0),
+      constants::smoothness_least * sample * std::pow(h, 1 - 2 * smoothness_order(log.source, component)));
 }
 
 // Places of p <= q among the products of up to three derivatives.

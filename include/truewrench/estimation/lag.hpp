@@ -210,6 +210,7 @@ class Lag {
   // Linearise a block as predicted and weighted and eliminate it; `last`: with
   // all motion rows that remain. False where it cannot be factored.
   bool eliminate(Front& f, long g, bool last);
+  SizeSums departures(const Front& f);
   // theta's information with the first block that remains eliminated too, as in
   // set_front(); log |H|.
   double terminal(const Front& f, Eigen::MatrixXd& S);

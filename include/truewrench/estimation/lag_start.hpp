@@ -128,8 +128,7 @@ class LagStart {
       for (int j = 0; j < kComponents; ++j) {
         const auto ju = static_cast<std::size_t>(j);
         const double size = static_cast<double>(N) - smoothness_order(lag.about().source, j);
-        const double to = smoothness_found(lag.about(), j, lag.h(), energy[ju], size - trace[ju] / z.q[j],
-                                           constants::smoothness_waiting);
+        const double to = smoothness_found(lag.about(), j, lag.h(), energy[ju], size - trace[ju] / z.q[j]);
         move = std::max(move, std::abs(std::log(to / z.q[j])));
         z.q[j] *= std::clamp(to / z.q[j], 1e-3, 1e3);
       }

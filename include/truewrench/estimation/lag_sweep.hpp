@@ -154,6 +154,30 @@ inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
   for (int i = 0; i < kWidth; ++i) panel[i * ld_ + kTheta + nt_] += sign * Hx[i];
 }
 
+// Squares of the motion's rows about the motion as it stands, from where a front has eliminated on.
+inline SizeSums Lag::departures(const Front& f) {
+  SizeSums sums;
+  auto next = f.next;
+  double xx[2 * kWidth];
+  Placed at;
+  for (long g = first(); g < end(); ++g) {
+    coefficients(g, xx);
+    for (std::size_t i = 0; i < streams_; ++i)
+      for (; next[i] < motion_[i].end(); ++next[i]) {
+        const MotionRow& row = motion_[i][next[i]];
+        if (!placed(i, row, g, false, xx, at)) break;
+        for (int j = 0; j < kComponents; ++j) {
+          if (row.have[static_cast<std::size_t>(j)] == 0.0) continue;
+          const auto group = static_cast<std::size_t>(about_.motion[i].group[j]);
+          const double sigma = about_.motion[i].sigma[j];
+          sums.motion[i][group] += row.size * at.residual[j] * at.residual[j] / (sigma * sigma);
+          sums.motion_count[i][group] += 1.0;
+        }
+      }
+  }
+  return sums;
+}
+
 inline bool Lag::eliminate(Front& f, long g, bool last) {
   refresh();
   Block& B = block(g);
