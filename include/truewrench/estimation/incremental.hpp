@@ -303,6 +303,7 @@ class Incremental {
   double covered() const;  // [s] to where all streams have come
   Status start(bool partial) noexcept;
   bool resting() noexcept;
+  void forget_until(double time) noexcept;
   void choose_spacing(double origin, bool partial);
   long blocks_of(double origin, double h, bool partial) const;
   void lay(double origin, double h, bool partial);

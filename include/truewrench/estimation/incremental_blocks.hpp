@@ -135,6 +135,14 @@ inline void Incremental::choose_spacing(double origin, bool partial) {
   chosen_ = true;
 }
 
+// Samples that wait, up to a time.
+inline void Incremental::forget_until(double time) noexcept {
+  while (!raw_.empty() && raw_[raw_.begin()].time < time) raw_.drop_before(raw_.begin() + 1);
+  for (std::size_t i = 0; i < lag_.streams(); ++i)
+    while (!motion_[i].empty() && motion_[i][motion_[i].begin()].time < time)
+      motion_[i].drop_before(motion_[i].begin() + 1);
+}
+
 // Whether no stream of the motion has moved by more than noise that would be told.
 inline bool Incremental::resting() noexcept {
   for (std::size_t i = 0; i < lag_.streams(); ++i) {
@@ -161,18 +169,11 @@ inline Status Incremental::start(bool partial) noexcept {
   period_ = raw_period();
   motion_period_ = motion_period();
   if (!partial && first_log_ && first_stretch_ && resting()) {
-    const double later = common_begin() + 0.5 * settings_.lag;
-    while (!raw_.empty() && raw_[raw_.begin()].time < later) raw_.drop_before(raw_.begin() + 1);
-    for (std::size_t i = 0; i < lag_.streams(); ++i)
-      while (!motion_[i].empty() && motion_[i][motion_[i].begin()].time < later)
-        motion_[i].drop_before(motion_[i].begin() + 1);
+    forget_until(common_begin() + 0.5 * settings_.lag);
     return Status::ok;
   }
   const double origin = common_begin() - 0.5 * period_;
-  while (!raw_.empty() && raw_[raw_.begin()].time < origin) raw_.drop_before(raw_.begin() + 1);
-  for (std::size_t i = 0; i < lag_.streams(); ++i)
-    while (!motion_[i].empty() && motion_[i][motion_[i].begin()].time < origin)
-      motion_[i].drop_before(motion_[i].begin() + 1);
+  forget_until(origin);
   if (!chosen_) choose_spacing(origin, partial);
   if (!std::isfinite(fit_first(origin, h_, partial))) {
     drop_samples();
