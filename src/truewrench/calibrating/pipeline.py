@@ -98,9 +98,8 @@ def calibrate(
     records = [logs] if isinstance(logs, Log) else list(logs)
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
-    records = [unwrapped(rig, log) for log in records]
-    if estimator in ("map", "online"):
-        records = [without_repeats(log) for log in records]
+    if estimator in ("map", "online"):  # `tracked` unwraps those of the others
+        records = [without_repeats(unwrapped(rig, log)) for log in records]
     _check_supported(rig, estimator)
     _check_options(
         estimator,

@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from truewrench.inspection.log import LogContent
+from truewrench.inspection.log import ColumnContent, LogContent
 from truewrench.inspection.recording import RecordingContent, StreamContent
 
 __all__ = ["log_summary", "recording_summary"]
@@ -36,13 +36,7 @@ def recording_summary(content: RecordingContent) -> Iterator[RenderableType]:
         for stream in topic.streams:
             streams.add_row(Text(f"{topic.topic}: {_named(stream)}"), *_figures(stream))
             for column in stream.columns:
-                columns.add_row(
-                    Text(column.name),
-                    f"{column.smallest:.6g}",
-                    f"{column.largest:.6g}",
-                    str(column.numbers),
-                    str(column.nan),
-                )
+                columns.add_row(*_range(column), str(column.nan))
     yield topics
     if columns.rows:
         yield streams
@@ -69,14 +63,7 @@ def log_summary(content: LogContent) -> Iterator[RenderableType]:
     columns = _table("Columns", ["column", "smallest", "largest", "numbers", "empty", "NaN"])
     for stream in content.streams:
         for column in stream.columns:
-            columns.add_row(
-                Text(column.name),
-                f"{column.smallest:.6g}",
-                f"{column.largest:.6g}",
-                str(column.numbers),
-                str(column.empty),
-                str(column.nan),
-            )
+            columns.add_row(*_range(column), str(column.empty), str(column.nan))
     yield columns
     if content.unknown:
         yield Text(f"Columns without a meaning here: {', '.join(content.unknown)}")
@@ -92,6 +79,15 @@ def _figures(stream: StreamContent) -> list[str]:
         f"{longest:.4g}" if stream.gaps else "-",
         str(stream.late),
     ]
+
+
+def _range(column: ColumnContent) -> tuple[Text, str, str, str]:
+    return (
+        Text(column.name),
+        f"{column.smallest:.6g}",
+        f"{column.largest:.6g}",
+        str(column.numbers),
+    )
 
 
 def _named(stream: StreamContent) -> str:
