@@ -123,8 +123,7 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
   OnlineEstimate out;
   std::vector<int> short_of(logs.size(), 0);  // stretches too short, as Estimator::run counts them
   for (std::size_t l = 0; l < logs.size(); ++l) {
-    const double coarsest =
-        std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*logs[l]));
+    const double coarsest = coarsest_spacing(motion_period(*logs[l]));
     if (pieces_of(*logs[l], coarsest, short_of[l]).empty()) out.status = Status::wrong_size;
   }
   if (out.status != Status::ok) {

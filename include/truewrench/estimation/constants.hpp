@@ -2,6 +2,8 @@
 // sets, or the word "tolerance". Python reads them.
 #pragma once
 
+#include <algorithm>
+
 namespace truewrench::constants {
 
 inline constexpr double knot_spacing =
@@ -61,6 +63,10 @@ inline constexpr double robust_weight(int channels, double chi2) {
 // From how much information of the data alone a parameter is told.
 inline constexpr double told(double prior) {
   return 1.0 / (constants::undetermined * prior * constants::undetermined * prior);
+}
+// h of (10.2) at its coarsest, for this period of the motion [s].
+inline constexpr double coarsest_spacing(double period) {
+  return std::max(constants::knot_spacing, constants::periods_per_knot * period);
 }
 inline constexpr double masked_chi2(int channels) {
   return (constants::freedom + channels) / constants::mask_weight - constants::freedom;

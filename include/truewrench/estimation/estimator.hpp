@@ -57,8 +57,7 @@ class Estimator {
     for (std::size_t l = 0; l < count; ++l) {
       out.status = check_walk(*whole_[l]);
       if (out.status != Status::ok) return out;
-      const double coarsest =
-          std::max(constants::knot_spacing, constants::periods_per_knot * motion_period(*recorded_[l]));
+      const double coarsest = coarsest_spacing(motion_period(*recorded_[l]));
       pieces_.push_back(pieces_of(*whole_[l], coarsest, out.dropped[l]));
       if (pieces_.back().empty()) {
         out.status = Status::wrong_size;

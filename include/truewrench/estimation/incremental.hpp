@@ -347,4 +347,5 @@ class Incremental {
 }  // namespace truewrench
 
 #include "truewrench/estimation/incremental_blocks.hpp"
+#include "truewrench/estimation/incremental_start.hpp"
 #include "truewrench/estimation/incremental_theta.hpp"

@@ -223,19 +223,10 @@ inline bool Lag::eliminate(Front& f, long g, bool last) {
 }
 
 inline double Lag::terminal(const Front& f, Eigen::MatrixXd& S) {
+  std::copy(f.panel.begin(), f.panel.end(), last_.begin());
   std::copy(f.T.begin(), f.T.end(), T_.begin());
-  double largest = 0.0, logdet = 0.0;
-  for (int i = 0; i < kWidth; ++i)
-    largest = std::max(largest, f.panel[static_cast<std::size_t>(i * ld_ + i)]);
-  bool told = false;
-  // the last knots see little of the samples: rounding may leave of them less than nothing
-  for (const double least : {0.0, 1e-13 * largest}) {
-    std::copy(f.panel.begin(), f.panel.end(), last_.begin());
-    for (int i = 0; i < kWidth; ++i) last_[static_cast<std::size_t>(i * ld_ + i)] += least;
-    logdet = f.logdet;
-    if ((told = dense::factor(last_.data(), ld_, kWidth, logdet))) break;
-  }
-  if (!told) return std::nan("");
+  double logdet = f.logdet;
+  if (!dense::factor(last_.data(), ld_, kWidth, logdet)) return std::nan("");
   for (int t = 0; t <= nt_; t += dense::tile_rows) {
     const int c = t & ~7;
     dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), T_.data() + t * ldt_ + c, ldt_,

@@ -79,7 +79,7 @@ inline double lasting(const std::vector<Piece>& pieces) {
 
 // The ladder of spacings: from max(0.05 s, 2.5 periods of the motion), halved down to one sample (10.2).
 inline std::vector<double> spacings(double period) {
-  std::vector<double> out{std::max(constants::knot_spacing, constants::periods_per_knot * period)};
+  std::vector<double> out{coarsest_spacing(period)};
   while (out.back() / 2.0 > 1.01 * period) out.push_back(out.back() / 2.0);
   out.push_back(period);
   return out;

@@ -1,0 +1,142 @@
+// How a stretch begins: its first lag, h, START and ROBUST on it. Included by incremental.hpp.
+#pragma once
+
+#include "truewrench/estimation/incremental.hpp"
+
+namespace truewrench {
+
+inline long Incremental::blocks_of(double origin, double h, bool partial) const {
+  const double length = partial ? limit_ - origin : lag_blocks(coarsest_) * kBlock * coarsest_;
+  return std::max(2L, static_cast<long>(std::ceil(length / (kBlock * h) - 1e-6)));
+}
+
+// All blocks of the first lag at a spacing.
+inline void Incremental::lay(double origin, double h, bool partial) {
+  const std::int64_t masked = masked_samples_;
+  raw_at_ = raw_.begin();
+  lag_.place(origin, h);
+  masked_count_ = 0;
+  for (std::size_t i = 0; i < lag_.streams(); ++i) {
+    motion_at_[i] = motion_[i].begin();
+    past_.next[i] = lag_.motion(i).begin();
+  }
+  for (const long blocks = blocks_of(origin, h, partial); lag_.end() < blocks; lag_.grow())
+    take_block(lag_.end(), partial);
+  masked_samples_ = masked + static_cast<std::int64_t>(masked_count_);
+}
+
+// START and ROBUST at a spacing; (10.7).
+inline double Incremental::fit_first(double origin, double h, bool partial) {
+  lay(origin, h, partial);
+  kept_ = lag_.sizes;
+  if (first_stretch_) {  // theta's own part, and for the first log all of it, at
+                         // the mean
+    for (int i = first_log_ ? 0 : own(); i < lag_.parameters(); ++i) {
+      lag_.theta[i] = lag_.layout().mean()[i];
+      prior_[i] = stated_[i];
+    }
+    std::fill(active_.begin(), active_.end(), char{1});
+  }
+  if (!std::isfinite(start_.motion_alone(lag_))) return std::nan("");
+  if (first_stretch_) {
+    for (long g = 0; g < lag_.end(); ++g) lag_.predict(g);
+    start_.regress(lag_, prior_, first_log_);
+  } else {
+    lag_.sizes = kept_;
+  }
+  if (!run(constants::most_iterations, partial)) return std::nan("");
+  return likelihood(partial);
+}
+
+// h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving;
+// again from there (10.2).
+inline void Incremental::choose_spacing(double origin, bool partial) {
+  std::array<double, 8> ladder{}, cost{};
+  std::size_t count = 0, now = 0, best_alone = 0;
+  for (double h = coarsest_; count < ladder.size(); h = std::max(0.5 * h, motion_period_)) {
+    if (count > 0 && blocks_of(origin, h, partial) > most_blocks_ / 2) break;  // what memory is for
+    ladder[count++] = h;
+    if (settings_.spacing > 0.0 || h <= 1.01 * motion_period_) break;
+  }
+  const auto dear = [&](std::size_t i) { return constants::halving_cost * std::log2(ladder[0] / ladder[i]); };
+  if (count > 1) {
+    double lowest = 0.0;
+    for (std::size_t i = 0; i < count; ++i) {
+      lay(origin, ladder[i], partial);
+      const double alone = start_.motion_alone(lag_) + dear(i);
+      if (i == 0 || alone < lowest) {
+        lowest = alone;
+        best_alone = i;
+      }
+    }
+    cost.fill(std::nan(""));
+    for (;;) {
+      for (const std::size_t i : {now, now + 1, best_alone})
+        if (i >= now && i < count && std::isnan(cost[i]))
+          cost[i] = fit_first(origin, ladder[i], partial) + dear(i);
+      std::size_t best = now;
+      for (std::size_t i = now; i < count; ++i)
+        if (cost[i] < cost[best] || std::isnan(cost[best])) best = i;
+      if (best <= now) break;
+      now = best;
+    }
+  }
+  h_ = ladder[now];
+  at_finest_ = count > 1 && now + 1 == count;
+  chosen_ = true;
+}
+
+// Samples that wait, up to a time.
+inline void Incremental::forget_until(double time) noexcept {
+  while (!raw_.empty() && raw_[raw_.begin()].time < time) raw_.drop_before(raw_.begin() + 1);
+  for (std::size_t i = 0; i < lag_.streams(); ++i)
+    while (!motion_[i].empty() && motion_[i][motion_[i].begin()].time < time)
+      motion_[i].drop_before(motion_[i].begin() + 1);
+}
+
+// Whether no stream of the motion has moved by more than noise that would be told.
+inline bool Incremental::resting() noexcept {
+  for (std::size_t i = 0; i < lag_.streams(); ++i) {
+    const auto& rows = motion_[i];
+    for (int j = 0; j < kComponents; ++j) {
+      const auto ju = static_cast<std::size_t>(j);
+      double n = 0.0, mean = 0.0, squares = 0.0;  // Welford's
+      for (long k = rows.begin(); k < rows.end(); ++k) {
+        const double x = rows[k].value[ju];
+        if (!std::isfinite(x)) continue;
+        const double d = x - mean;
+        mean += d / ++n;
+        squares += d * (x - mean);
+      }
+      const double most = constants::noise_told * lag_.about().motion[i].sigma[j];
+      if (squares > most * most * n) return false;
+    }
+  }
+  return true;
+}
+
+// The first lag of a stretch. The first of all begins with the motion: what rests tells no gain, and its sizes are those of rest.
+inline Status Incremental::start(bool partial) noexcept {
+  period_ = raw_period();
+  motion_period_ = motion_period();
+  if (!partial && first_log_ && first_stretch_ && resting()) {
+    forget_until(common_begin() + 0.5 * settings_.lag);
+    return Status::ok;
+  }
+  const double origin = common_begin() - 0.5 * period_;
+  forget_until(origin);
+  if (!chosen_) choose_spacing(origin, partial);
+  if (!std::isfinite(fit_first(origin, h_, partial))) {
+    drop_samples();
+    return status_ = Status::not_factorizable;
+  }
+  raw_.drop_before(raw_at_);
+  for (std::size_t i = 0; i < lag_.streams(); ++i) motion_[i].drop_before(motion_at_[i]);
+  blocks_ += lag_.end();
+  standing_ = ready_ = true;
+  first_stretch_ = false;
+  arrival_ = 0.0;
+  return Status::ok;
+}
+
+}  // namespace truewrench
