@@ -1,4 +1,4 @@
-"""Healthy problems of every sort: how often a sound record is usable, covered, refused without need, or wrong.
+"""Healthy problems of every sort: how often a sound record is usable, covered, needlessly refused, or wrong.
 
     python benchmarks/healthy.py --runs 2000 --workers 2 --out out/healthy
     python benchmarks/healthy.py --runs 2000 --workers 2 --discrepancy auto --out out/healthy

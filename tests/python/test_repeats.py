@@ -78,3 +78,52 @@ def test_few_rows_and_dead_channels_tell_nothing() -> None:
         values = np.zeros((rows, 6)) if dead else np.repeat(rng.normal(size=(rows // 4, 6)), 4, axis=0)
         log = Log(None, "default", "", np.arange(rows) * 2_000_000, values)
         assert without_repeats(log) is log
+
+
+@pytest.mark.parametrize("streams", [("twist",), ("twist", "raw"), ("raw",)])
+def test_a_stream_that_hangs_is_no_measurement(streams: tuple[str, ...]) -> None:
+    """For 0.6 s the driver publishes what it had, and then goes on."""
+    rig = light_rig(seconds=10, rate=200, discrepancy=0)
+    run = tw.simulate(rig)
+    stuck = {name: np.array(getattr(run.log, name)) for name in streams}
+    for values in stuck.values():
+        values[800:920] = values[800]
+    log = replace(run.log, **stuck)
+    left = without_repeats(log)
+    for name in ("raw", "twist"):
+        gone = np.flatnonzero(np.isnan(getattr(left, name)[:, 0]))
+        assert gone.tolist() == (list(range(801, 920)) if name in streams else [])
+    found, clean = (tw.calibrate(rig, x, held_out=False) for x in (log, run.log))
+    assert found.verdict.usable
+    assert any("hung" in note for note in found.figures["notes"])
+    std = np.sqrt(np.diag(clean.covariance)[:36]).reshape(6, 6)
+    assert np.abs((found.gain - clean.gain) / std).max() < 1.5
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)[:36]).reshape(6, 6), std, rtol=0.3)
+
+
+def test_joints_that_hang_while_one_turns_back_are_left_out_together() -> None:
+    """Of a velocity that is at its peak nothing jumps: its position does."""
+    t = np.arange(2000)[:, None] * 0.005
+    rng = np.random.default_rng(0)
+    position = np.sin(np.pi * t * [1.0, 0.8]) + 1e-5 * rng.normal(size=(2000, 2))
+    velocity = np.pi * np.array([1.0, 0.8]) * np.cos(np.pi * t * [1.0, 0.8]) + 1e-3 * rng.normal(
+        size=(2000, 2)
+    )
+    position[990:1015], velocity[990:1015] = position[990], velocity[990]
+    empty = np.full((2000, 6), np.nan)
+    log = Log(None, "default", "", np.arange(2000) * 5_000_000, empty, position=position, velocity=velocity)
+    left = without_repeats(log)
+    for values in (left.position, left.velocity):
+        assert values is not None
+        assert np.flatnonzero(np.isnan(values[:, 0])).tolist() == list(range(991, 1015))
+
+
+def test_poses_without_the_way_between_them_do_not_hang() -> None:
+    """Encoders that rest repeat themselves, and the next pose is elsewhere."""
+    t = np.arange(600) * 0.01
+    swing = 0.3 * np.sin(2.0 * np.pi * 0.3 * t)
+    poses = np.repeat([0.8, -0.5, 1.1], 100)
+    position = np.append(swing, poses)[:, None]
+    time = np.arange(900) * 10_000_000 + 5_000_000_000 * (np.maximum(np.arange(900) - 500, 0) // 100)
+    log = Log(None, "default", "", time, np.full((900, 6), np.nan), position=position)
+    assert without_repeats(log).position is position
