@@ -20,6 +20,7 @@ SMALLEST: dict[str, str] = {
     "demo_seeds.py": "--seeds 1",
     "efficiency.py": "--seeds 2",
     "grid.py": "--runs 1 --samples 2000",
+    "healthy.py": "--runs 2",
     "imperfect.py": "--runs 2",
     "imperfect_tools.py": "--runs 2",
     "live.py": "--duration 3 --rate 200",

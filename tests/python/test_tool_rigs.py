@@ -187,8 +187,13 @@ def test_poses_can_be_planned_as_it_stands(name: str, tmp_path: Path) -> None:
     assert told["predicted"]["mass_std"] < 0.02 * told["expected"]["mass"]
 
 
+OFTEN = ("fr3_tool", "ur5e_tool")  # one of each maker; `make test-benchmarks` has the others
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", robots.TOOL_RIGS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(x, marks=() if x in OFTEN else pytest.mark.campaign) for x in robots.TOOL_RIGS]
+)
 def test_planned_poses_find_the_tool_that_the_arm_carries(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

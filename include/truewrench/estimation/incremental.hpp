@@ -1,24 +1,20 @@
-// The estimator as samples arrive (METHOD 10.6): the same model on a fixed lag
-// of blocks, fixed memory, no allocation after construction, status codes in
-// place of exceptions. For a control loop, without Python.
+// The estimator as samples arrive (METHOD 10.6): the same model on a fixed lag of blocks, fixed memory, no allocation after
+// construction, status codes in place of exceptions. For a control loop, without Python (examples/control_loop.cpp):
 //
-//   Incremental online(statement, about, {});            // about: a log
-//   without samples online.push_motion(0, t, twist);                     // as
-//   they come, each stream with its own stamps online.push_raw(t, raw,
-//   R_sensor_root); if (online.ready()) use(online.gain(),
-//   online.covariance()); online.finish();
+//     Incremental online(statement, about, {});   // about: a log without samples
+//     online.push_motion(0, t, twist);            // as they come, each stream with its own stamps
+//     online.push_raw(t, raw, R_sensor_root);
+//     if (online.ready()) use(online.gain(), online.covariance());
+//     online.finish();
 //
-// The first lag is fitted like a record: h by (10.7), START, ROBUST
-// (10.2, 10.3). From there a completed block of five knots is eliminated once
-// as it comes, and once a lag the last two lags are linearised anew at theta as
-// it stands: the older one, its mask set, leaves for good, the newer stays with
-// robust weights. What left is a Gaussian on (next block, theta), and running
-// sums give sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No
-// steps, no repair, no discrepancy in the fit. It decides forward only.
+// The first lag is fitted like a record: h by (10.7), START, ROBUST (10.2, 10.3). From there a completed block of five knots is
+// eliminated once as it comes, and once a lag the last two lags are linearised anew at theta as it stands: the older one, its mask
+// set, leaves for good, the newer stays with robust weights. What left is a Gaussian on (next block, theta), and running sums give
+// sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit. It decides forward
+// only.
 //
-// A push takes microseconds, one that completes a block some tens, once a lag
-// some hundreds; the push that completes the first lag fits it: tens of
-// milliseconds.
+// A push takes microseconds, one that completes a block some tens, once a lag some hundreds; the push that completes the first lag
+// fits it: tens of milliseconds, so that a hard loop hands its samples to another thread.
 #pragma once
 
 #include "truewrench/estimation/lag_start.hpp"

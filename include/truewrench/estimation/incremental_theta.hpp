@@ -378,6 +378,7 @@ inline void Incremental::begin_log() {
   if (first_log_) prior_ = stated_;
   active_.assign(static_cast<std::size_t>(lag_.parameters()), 1);
   left_ = SizeSums();
+  kept_ = lag_.sizes;  // in place from now on
   first_stretch_ = true;
   chosen_ = false;
   hops_ = 0;

@@ -28,6 +28,7 @@ class Products {
       : n_(channels), C_(gain_at), body_(body_at), nt_(parameters), stated_(stated) {
     for (int i = 0; i < 6; ++i) range_[i] = range[i];
     trace_ = stated.inertia(0, 0) + stated.inertia(1, 1) + stated.inertia(2, 2);
+    D.assign(static_cast<std::size_t>(6 * n_), 0.0);
   }
 
   // D, B and the body of phi at a theta.
@@ -48,7 +49,6 @@ class Products {
     body.mass = stated_.mass;
     body.center_of_mass = Vector3::Zero();
     for (int i = 0; i < 9; ++i) body.inertia.data()[i] = now.inertia.data()[i] / iota_;
-    D.assign(static_cast<std::size_t>(6 * n_), 0.0);
     times(theta + C_, D.data());
   }
   // Rows (n, 6) times B.

@@ -5,6 +5,7 @@ function(run)
 endfunction()
 run(${CMAKE_COMMAND} --install ${BUILD} --prefix ${WORK}/prefix)
 run(${CMAKE_COMMAND} -S ${CONSUMER} -B ${WORK}/build -G ${GENERATOR} -DCMAKE_MAKE_PROGRAM=${MAKE_PROGRAM}
-  -DCMAKE_CXX_COMPILER=${CXX} -DCMAKE_PREFIX_PATH=${WORK}/prefix -DEigen3_DIR=${Eigen3_DIR})
+  -DCMAKE_CXX_COMPILER=${CXX} -DEXAMPLES=${EXAMPLES} -DCMAKE_PREFIX_PATH=${WORK}/prefix -DEigen3_DIR=${Eigen3_DIR})
 run(${CMAKE_COMMAND} --build ${WORK}/build)
 run(${WORK}/build/consumer)
+run(${WORK}/build/control_loop)

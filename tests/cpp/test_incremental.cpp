@@ -1,0 +1,160 @@
+// The estimator of a control loop: honest, the same as that of the whole record, and never at a loss.
+#include "incremental_case.hpp"
+#include "truewrench/estimation/corrector_of.hpp"
+#include "truewrench/estimation/estimator.hpp"
+
+#include <gtest/gtest.h>
+
+#include <limits>
+
+namespace truewrench {
+namespace {
+
+const IncrementalSettings settings{.rate = LoopCase::motion_rate, .discrepancy = 0.0};
+
+// Error of a gain over its covariance, by the degrees of freedom.
+double nees(const Eigen::MatrixXd& found, const Eigen::MatrixXd& truth, const Eigen::MatrixXd& covariance) {
+  const RowMatrix error = found - truth;
+  const Eigen::Map<const Eigen::VectorXd> e(error.data(), error.size());
+  return e.dot(covariance.ldlt().solve(e)) / static_cast<double>(e.size());
+}
+
+TEST(Incremental, ErrorsAreAsLargeAsItSays) {
+  double sum = 0.0, rms = 0.0;
+  constexpr int seeds = 8;
+  for (unsigned seed = 0; seed < seeds; ++seed) {
+    LoopCase loop(seed);
+    Incremental online(loop.rig, loop.about, settings);
+    ASSERT_EQ(loop.feed(online, 15.0), Status::ok);
+    ASSERT_EQ(online.finish(), Status::ok);
+    ASSERT_TRUE(online.ready());
+    EXPECT_FALSE(online.unresolved());
+    sum += nees(online.gain(), loop.gain, online.covariance()) / seeds;
+    rms += (online.gain() - loop.gain).norm() / 6.0 / seeds;
+    EXPECT_LT((online.offset() - loop.offset).norm(), 1e-3);
+  }
+  // chi-square of 8 x 36 degrees of freedom, 99.8 %
+  EXPECT_GT(sum, 0.76);
+  EXPECT_LT(sum, 1.28);
+  EXPECT_LT(rms, 0.002);
+}
+
+TEST(Incremental, EndsWhereTheWholeRecordDoes) {
+  LoopCase loop(3);
+  Incremental online(loop.rig, loop.about, settings);
+  RecordedLog whole = loop.about;
+  std::vector<double> time[2];
+  std::vector<Vector6> value[2];
+  loop.run(15.0, [&](bool sensor, double t, const Vector6& v) {
+    static_cast<void>(sensor ? online.push_raw(t, v.data()) : online.push_motion(0, t, v.data()));
+    time[sensor ? 1 : 0].push_back(t);
+    value[sensor ? 1 : 0].push_back(v);
+  });
+  ASSERT_EQ(online.finish(), Status::ok);
+  const auto take = [](const std::vector<double>& t, const std::vector<Vector6>& v, Eigen::VectorXd& at,
+                       RowMatrix& rows) {
+    at = Eigen::Map<const Eigen::VectorXd>(t.data(), static_cast<Eigen::Index>(t.size()));
+    rows.resize(at.size(), 6);
+    for (std::size_t k = 0; k < v.size(); ++k) rows.row(static_cast<Eigen::Index>(k)) = v[k].transpose();
+  };
+  take(time[0], value[0], whole.motion[0].time, whole.motion[0].value);
+  take(time[1], value[1], whole.time, whole.raw);
+  Settings of_record;
+  of_record.discrepancy = 0.0;
+  const Estimate map = Estimator(std::make_shared<const Statement>(loop.rig), {&whole}, of_record).run();
+  ASSERT_EQ(map.status, Status::ok);
+  const Eigen::Map<const RowMatrix> gain(map.fit->theta.data(), 6, 6);
+  const Eigen::Map<const RowMatrix> found = online.gain();
+  const Eigen::VectorXd a = map.gain_covariance.diagonal().cwiseSqrt(),
+                        b = online.covariance().diagonal().cwiseSqrt();
+  double apart = 0.0;  // in sigma
+  for (int i = 0; i < 36; ++i) {
+    apart += std::pow((found(i / 6, i % 6) - gain(i / 6, i % 6)) / a[i], 2.0) / 36.0;
+    EXPECT_NEAR(b[i], a[i], 0.06 * a[i]) << i;
+  }
+  EXPECT_LT(std::sqrt(apart), 0.1);
+}
+
+TEST(Incremental, SaysWhatItDoesNotTake) {
+  LoopCase loop(0);
+  Incremental online(loop.rig, loop.about, settings);
+  const double nan = std::numeric_limits<double>::quiet_NaN(), inf = std::numeric_limits<double>::infinity();
+  const Vector6 value = Vector6::Constant(0.01), nothing = Vector6::Constant(nan),
+                endless = Vector6::Constant(inf);
+  EXPECT_EQ(online.push_motion(1, 0.0, value.data()), Status::wrong_size);
+  EXPECT_EQ(online.push_motion(0, nan, value.data()), Status::not_finite);
+  EXPECT_EQ(online.push_motion(0, 0.0, nothing.data()), Status::not_finite);
+  EXPECT_EQ(online.push_raw(0.0, endless.data()), Status::not_finite);
+  EXPECT_EQ(online.push_raw(inf, value.data()), Status::not_finite);
+  EXPECT_EQ(online.push_raw(1.0, value.data()), Status::ok);
+  EXPECT_EQ(online.push_raw(1.0, value.data()), Status::not_increasing);
+  EXPECT_EQ(online.push_raw(0.5, value.data()), Status::not_increasing);
+  EXPECT_FALSE(online.ready());
+  EXPECT_EQ(online.gain(), loop.rig.nominal);
+}
+
+TEST(Incremental, CorrectsAsWellAsItSays) {
+  LoopCase loop(5);
+  Incremental online(loop.rig, loop.about, settings);
+  Corrector<6> corrector;
+  const Vector6 scale = Vector6::LinSpaced(1.0, 6.0);
+  EXPECT_EQ(configure(corrector, online, scale), Status::not_configured);
+  ASSERT_EQ(loop.feed(online, 12.0), Status::ok);
+  ASSERT_EQ(online.finish(), Status::ok);
+  EXPECT_EQ(configure(corrector, online, Eigen::VectorXd::Ones(5)), Status::wrong_size);
+  ASSERT_EQ(configure(corrector, online, scale), Status::ok);
+  double squares = 0.0;
+  constexpr int samples = 500;
+  for (int k = 0; k < samples; ++k) {
+    const Vector6 w = 0.2 * oracle::normal_matrix(loop.random, 6, 1);  // of range
+    const Vector6 noise = LoopCase::noise * oracle::normal_matrix(loop.random, 6, 1);
+    const Vector6 raw = scale.cwiseProduct(loop.gain * w + loop.offset + noise);
+    Correction out;
+    ASSERT_EQ(corrector.step(raw.data(), out), Status::ok);
+    squares +=
+        (out.wrench - w.cwiseProduct(loop.rig.range)).cwiseQuotient(out.std).squaredNorm() / (6.0 * samples);
+  }
+  EXPECT_GT(squares, 0.5);  // one gain for all of them
+  EXPECT_LT(squares, 1.8);
+}
+
+TEST(Incremental, TellsNothingOfARecordThatIsTooShort) {
+  LoopCase loop(0);
+  Incremental online(loop.rig, loop.about, settings);
+  static_cast<void>(loop.feed(online, 0.3));
+  static_cast<void>(online.finish());
+  EXPECT_FALSE(online.ready());
+  EXPECT_EQ(online.samples(), 0);
+}
+
+// Whatever comes: no step back in time, no gap, no value and no silence makes it forget that it must answer.
+TEST(Incremental, OutlivesAnyStreams) {
+  for (unsigned seed = 0; seed < 6; ++seed) {
+    LoopCase loop(seed);
+    Incremental online(loop.rig, loop.about, settings);
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> uniform;
+    double late = 0.0;
+    loop.run(12.0, [&](bool sensor, double t, Vector6 value) {
+      if (uniform(random) < 2e-3) late += std::pow(10.0, 6.0 * uniform(random) - 5.0);
+      if (uniform(random) < 1e-3) late -= uniform(random);
+      const double kind = uniform(random);
+      if (kind < 0.01)
+        value[static_cast<int>(6.0 * uniform(random))] = std::numeric_limits<double>::quiet_NaN();
+      else if (kind < 0.02)
+        value *= std::pow(10.0, 300.0 * (uniform(random) - 0.5));
+      else if (kind < 0.03)
+        return;
+      static_cast<void>(sensor ? online.push_raw(t + late, value.data())
+                               : online.push_motion(0, t + late, value.data()));
+    });
+    static_cast<void>(online.finish());
+    if (online.ready() && online.status() == Status::ok) {
+      EXPECT_TRUE(online.gain().allFinite());
+      EXPECT_GE(online.covariance().diagonal().minCoeff(), 0.0);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace truewrench
