@@ -82,7 +82,7 @@ bench: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/python benchmarks/efficiency.py --seeds $(SEEDS)
 
 campaigns: $(VENV)/.built $(VENV)/.dev
-	for name in grid coverage confident rates chain; do \
+	for name in healthy grid coverage confident rates chain; do \
 	  $(BIN)/python benchmarks/$$name.py --runs $(RUNS) --workers $(WORKERS) --out out/campaigns/$$name || exit 1; done
 	$(BIN)/python benchmarks/setup_sweep.py --runs $(RUNS) --healthy $(RUNS) --end-to-end $(RUNS) \
 	  --workers $(WORKERS) --out out/campaigns/setup_sweep

@@ -165,15 +165,6 @@ def test_logged_accelerations_are_a_stream_of_their_own(settings: dict[str, Any]
     np.testing.assert_allclose(np.asarray(found.fit.sizes(0).motion_factor[1]), 1.0, atol=0.1)
 
 
-def test_specific_force_beside_a_twist_is_passed_over_and_told(settings: dict[str, Any]) -> None:
-    rig = rig_with(settings, motion={"acceleration_noise": [1e-2] * 3})
-    log = simulate(rig).log
-    log = replace(log, specific_force=np.zeros((len(log.time_ns), 3)))
-    found = recorded(rig, Assumptions.of(rig, [log]), log)
-    assert len(found.streams.motion) == 1
-    assert found.notes == ("accel_* not used: specific force is read only with `motion.source: imu`",)
-
-
 def test_samples_without_a_direction_of_gravity_are_left_out_and_told(settings: dict[str, Any]) -> None:
     rig = rig_with(settings, gravity=G, simulate={"time_offset": 0})
     log = simulate(rig).log

@@ -14,12 +14,14 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from truewrench import _core
+from truewrench.estimation.accelerometer import at_sensor, noise_at_sensor, told_acceleration
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
 from truewrench.estimation.joint_map import JointMap, joint_map
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.rig.motion import ACCELEROMETER_BIAS_PRIOR
 from truewrench.model.temperature import temperature_at
 from truewrench.motion.smooth import segments
 from truewrench.robot.attitude import attitude_of
@@ -95,18 +97,21 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = Fal
     joints = rig.motion.source == "joints"
     if rig.motion.source == "twist" or (joints and twists):
         out.source = _core.Source.twist
+        fall: Array = np.zeros((len(log.time_ns), 3))
         if joints:
             log = measured_twists(rig, log)
-            out.motion = _jacobian_streams(rig, assumptions, log)
-        else:
-            out.motion = _twist_streams(assumptions, log, notes)
         if rig.in_gravity:
             R_sensor_root = _attitude(rig, log)
+            fall = R_sensor_root.reshape(-1, 3, 3) @ assumptions.gravity
             known = np.isfinite(R_sensor_root[:, 0])
             _leave_out(
                 notes, log, known, "gx gy gz, qw qx qy qz", "the direction of gravity is not known then"
             )
             out.R_sensor_root = np.nan_to_num(R_sensor_root)
+        if joints:
+            out.motion = _jacobian_streams(rig, assumptions, log)
+        else:
+            out.motion, out.point = _twist_streams(assumptions, log, out.point, fall, notes)
     elif rig.motion.source == "imu":
         out.source = _core.Source.imu
         out.motion = _imu_streams(assumptions, log)
@@ -154,17 +159,42 @@ def _measured(log: Log, values: Array | None, expected: str) -> Array:
     return values
 
 
-def _twist_streams(assumptions: Assumptions, log: Log, notes: list[str]) -> list[_core.MotionStream]:
-    """Of the twist, and of its component-wise derivative where its noise is stated."""
+def _twist_streams(
+    assumptions: Assumptions, log: Log, point: Array, fall: Array, notes: list[str]
+) -> tuple[list[_core.MotionStream], Array]:
+    """Of the twist, and of its component-wise derivative where its noise is stated; the point of both.
+
+    Args:
+        assumptions: every number.
+        log: with the twist of a point (3,) from the sensor's origin [m].
+        point: that one.
+        fall: (N, 3) acceleration of free fall in sensor axes.
+        notes: what is said.
+    """
     twist = _measured(log, log.twist, "vx vy vz wx wy wz")
-    assert assumptions.motion_noise is not None
+    noise, sigma, acceleration = assumptions.motion_noise, assumptions.acceleration_noise, log.acceleration
+    assert noise is not None
     halves = (0, 0, 0, 1, 1, 1)
-    streams = [_stream(assumptions, log, twist, assumptions.motion_noise, halves)]
-    sigma, acceleration = assumptions.acceleration_noise, log.acceleration
+    if sigma is not None and sigma.size == 3 and log.specific_force is not None:
+        shared = noise_at_sensor(noise, point)
+        if shared is None:
+            notes.append(
+                "accel_* not used: so far from the sensor, the velocity of the centre of mass does not tell "
+                "the sensor's as well (log the twist `of: sensor`)"
+            )
+        else:
+            log = at_sensor(log, point)
+            told = told_acceleration(log, fall)
+            six = np.concatenate([sigma, np.ones(3)])
+            streams = [_stream(assumptions, log, _measured(log, log.twist, ""), shared, halves)]
+            if np.isfinite(told).any():
+                streams.append(_stream(assumptions, log, told, six, (0,) * 6, derivative=1))
+                streams[-1].bias_prior = np.repeat([ACCELEROMETER_BIAS_PRIOR, _NO_BIAS], 3)
+            return streams, np.zeros(3)
+    streams = [_stream(assumptions, log, twist, noise, halves)]
     if sigma is not None and sigma.size == 6 and acceleration is not None and np.isfinite(acceleration).any():
         streams.append(_stream(assumptions, log, acceleration, sigma, halves, derivative=1))
-    _say_unused_accelerometer(assumptions, log, notes)
-    return streams
+    return streams, point
 
 
 def _jacobian_streams(rig: Rig, assumptions: Assumptions, log: Log) -> list[_core.MotionStream]:
@@ -322,6 +352,6 @@ def _say_unused_accelerometer(assumptions: Assumptions, log: Log, notes: list[st
     if sigma is None:
         return
     if sigma.size == 3 and log.specific_force is not None:
-        notes.append("accel_* not used: specific force is read only with `motion.source: imu`")
+        notes.append("accel_* not used: specific force is not read beside joints")
     if sigma.size == 6 and log.twist is None and log.acceleration is not None:
         notes.append("ax ... alz not used: they are read only with `motion.source: twist`")

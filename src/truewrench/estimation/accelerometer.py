@@ -1,0 +1,76 @@
+"""What an accelerometer at the sensor's origin tells of a twist's derivative there.
+
+It reads f = vdot + Omega x v - g (METHOD 10.6, as of an IMU). Beside a measured twist Omega x v is known far
+better than f, so that vdot = f - Omega x v + g is a measurement of the motion's derivative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.model.log import Log
+from truewrench.motion.smooth import DEGREE, segments, uniform_spline
+
+__all__ = ["at_sensor", "noise_at_sensor", "told_acceleration"]
+
+Array = NDArray[np.float64]
+
+MOST_LENT = 0.5
+"""Of the noise of v, that the lever of Omega's may add where a twist is taken to the sensor: that both are
+independent is then wrong by a tenth."""
+
+_KNOT = 0.05  # [s] h of (10.2) at its coarsest, of the twist in Omega x v
+_SAMPLES = 3.0  # a knot at least
+
+
+def noise_at_sensor(noise: Array, point: Array) -> Array | None:
+    """1 sigma (6,) of a twist that is taken from a point to the sensor's origin.
+
+    None where Omega's noise would have too large a part in that of v.
+
+    Args:
+        noise: (6,) of [v, Omega].
+        point: (3,) from the sensor's origin [m].
+    """
+    x, y, z = noise[3:] ** 2
+    a, b, c = point**2
+    lent = np.array([c * y + b * z, c * x + a * z, b * x + a * y])
+    if (lent > MOST_LENT**2 * noise[:3] ** 2).any():
+        return None
+    return np.concatenate([np.sqrt(noise[:3] ** 2 + lent), noise[3:]])
+
+
+def at_sensor(log: Log, point: Array) -> Log:
+    """The log with its twist, of a point (3,) from the sensor's origin [m], taken to that origin."""
+    assert log.twist is not None
+    twist = log.twist.copy()
+    twist[:, :3] -= np.cross(twist[:, 3:], point)
+    return replace(log, twist=twist)
+
+
+def told_acceleration(log: Log, fall: Array) -> Array:
+    """(N, 6) vdot of the sensor's origin in sensor axes [m/s^2], NaN where nothing tells it, and NaN.
+
+    Args:
+        log: with the twist of that origin and specific force, in rows of their own or the same.
+        fall: (N, 3) acceleration of free fall in sensor axes, NaN where it is not known.
+    """
+    assert log.twist is not None
+    assert log.specific_force is not None
+    out: Array = np.full((len(log.time_ns), 6), np.nan)
+    rows = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
+    time = log.time[rows]
+    for piece in segments(time):
+        t, twist = time[piece], log.twist[rows[piece]]
+        spacing = max(_KNOT, _SAMPLES * float(np.median(np.diff(t)))) if t.size > 1 else _KNOT
+        intervals = int((t[-1] - t[0]) / spacing)
+        if intervals < 1 or t.size < intervals + DEGREE + 1:
+            continue
+        at = np.flatnonzero((log.time >= t[0]) & (log.time <= t[-1]))
+        smooth = np.column_stack([uniform_spline(t, y, intervals)(log.time[at]) for y in twist.T])
+        v, omega = smooth[:, :3], smooth[:, 3:]
+        out[at, :3] = log.specific_force[at] - np.cross(omega, v) + fall[at]
+    return out
