@@ -141,6 +141,7 @@ class Contact : public contact::Estimate {
 
   // Kernels around a moment, and the means under them.
   ContactState gather(std::int64_t moment, ContactWrench& out) noexcept {
+    if (!contact::Ring::near(moment)) return ContactState::gap;
     if (raw_.end() == 0 || motion_.end() == 0) return ContactState::waiting;
     const double s =
         settings_.time_offset;  // t_motion = t_sensor + s; what a tare adds acts through the rates

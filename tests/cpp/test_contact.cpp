@@ -174,6 +174,9 @@ TEST(Contact, BadInputIsRefused) {
   ASSERT_EQ(c.set_periods(2e-3, 2e-3), Status::ok);
   EXPECT_EQ(c.add_raw(5, raw.data()), Status::ok);
   EXPECT_EQ(c.add_raw(5, raw.data()), Status::not_increasing);
+  using Stamp = std::numeric_limits<std::int64_t>;  // whose differences are no numbers
+  EXPECT_EQ(c.add_raw(Stamp::max(), raw.data()), Status::not_increasing);
+  EXPECT_EQ(c.evaluate(Stamp::min(), out), ContactState::gap);
   const Vector6 bad = Vector6::Constant(std::numeric_limits<double>::infinity());
   EXPECT_EQ(c.add_raw(6, bad.data()), Status::not_finite);
   EXPECT_EQ(c.add_motion(6, bad, Vector3::Zero(), Matrix3::Zero()), Status::not_finite);

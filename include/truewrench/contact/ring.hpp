@@ -27,9 +27,13 @@ class Ring {
     return values_.col(static_cast<Eigen::Index>(slot(i))).data();
   }
 
+  // Of a stamp, on either side of zero [ns], so that differences are numbers: the year 2116.
+  static constexpr std::int64_t farthest = (std::int64_t{1} << 62) - 2'000'000'000;
+  static constexpr bool near(std::int64_t time) noexcept { return -farthest < time && time < farthest; }
+
   // Place for the next sample, none where its stamp does not lie after the last; keep() makes it one.
   double* next(std::int64_t time, std::int64_t mark) noexcept {
-    if (end_ > 0 && time <= this->time(end_ - 1)) return nullptr;
+    if (!near(time) || (end_ > 0 && time <= this->time(end_ - 1))) return nullptr;
     pending_time_ = time;
     pending_mark_ = mark;
     return values_.col(static_cast<Eigen::Index>(slot(end_))).data();

@@ -50,7 +50,8 @@ class ContactRows {
   template <typename Sink>
   Status feed(const ContactRow& row, Sink&& sink) noexcept {
     if (!contact.configured()) return Status::not_configured;
-    if (given_ > 0 && row.time_ns <= last_time_) return Status::not_increasing;
+    if (!contact::Ring::near(row.time_ns) || (given_ > 0 && row.time_ns <= last_time_))
+      return Status::not_increasing;
     const std::int64_t number = given_++, k = rows_;
     last_time_ = row.time_ns;
     const bool sensed = contact.add_raw(row.time_ns, row.raw, k) == Status::ok;

@@ -60,7 +60,7 @@ class Progress:
             "undetermined": [direction.words for direction in found.verdict.undetermined],
             "rms": None if found.bound is None else _finite(found.bound.rms),
             "fits": found.figures.get("fits"),
-            "knot_spacing": found.figures.get("knot_spacing"),
+            "knot_spacing": [_finite(h) for h in found.figures.get("knot_spacing") or ()],
             "gain": _lists(found.gain),
             "gain_std": _lists(found.gain_std),
             "offset": _lists(found.offset),
