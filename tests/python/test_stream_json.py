@@ -305,3 +305,21 @@ def test_calibration_from_nothing_writes_nothing(command: Any, run: Any, tmp_pat
     assert "no sample has arrived" in err
     assert not out
     assert not (tmp_path / "out").exists()
+
+
+def test_what_cannot_be_solved_ends_in_numbers_or_null(command: Any, run: Any, tmp_path: Path) -> None:
+    settings, simulated = run
+    rig_file = tmp_path / "rig.yaml"
+    rig_file.write_text(yaml.safe_dump(settings))
+    log, text = simulated.log, b""
+    for k in range(300):
+        motion = dict(zip(("vx", "vy", "vz", "wx", "wy", "wz"), log.twist[k].tolist(), strict=True))
+        row = {"time_ns": int(log.time_ns[k]), "raw": log.raw[k].tolist(), **motion}
+        if k == 150:
+            row["raw"][2] = row["vx"] = 1e250
+        text += json.dumps(row).encode() + b"\n"
+    status, out, err = command(text, "--calibrate", rig_file, "-o", tmp_path / "out")
+    assert status == 3, err
+    final = json.loads(out.splitlines()[-1], parse_constant=pytest.fail)
+    assert final["final"]
+    assert final["reasons"]
