@@ -25,7 +25,7 @@ CENTER = np.array([0.2, 0.0, 0.0])
 
 
 def with_accelerometer(rig: Rig, seed: int) -> tuple[SimulatedRun, Log]:
-    """A simulated log, and the same with what an accelerometer at the sensor reads, from noiseless velocities."""
+    """A simulated log, and the same with what an accelerometer at the sensor reads."""
     run = simulate(rig, seed=seed)
     still = simulate(
         rig.model_copy(update={"motion": rig.motion.model_copy(update={"noise": (1e-12,) * 6})}), seed=seed
@@ -66,7 +66,7 @@ def test_gains_are_better_known_and_as_well_as_they_say(
     assert np.mean(better) > 1.5  # variances: 1.8 to 2.2
 
 
-def test_one_so_far_away_that_the_lever_costs_more_than_it_tells_is_passed_over(settings: dict[str, Any]) -> None:
+def test_one_whose_lever_costs_more_than_it_tells_is_passed_over(settings: dict[str, Any]) -> None:
     body = {**settings["payloads"]["default"], "center_of_mass": [2.0, 0.0, 0.0]}
     rig = rig_with(settings, payloads={"default": body}, motion={"acceleration_noise": [1e-2] * 3})
     log = simulate(rig).log
