@@ -65,8 +65,9 @@ def told_acceleration(log: Log, fall: Array) -> Array:
     time = log.time[rows]
     for piece in segments(time):
         t, twist = time[piece], log.twist[rows[piece]]
-        spacing = max(_KNOT, _SAMPLES * float(np.median(np.diff(t)))) if t.size > 1 else _KNOT
-        intervals = int((t[-1] - t[0]) / spacing)
+        if t.size <= DEGREE + 1:
+            continue
+        intervals = int((t[-1] - t[0]) / max(_KNOT, _SAMPLES * float(np.median(np.diff(t)))))
         if intervals < 1 or t.size < intervals + DEGREE + 1:
             continue
         at = np.flatnonzero((log.time >= t[0]) & (log.time <= t[-1]))
