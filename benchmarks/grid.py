@@ -155,41 +155,52 @@ def problem(seed: int, index: int, samples: int, discrepancy: float | str = "aut
     return drawn, simulate(rig, drawn.motion, seed=1_000_003 * seed + index)
 
 
-def run(seed: int, samples: int, estimator: str, discrepancy: float | str, index: int) -> runs.Row:
-    """One row."""
-    drawn, simulated = problem(seed, index, samples, discrepancy)
+def difficulty(drawn: Drawn, truth: Any) -> runs.Row:
+    """What decides whether a problem counts: bound at its truth, condition, what no spline can follow."""
     start = time.perf_counter()
     covariance = bound_common.bound(
-        drawn.rig, drawn.motion, simulated.truth.gain, drawn.spacing, time_offset=simulated.truth.time_offset
+        drawn.rig, drawn.motion, truth.gain, drawn.spacing, time_offset=truth.time_offset
     )
     seconds = time.perf_counter() - start
-    row = runs.calibrate_row(drawn.rig, simulated.log, simulated.truth.gain, estimator=estimator)
-    sigma = np.sqrt(np.diag(covariance))
     span = drawn.rig.sensor.range_array
-    normalised = simulated.truth.gain * span / span[:, None]
     return {
         **drawn.about,
         "unresolved": motions.unresolved(
-            next(iter(simulated.truth.payloads.values())),
+            next(iter(truth.payloads.values())),
             drawn.motion,
             drawn.rig.simulate.sensor_rate,
             drawn.rig.sensor.noise_array,
         ),
         "bound": bound_common.rms(covariance),
-        "bound_max": float(sigma.max()),
-        "undetermined": float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) / drawn.rig.sensor.gain_prior,
-        "condition": float(np.linalg.cond(normalised)),
+        "bound_max": float(np.sqrt(np.diag(covariance)).max()),
+        "undetermined": undetermined(drawn.rig, covariance),
+        "condition": float(np.linalg.cond(truth.gain * span / span[:, None])),
         "bound_seconds": seconds,
-        "samples": len(simulated.log.raw),
-        **row,
     }
+
+
+def undetermined(rig: Rig, covariance: Array) -> float:
+    """Largest sigma of a direction of the gain over its prior."""
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) / rig.sensor.gain_prior
+
+
+def run(seed: int, samples: int, estimator: str, discrepancy: float | str, index: int) -> runs.Row:
+    """One row."""
+    drawn, simulated = problem(seed, index, samples, discrepancy)
+    row = difficulty(drawn, simulated.truth)
+    row["samples"] = len(simulated.log.raw)
+    return row | runs.calibrate_row(drawn.rig, simulated.log, simulated.truth.gain, estimator=estimator)
 
 
 def counts(row: runs.Row) -> bool:
     """Whether the model of a run holds and its log can teach the gain."""
+    return row["outcome"] != "fault" and suits(row)
+
+
+def suits(row: runs.Row) -> bool:
+    """The same of a problem that nobody has tried yet: its `difficulty`."""
     return (
-        row["outcome"] != "fault"
-        and not row["far"]
+        not row["far"]
         and row["bound"] < BOUND
         and row["undetermined"] < DETERMINED
         and row["condition"] < CONDITION

@@ -28,10 +28,8 @@ import confident
 import coverage
 import grid
 import imperfect
-import motions
 import numpy as np
 import runs
-from numpy.typing import NDArray
 
 import truewrench as tw
 from truewrench.model.log import Log
@@ -39,7 +37,6 @@ from truewrench.model.rig import Rig
 from truewrench.simulation.free_body import simulate
 
 Problem = tuple[str, Rig, Log, Any, float | None]  # kind, rig, log, truth, RMS of the bound
-Array = NDArray[np.float64]
 
 SAMPLES = 10_000
 TURN = ("grid", "clean", "grid", "joints", "grid", "mass as stated", "grid", "clean", "grid", "cases")
@@ -51,29 +48,10 @@ def random_rig(seed: int, index: int) -> Problem:
     """The first of the random problems of this index that counts."""
     for attempt in count():
         drawn, run = grid.problem(seed, 1000 * index + attempt, SAMPLES)
-        gain, rig = run.truth.gain, drawn.rig
-        covariance = bound_common.bound(
-            rig, drawn.motion, gain, drawn.spacing, time_offset=run.truth.time_offset
-        )
-        body = next(iter(run.truth.payloads.values()))
-        row = {
-            **drawn.about,
-            "outcome": "",
-            "bound": bound_common.rms(covariance),
-            "undetermined": undetermined(rig, covariance),
-            "condition": np.linalg.cond(gain * rig.sensor.range_array / rig.sensor.range_array[:, None]),
-            "unresolved": motions.unresolved(
-                body, drawn.motion, rig.simulate.sensor_rate, rig.sensor.noise_array
-            ),
-        }
-        if grid.counts(row):
-            return f"random, {row['kind']}", rig, run.log, run.truth, row["bound"]
+        row = grid.difficulty(drawn, run.truth)
+        if grid.suits(row):
+            return f"random, {row['kind']}", drawn.rig, run.log, run.truth, row["bound"]
     raise AssertionError
-
-
-def undetermined(rig: Rig, covariance: Array) -> float:
-    """Largest sigma of a direction of the gain over its prior."""
-    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) / rig.sensor.gain_prior
 
 
 def of_confident(kind: str, seed: int, index: int) -> Problem:
@@ -102,7 +80,7 @@ def of_cases(seed: int, index: int) -> Problem:
         if isinstance(motion, cases.SampledTwist):
             return name, rig, run.log, run.truth, None
         covariance = bound_common.bound(rig, motion, run.truth.gain, SPACING.get(name, 0.2))
-        if undetermined(rig, covariance) < grid.DETERMINED:
+        if grid.undetermined(rig, covariance) < grid.DETERMINED:
             return name, rig, run.log, run.truth, bound_common.rms(covariance)
     raise AssertionError
 

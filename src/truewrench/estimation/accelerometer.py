@@ -52,7 +52,7 @@ def at_sensor(log: Log, point: Array) -> Log:
 
 
 def told_acceleration(log: Log, fall: Array) -> Array:
-    """(N, 6) vdot of the sensor's origin in sensor axes [m/s^2], NaN where nothing tells it, and NaN.
+    """(N, 3) vdot of the sensor's origin in sensor axes [m/s^2], NaN where nothing tells it.
 
     Args:
         log: with the twist of that origin and specific force, in rows of their own or the same.
@@ -60,7 +60,7 @@ def told_acceleration(log: Log, fall: Array) -> Array:
     """
     assert log.twist is not None
     assert log.specific_force is not None
-    out: Array = np.full((len(log.time_ns), 6), np.nan)
+    out: Array = np.full((len(log.time_ns), 3), np.nan)
     rows = np.flatnonzero(np.isfinite(log.twist).all(axis=1))
     time = log.time[rows]
     for piece in segments(time):
@@ -73,5 +73,5 @@ def told_acceleration(log: Log, fall: Array) -> Array:
         at = np.flatnonzero((log.time >= t[0]) & (log.time <= t[-1]))
         smooth = np.column_stack([uniform_spline(t, y, intervals)(log.time[at]) for y in twist.T])
         v, omega = smooth[:, :3], smooth[:, 3:]
-        out[at, :3] = log.specific_force[at] - np.cross(omega, v) + fall[at]
+        out[at] = log.specific_force[at] - np.cross(omega, v) + fall[at]
     return out

@@ -171,10 +171,11 @@ def _twist_streams(
         fall: (N, 3) acceleration of free fall in sensor axes.
         notes: what is said.
     """
-    twist = _measured(log, log.twist, "vx vy vz wx wy wz")
+    _measured(log, log.twist, "vx vy vz wx wy wz")
     noise, sigma, acceleration = assumptions.motion_noise, assumptions.acceleration_noise, log.acceleration
     assert noise is not None
     halves = (0, 0, 0, 1, 1, 1)
+    told = None
     if sigma is not None and sigma.size == 3 and log.specific_force is not None:
         shared = noise_at_sensor(noise, point)
         if shared is None:
@@ -183,15 +184,14 @@ def _twist_streams(
                 "the sensor's as well (log the twist `of: sensor`)"
             )
         else:
-            log = at_sensor(log, point)
+            log, noise, point = at_sensor(log, point), shared, np.zeros(3)
             told = told_acceleration(log, fall)
-            six = np.concatenate([sigma, np.ones(3)])
-            streams = [_stream(assumptions, log, _measured(log, log.twist, ""), shared, halves)]
-            if np.isfinite(told).any():
-                streams.append(_stream(assumptions, log, told, six, (0,) * 6, derivative=1))
-                streams[-1].bias_prior = np.repeat([ACCELEROMETER_BIAS_PRIOR, _NO_BIAS], 3)
-            return streams, np.zeros(3)
-    streams = [_stream(assumptions, log, twist, noise, halves)]
+    assert log.twist is not None
+    streams = [_stream(assumptions, log, log.twist, noise, halves)]
+    if told is not None and np.isfinite(told).any():
+        assert sigma is not None
+        bias = ACCELEROMETER_BIAS_PRIOR
+        streams.append(_of_axes(assumptions, log, _LINEAR, told, sigma, bias, derivative=1))
     if sigma is not None and sigma.size == 6 and acceleration is not None and np.isfinite(acceleration).any():
         streams.append(_stream(assumptions, log, acceleration, sigma, halves, derivative=1))
     return streams, point
@@ -209,17 +209,29 @@ def _imu_streams(assumptions: Assumptions, log: Log) -> list[_core.MotionStream]
     omega = _measured(log, log.angular_velocity, "wx wy wz")
     assert assumptions.motion_noise is not None
     assert assumptions.acceleration_noise is not None
-    streams = []
-    for axes, values, sigma, bias in (
-        (_LINEAR, force, assumptions.acceleration_noise, assumptions.accelerometer_bias_prior),
-        (_ANGULAR, omega, assumptions.motion_noise, assumptions.gyro_bias_prior),
-    ):
-        six, sigmas, biases = np.full((len(values), 6), np.nan), np.ones(6), np.full(6, _NO_BIAS)
-        six[:, axes], sigmas[axes], biases[axes] = values, sigma, max(bias, _NO_BIAS)
-        stream = _stream(assumptions, log, six, sigmas, (0,) * 6)
-        stream.bias_prior = biases
-        streams.append(stream)
-    return streams
+    of_force, of_omega = assumptions.accelerometer_bias_prior, assumptions.gyro_bias_prior
+    return [
+        _of_axes(assumptions, log, _LINEAR, force, assumptions.acceleration_noise, of_force),
+        _of_axes(assumptions, log, _ANGULAR, omega, assumptions.motion_noise, of_omega),
+    ]
+
+
+def _of_axes(
+    assumptions: Assumptions,
+    log: Log,
+    axes: slice,
+    values: Array,
+    sigma: Array,
+    bias: float,
+    *,
+    derivative: int = 0,
+) -> _core.MotionStream:
+    """Measurements (N, 3) of three of the six components, each with a constant error of its own."""
+    six, sigmas, biases = np.full((len(values), 6), np.nan), np.ones(6), np.full(6, _NO_BIAS)
+    six[:, axes], sigmas[axes], biases[axes] = values, sigma, max(bias, _NO_BIAS)
+    out = _stream(assumptions, log, six, sigmas, (0,) * 6, derivative=derivative)
+    out.bias_prior = biases
+    return out
 
 
 def _joint_streams(

@@ -42,21 +42,22 @@ def without_repeats(log: Log) -> Log:
     """The log with NaN in place of values that were held, stream by stream, and a note that says so."""
     changed: dict[str, Any] = {}
     notes = []
-    for name, words in _STREAMS.items():
-        values: Array | None = getattr(log, name)
-        if values is None:
-            continue
-        held = _held(values)
+    streams = {
+        name: _Stream(values)
+        for name in dict.fromkeys([*_STREAMS, *_MOTION])
+        if (values := getattr(log, name)) is not None
+    }
+    for name, stream in streams.items():
+        held = stream.held() if name in _STREAMS else stream.rows[:0]
         if held.size:
-            known = int(np.isfinite(values).all(axis=1).sum())
-            changed[name] = values.copy()
+            changed[name] = stream.values.copy()
             changed[name][held] = np.nan
             notes.append(
-                f"{words}: {held.size} of {known} rows repeat the row before in every column: left out as "
-                "held by the driver, no measurements"
+                f"{_STREAMS[name]}: {held.size} of {stream.rows.size} rows repeat the row before in every "
+                "column: left out as held by the driver, no measurements"
             )
-    for name, hung in _hung_streams(log).items():
-        changed[name] = changed.get(name, getattr(log, name)).copy()
+    for name, hung in _hung_streams(streams, log.time_ns).items():
+        changed[name] = changed.get(name, streams[name].values).copy()
         changed[name][hung] = np.nan
         first, last = (int(log.time_ns[k] - log.time_ns[0]) / 1e9 for k in (hung[0], hung[-1]))
         notes.append(
@@ -66,66 +67,61 @@ def without_repeats(log: Log) -> Log:
     return replace(log, **changed, notes=(*log.notes, *notes)) if changed else log
 
 
-def _hung_streams(log: Log) -> dict[str, NDArray[np.int64]]:
+class _Stream:
+    """Values (N, n), and which of the rows that are there repeat the one before in all that ever change."""
+
+    def __init__(self, values: Array) -> None:
+        self.values = values
+        self.rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+        self.same = values[self.rows[1:]] == values[self.rows[:-1]]
+        self.same = self.same[:, ~self.same.all(axis=0)]  # of columns that are alive
+        self.repeats = np.append(False, self.same.all(axis=1) & (self.same.shape[1] > 0))[: self.rows.size]
+
+    def runs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where values begin, counted in rows, and how many rows each lasts; nothing where none repeats."""
+        if self.rows.size <= _FEWEST or not self.repeats.any():
+            return self.rows[:0], self.rows[:0]
+        fresh = np.flatnonzero(~self.repeats)
+        return fresh, np.diff(np.append(fresh, self.rows.size))
+
+    def held(self) -> NDArray[np.int64]:
+        """Rows that repeat the row before because their stream is slower than the rows."""
+        fresh, lengths = self.runs()
+        if fresh.size <= _FEWEST or (~self.same[~self.repeats[1:]]).mean() < _TOGETHER:
+            return self.rows[:0]
+        usual = lengths <= _LONGEST * max(1.0, float(np.median(lengths)))
+        if np.mean(lengths[usual] > 1) < _HELD:
+            return self.rows[:0]
+        kept: NDArray[np.bool_] = self.repeats & np.repeat(usual, lengths)
+        return self.rows[kept]
+
+    def hung(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Rows that repeat the row before although what they measure went on."""
+        fresh, lengths = self.runs()
+        long = np.append(lengths[:-1] > _HUNG, [False] * (lengths.size > 0))  # and followed by another value
+        others = np.repeat(lengths <= _HUNG, lengths)
+        if not long.any() or others.sum() <= _FEWEST or self.repeats[others].mean() > _RESTS:
+            return self.rows[:0]
+        first = self.values[self.rows[:1]]
+        change = np.abs(np.diff(self.values[self.rows], axis=0, prepend=first))  # with which a row comes
+        after = np.append(fresh[1:], 0)[long]
+        most = np.delete(change, after, axis=0).max(axis=0)
+        step = np.diff(time_ns[self.rows], prepend=time_ns[self.rows[0]])
+        at_once = step[after] <= _LONGEST * np.median(
+            step
+        )  # not the next of some poses, the way to it left out
+        long[long] = at_once & (change[after] > _JUMP * most)[:, most > 0.0].any(axis=1)
+        hung: NDArray[np.bool_] = self.repeats & np.repeat(long, lengths)
+        return self.rows[hung]
+
+
+def _hung_streams(streams: dict[str, _Stream], time_ns: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
     """Rows in which streams hung; those of the motion all where one of them did and the other repeats too."""
-    found = {}
-    for name in ("raw", *_MOTION):
-        values = getattr(log, name)
-        if values is not None:
-            found[name] = _hung(values, log.time_ns)
+    found = {name: stream.hung(time_ns) for name, stream in streams.items()}
     motion = [name for name in found if name != "raw"]
     if any(found[name].size for name in motion):
         stopped = np.unique(np.concatenate([found[name] for name in motion]))
         for name in motion:
-            rows, repeats = _repeats(getattr(log, name))
-            found[name] = rows[repeats & np.isin(rows, stopped)]
+            rows = streams[name].rows
+            found[name] = rows[streams[name].repeats & np.isin(rows, stopped)]
     return {name: rows for name, rows in found.items() if rows.size}
-
-
-def _hung(values: Array, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows of values (N, n) that repeat the row before although what they measure went on."""
-    rows, repeats = _repeats(values)
-    if rows.size <= _FEWEST:
-        return rows[:0]
-    fresh = np.flatnonzero(~repeats)
-    lengths = np.diff(np.append(fresh, rows.size))
-    others = np.repeat(lengths <= _HUNG, lengths)
-    long = np.append(lengths[:-1] > _HUNG, False)  # and followed by another value
-    if not long.any() or others.sum() <= _FEWEST or repeats[others].mean() > _RESTS:
-        return rows[:0]
-    change = np.abs(np.diff(values[rows], axis=0, prepend=values[rows[:1]]))  # with which a row comes
-    after = np.append(fresh[1:], 0)[long]
-    most = np.delete(change, after, axis=0).max(axis=0)
-    step = np.diff(time_ns[rows], prepend=time_ns[rows[0]])
-    at_once = step[after] <= _LONGEST * np.median(step)  # not the next of some poses, the way to it left out
-    long[long] = at_once & (change[after] > _JUMP * most)[:, most > 0.0].any(axis=1)
-    hung: NDArray[np.bool_] = repeats & np.repeat(long, lengths)
-    return rows[hung]
-
-
-def _repeats(values: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Rows of values (N, n) that are there; whether each repeats the one before in all that ever change."""
-    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-    if rows.size < 2:
-        return rows, np.zeros(rows.size, bool)
-    same = values[rows[1:]] == values[rows[:-1]]
-    alive = ~same.all(axis=0)
-    return rows, np.append(False, same[:, alive].all(axis=1) & alive.any())
-
-
-def _held(values: Array) -> NDArray[np.int64]:
-    """Rows of values (N, n) that repeat the row before because their stream is slower than the rows."""
-    rows, repeats = _repeats(values)
-    if rows.size <= _FEWEST:
-        return rows[:0]
-    same = values[rows[1:]] == values[rows[:-1]]
-    same = same[:, ~same.all(axis=0)]
-    fresh = np.flatnonzero(~repeats)
-    if not same.size or fresh.size <= _FEWEST or (~same[~repeats[1:]]).mean() < _TOGETHER:
-        return rows[:0]
-    lengths = np.diff(np.append(fresh, rows.size))
-    usual = lengths <= _LONGEST * max(1.0, float(np.median(lengths)))
-    if np.mean(lengths[usual] > 1) < _HELD:
-        return rows[:0]
-    kept = np.repeat(usual, lengths)
-    return rows[repeats & kept]
