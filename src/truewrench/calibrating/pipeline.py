@@ -19,11 +19,13 @@ from truewrench.calibrating.known_wrench import (
     known_wrench_reports,
     wrench_is_known,
 )
+from truewrench.calibrating.pooled import estimate_pooled, moving_logs
 from truewrench.calibrating.still_poses import (
     compare_still,
     estimate_still,
     judge_still,
     only_still,
+    still_figures,
     still_reports,
 )
 from truewrench.calibrating.unknown_bodies import (
@@ -37,7 +39,6 @@ from truewrench.estimation.assembly import assemble, assemble_motion, motion_fig
 from truewrench.estimation.bound import oracle_rms
 from truewrench.estimation.ekf import estimate_ekf
 from truewrench.estimation.estimate import Estimate
-from truewrench.estimation.estimator import estimate as estimate_motion
 from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
 from truewrench.estimation.least_squares import least_squares
@@ -137,16 +138,19 @@ def _from_motion(
 ) -> Calibration:
     clock = [time.perf_counter()]
     online = estimator == "online"
-    stated, rig = rig, with_first_guess(rig, logs)
-    known = known_logs(rig, logs)
-    estimate = estimate_motion(rig, logs, threads=threads or 0, online=online)
+    stated, rig = rig, with_first_guess(rig, [logs[k] for k in moving_logs(rig, logs)])
+    pooled = estimate_pooled(rig, logs, threads=threads or 0, online=online)
+    estimate, moving = pooled.estimate, [logs[k] for k in pooled.moving]
+    known = known_logs(rig, moving)
     clock.append(time.perf_counter())
     provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
-        kept = [*kept, *(log for log in logs if not known_payload(rig, log))]
-        again = estimate_motion(rig, kept, threads=threads or 0, online=online)
-        return assemble_motion(rig, kept, estimator, again, Verdict(True)) if again.solved else None
+        others = [log for k, log in enumerate(logs) if k not in pooled.moving or not known_payload(rig, log)]
+        again = estimate_pooled(rig, [*kept, *others], threads=threads or 0, online=online).estimate
+        return (
+            assemble_motion(rig, [*kept, *others], estimator, again, Verdict(True)) if again.solved else None
+        )
 
     compared: Comparison | str = "not asked for"
     if not estimate.solved:
@@ -158,14 +162,15 @@ def _from_motion(
     elif held_out:
         report("comparing", None)
         undisturbed = [
-            _undisturbed(log, estimate, k) for k, log in enumerate(logs) if known_payload(rig, log)
+            _undisturbed(logs[k], estimate, k) for k in pooled.moving if known_payload(rig, logs[k])
         ]
         compared = compare_held_out(rig, undisturbed, without_the_part)
     if isinstance(compared, str):
         compared = compare_in_sample(rig, logs, estimate, provisional.inverse, compared)
     clock.append(time.perf_counter())
     report("judging", None)
-    comparisons = _comparisons(estimate, compared, rig, logs, known)
+    worse = [*scale_unknown(rig, logs), *pooled.worse(rig, logs, held_out)]
+    comparisons = _comparisons(estimate, compared, rig, worse, known)
     judgement = judge(estimate, comparisons, rig, logs)
     assumed = findings(estimate, rig, logs)
     clock.append(time.perf_counter())
@@ -173,16 +178,18 @@ def _from_motion(
     return replace(
         provisional,
         rig=stated,
+        logs=pooled.reports(logs, provisional.logs),
         verdict=judgement.verdict,
         axes=judgement.axes,
         assumed=assumed,
         improvement=compared.improvement,
         figures={
             **motion_figures(rig, estimate),
+            **pooled.figures(),
             "held_out": compared.figures,
             "notes": [
                 *_log_notes(logs),
-                *still_motion(logs),
+                *still_motion(moving),
                 *judgement.notes,
                 *notes_on_bodies(rig, logs, estimate.payloads),
             ],
@@ -192,12 +199,12 @@ def _from_motion(
 
 
 def _comparisons(
-    estimate: Estimate, compared: Comparison, rig: Rig, logs: Sequence[Log], known: Sequence[Log]
+    estimate: Estimate, compared: Comparison, rig: Rig, worse: Sequence[str], known: Sequence[Log]
 ) -> Comparisons:
     held_out = any(axis.held_out for axis in compared.improvement.values())
     return Comparisons(
         improvement=compared.improvement if held_out else {},
-        worse=(*compared.reasons, *scale_unknown(rig, logs)),
+        worse=(*compared.reasons, *worse),
         not_held_out="" if held_out else str(compared.figures.get("none_because", "nothing was compared")),
         # of bodies that nobody knows, nothing tells a wrong unit from a wrong mass
         setup=setup_errors(estimate, rig, known, partial(_plain, rig, known))
@@ -294,10 +301,7 @@ def _from_still_poses(
         axes=judgement.axes,
         improvement=compared.improvement,
         figures={
-            "poses": len(found.poses),
-            "chi_square": {name: s.chi_square for name, s in found.solutions.items()},
-            "offset_walk": {name: s.rate for name, s in found.solutions.items()},
-            "pose_repeatability": {name: s.repeatability for name, s in found.solutions.items()},
+            **still_figures(found),
             "held_out": compared.figures,
             "notes": [
                 *_log_notes(logs),

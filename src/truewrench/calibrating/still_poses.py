@@ -4,21 +4,24 @@
 
 The model is that of an unknown tool (docs/tool.md) about a payload that is known: gain, body, offset and the
 direction of gravity with their priors, and an offset that walks, its rate found. The logs of one payload are
-solved together; what they tell of gain and gravity is the prior of the next. At rest the moment is c x force:
-one payload tells the gains of force as far as those of the moment are known, several tell both (METHOD 6).
+solved together; what they tell of gain and gravity, and what motion told before them, is the prior of the
+next. At rest the moment is c x force: one payload tells the gains of force as far as those of the moment are
+known, several tell both (METHOD 6).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.calibrating.known_wrench import BLOCKS, FOLDS, FREEDOM, improvement_by_axis, worse_on_rows
+from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
-from truewrench.estimation.estimate import Estimate, PayloadDeparture, without_motion
+from truewrench.estimation.estimate import Estimate, payload_departure, without_motion
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation.comparison import Comparison
 from truewrench.model.calibration import BlindTo, LogReport
@@ -27,18 +30,24 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import weight
 from truewrench.tool.judge import WORST_WALK, misfit_of_poses
-from truewrench.tool.model_rows import Problem
-from truewrench.tool.parameters import Layout, second_moments
+from truewrench.tool.parameters import Layout
 from truewrench.tool.poses import Poses, split_poses, stands_still
-from truewrench.tool.prior import S_STD, Prior
 from truewrench.tool.solve import WALK, Solution, solve
 
-__all__ = ["StillEstimate", "compare_still", "estimate_still", "judge_still", "only_still", "still_reports"]
+__all__ = [
+    "StillEstimate",
+    "compare_still",
+    "estimate_still",
+    "judge_still",
+    "misfit_of_still",
+    "only_still",
+    "still_figures",
+    "still_reports",
+]
 
 Array = NDArray[np.float64]
 
 FEWEST = 10  # poses, of which a fifth is held out at a time
-_EXACT = 1e-9  # of a unit: 1 sigma that holds a parameter
 _CABLE = 1e-3  # fraction of range: a force that follows the pose, of which the effect is told
 
 
@@ -50,11 +59,20 @@ class StillEstimate:
         estimate: gain, offsets and payloads, as every estimate has them.
         poses: of all logs.
         solutions: by payload, in the order in which they were solved.
+        before: what was known of gain, tilt and bodies before the poses.
+        known: the same and the offsets `pose offset K` after them.
     """
 
     estimate: Estimate
     poses: Poses
     solutions: dict[str, Solution]
+    before: Known
+    known: Known
+
+    @property
+    def sizes(self) -> dict[str, Array]:
+        """Logarithms of the walk's rate and of the repeatability, by payload."""
+        return {name: np.log([s.rate, s.repeatability]) for name, s in self.solutions.items()}
 
 
 def only_still(rig: Rig, logs: Sequence[Log]) -> bool:
@@ -62,24 +80,29 @@ def only_still(rig: Rig, logs: Sequence[Log]) -> bool:
     return rig.in_gravity and all(stands_still(rig, log) for log in logs)
 
 
-def estimate_still(rig: Rig, logs: Sequence[Log]) -> StillEstimate:
+def estimate_still(
+    rig: Rig, logs: Sequence[Log], before: Known | None = None, sizes: dict[str, Array] | None = None
+) -> StillEstimate:
     """Gain, offsets, payloads and the direction of gravity from static poses.
 
     Args:
         rig: sensor and payloads, those with an uncertainty within it.
         logs: of `only_still`.
+        before: what other logs told; None: as the rig states it.
+        sizes: `StillEstimate.sizes` that hold; None: found.
 
     Raises:
         InputError: for a pose whose direction of gravity nothing tells.
         UnsupportedError: for one offset that all logs share.
     """
-    if rig.sensor.pool_offsets and len(logs) > 1:
+    if rig.sensor.pool_offsets and (len(logs) > 1 or before is not None):
         raise UnsupportedError.at(
             rig.path, "sensor.pool_offsets", "true", "false: static poses have an offset of each log"
         )
     split = split_poses(rig, logs)
-    solutions = _solved(rig, logs, split.poses, split.end_ns)
-    return StillEstimate(_as_estimate(rig, logs, solutions), split.poses, solutions)
+    begin = before or Known.stated(rig)
+    solutions, known = _solved(rig, logs, split.poses, split.end_ns, begin, sizes)
+    return StillEstimate(_as_estimate(rig, logs, solutions, known), split.poses, solutions, begin, known)
 
 
 def _solved(
@@ -87,140 +110,61 @@ def _solved(
     logs: Sequence[Log],
     poses: Poses,
     end_ns: Sequence[int],
+    known: Known,
     sizes: dict[str, Array] | None = None,
-) -> dict[str, Solution]:
+) -> tuple[dict[str, Solution], Known]:
     """Payload by payload, that of the last log at the end."""
-    layout = Layout(rig.sensor.n)
-    names = list(dict.fromkeys(log.payload for log in reversed(logs)))[::-1]
-    shared = _shared(layout)
-    mean, P = _shared_prior(rig)
     out = {}
-    for name in names:
+    for name in list(dict.fromkeys(log.payload for log in reversed(logs)))[::-1]:
         own = [k for k, log in enumerate(logs) if log.payload == name]
-        prior = _prior(rig, name, mean, P)
         chosen = np.flatnonzero(np.isin(poses.log, own))
         part = replace(poses.of(chosen), log=np.searchsorted(own, poses.log[chosen]))
-        problem = Problem(rig, prior, part, [end_ns[k] for k in own])
-        start = None if rig.payloads[name].unknown else problem.prior_of_all()[0]
-        found = solve(problem, start, None if sizes is None else sizes[name])
-        found = replace(found, covariance=_bent(found))
-        mean, P = found.x[shared], found.covariance[np.ix_(shared, shared)]
-        out[name] = found
-    return out
+        problem, start = known.problem(rig, name, part, [end_ns[k] for k in own])
+        free = rig.payloads[name].unknown and known.reference is None
+        out[name] = solve(problem, None if free else start, None if sizes is None else sizes[name])
+        known = known.told(name, out[name], [f"pose offset {k}" for k in own])
+    return out, known
 
 
-def _bent(found: Solution) -> Array:
-    """The covariance with what is uncertain in gain of moment times centre of mass, second order within it.
-
-    At rest a channel feels (C_f + C_m [c]) f. Where C_m is not told, an error of c turns it into one of C_f
-    that no derivative at the estimate shows: dC_m [dc].
-    """
-    layout, P = found.problem.vector.layout, found.covariance.copy()
-    n, center = layout.n, P[layout.center_of_mass, layout.center_of_mass]
-    gains = P[layout.gain, layout.gain].reshape(n, 6, n, 6)
-    variance = float(np.trace(center)) / 3.0
-    for i in range(n):
-        for j in range(n):
-            moment = gains[i, 3:, j, 3:]
-            both = variance * (np.trace(moment) * np.eye(3) - moment.T)
-            P[6 * i : 6 * i + 3, 6 * j : 6 * j + 3] += both
-    return 0.5 * (P + P.T)
-
-
-def _shared(layout: Layout) -> NDArray[np.int64]:
-    """Places of the gain and of gravity's tilt."""
-    gain, tilt = np.arange(layout.gain.stop), np.arange(layout.tilt.start, layout.tilt.stop)
-    return np.concatenate([gain, tilt])
-
-
-def _shared_prior(rig: Rig) -> tuple[Array, Array]:
-    """Of the gain and of gravity's tilt: what all payloads share."""
-    sensor = rig.sensor
-    units = (sensor.channel_scale[:, None] / sensor.range_array).ravel()
-    std = np.append(sensor.gain_prior * units, np.full(2, max(rig.gravity_tilt_prior, _EXACT)))
-    return np.append(sensor.nominal_gain_array.ravel(), np.zeros(2)), np.diag(std**2)
-
-
-def _prior(rig: Rig, name: str, shared: Array, P: Array) -> Prior:
-    layout, spec = Layout(rig.sensor.n), rig.payloads[name]
-    mean, covariance = np.zeros(layout.size), np.zeros((layout.size, layout.size))
-    at = _shared(layout)
-    mean[at], covariance[np.ix_(at, at)] = shared, P
-    mean[layout.log_mass] = np.log(spec.mass)
-    mean[layout.center_of_mass] = spec.center_of_mass
-    i = spec.inertia
-    mean[layout.S] = second_moments(spec.mass, np.array([i.xx, i.yy, i.zz, i.xy, i.xz, i.yz]))
-    std = np.zeros(layout.size)
-    std[layout.log_mass] = spec.uncertainty.mass
-    std[layout.center_of_mass] = spec.uncertainty.center_of_mass
-    std[layout.S] = S_STD  # nothing of it is felt at rest
-    std[layout.offset] = rig.sensor.offset_prior_array
-    rest = np.arange(layout.gain.stop, layout.tilt.start)
-    covariance[rest, rest] = np.maximum(std[rest], _EXACT) ** 2
-    return Prior(mean, covariance, False, rig.sensor.gain_prior, {})
-
-
-def _as_estimate(rig: Rig, logs: Sequence[Log], solutions: dict[str, Solution]) -> Estimate:
-    sensor, n, count = rig.sensor, rig.sensor.n, len(logs)
-    layout, last = Layout(n), list(solutions.values())[-1]
+def _as_estimate(rig: Rig, logs: Sequence[Log], solutions: dict[str, Solution], known: Known) -> Estimate:
+    sensor, n, count, joint = rig.sensor, rig.sensor.n, len(logs), known.plain(rig)
+    last = list(solutions.values())[-1]
     scale = sensor.channel_scale
     units = np.append((scale[:, None] / sensor.range_array).ravel(), scale)
-    gain, P_gain = last.x[layout.gain], last.covariance[layout.gain, layout.gain]
-    offsets, offsets_std = np.zeros((count, n)), np.zeros((count, n))
-    payloads = {}
-    for name, found in solutions.items():
-        spec = rig.payloads[name]
-        own = [k for k, log in enumerate(logs) if log.payload == name]
-        for j, k in enumerate(own):
-            at = found.problem.vector.offset(j)
-            offsets[k], variance = _updated(found, at, layout.gain, gain, P_gain)
-            offsets_std[k] = np.sqrt(variance)
-        if not spec.exact:
-            body, variance = _updated(found, layout.body, layout.gain, gain, P_gain)
-            mean, std = np.zeros(10), np.full(10, spec.uncertainty.inertia)
-            mean[0] = np.exp(body[0]) / spec.mass - 1.0
-            mean[1:4] = body[1:4] - spec.center_of_mass_array
-            std[:4] = np.sqrt(variance[:4])
-            payloads[name] = PayloadDeparture(mean, std)
-    v = last.problem.vector
-    pick = np.r_[np.arange(6 * n), np.arange(v.layout.offset.start, v.layout.offset.stop)]
-    P = last.covariance[np.ix_(pick, pick)]
+    pairs = [joint.of([f"pose offset {k}"]) for k in range(count)]
+    payloads = {
+        name: payload_departure(rig.payloads[name], joint, name)
+        for name in solutions
+        if not rig.payloads[name].exact
+    }
+    mean, P = joint.of(["gain", f"pose offset {count - 1}"])
     normalised = P / np.outer(units, units)
-    poses = sum(len(found.problem.poses) for found in solutions.values())
+    tilt, P_tilt = joint.of(["tilt"])
+    v = last.problem.vector
     return without_motion(
         n,
         count,
         solved=True,
-        gain=gain.reshape(n, 6).copy(),
+        gain=mean[: 6 * n].reshape(n, 6),
         covariance=P,
         normalised_covariance=normalised,
         before_pose=normalised[: 6 * n, : 6 * n],
         gain_prior=np.full(6 * n, sensor.gain_prior),
-        offsets=offsets,
-        offsets_std=offsets_std,
+        offsets=np.array([offset for offset, _ in pairs]),
+        offsets_std=np.sqrt([np.diag(variance) for _, variance in pairs]),
         payloads=payloads,
-        tilt=last.x[layout.tilt].copy(),
-        tilt_std=np.sqrt(np.diag(last.covariance)[layout.tilt]),
+        tilt=tilt,
+        tilt_std=np.sqrt(np.diag(P_tilt)),
         offset_temperature=last.x[v.slope].copy() if v.warm else None,
         converged=True,
         iterations=max(found.steps for found in solutions.values()),
-        fits=poses,
+        fits=sum(len(found.problem.poses) for found in solutions.values()),
     )
 
 
-def _updated(found: Solution, at: slice, gain: slice, mean: Array, P_gain: Array) -> tuple[Array, Array]:
-    """Values and variances of a part of one payload's solution once others have told more of the gain."""
-    P = found.covariance
-    scale = np.sqrt(np.diag(P)[gain])
-    K = np.linalg.solve(P[gain, gain] / np.outer(scale, scale), P[gain, at] / scale[:, None]).T / scale
-    value = found.x[at] + K @ (mean - found.x[gain])
-    variance = np.diag(P)[at] - np.einsum("ij,jk,ik->i", K, P[gain, gain] - P_gain, K)
-    return value, np.maximum(variance, 0.0)
-
-
-def judge_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: Comparison) -> Judgement:
-    """The verdict on what static poses say of the gain: of the one function that decides."""
-    known, reasons = known_logs(rig, logs), scale_unknown(rig, logs)
+def misfit_of_still(found: StillEstimate) -> list[str]:
+    """Why the poses are no weight on a sensor whose offset walks as sensors' do."""
+    reasons = []
     for name, solution in found.solutions.items():
         figures = {"freedom": solution.freedom, "chi_square": solution.chi_square}
         of = f"payload `{name}`: " if len(found.solutions) > 1 else ""
@@ -230,6 +174,12 @@ def judge_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: C
                 f"{of}the offset wanders {solution.rate / WALK:.0f} times as fast as sensors do: drift, "
                 "a cable that pulls, or a contact"
             )
+    return reasons
+
+
+def judge_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: Comparison) -> Judgement:
+    """The verdict on what static poses say of the gain: of the one function that decides."""
+    known, reasons = known_logs(rig, logs), [*scale_unknown(rig, logs), *misfit_of_still(found)]
     spare = sum(len(s.problem.poses) - s.problem.vector.logs for s in found.solutions.values())
     if spare < FREEDOM + 3 * len(found.solutions):
         reasons.append(
@@ -280,7 +230,6 @@ def compare_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, held_out:
     if held_out and len(poses) < FEWEST:
         held_out, why = False, f"fewer than {FEWEST} poses"
     block = np.arange(len(poses)) * min(BLOCKS, len(poses)) // len(poses)
-    sizes = {name: np.log([s.rate, s.repeatability]) for name, s in found.solutions.items()}
     w = np.zeros((len(poses), 6))
     for name in found.solutions:
         spec, own = rig.payloads[name], np.array([logs[k].payload == name for k in poses.log])
@@ -303,12 +252,22 @@ def compare_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, held_out:
             kept = poses.of(~out)
             if np.setdiff1d(np.arange(len(logs)), kept.log).size:
                 return Comparison({}, (), {"none_because": "a log of too few poses to hold some of them out"})
-            fitted = _as_estimate(rig, logs, _solved(rig, logs, kept, ends, sizes))
+            fitted = _as_estimate(rig, logs, *_solved(rig, logs, kept, ends, found.before, found.sizes))
         inverse = np.linalg.pinv(fitted.gain)
         new[out] = (poses.raw[out] - fitted.offsets[poses.log[out]]) @ inverse.T - w[out]
     figures = {"samples": len(poses), "folds": FOLDS} if held_out else {"none_because": why}
     improvement = improvement_by_axis(old**2, new**2, block, held_out)
     return Comparison(improvement, worse_on_rows(improvement) if held_out else (), figures)
+
+
+def still_figures(found: StillEstimate) -> dict[str, Any]:
+    """What there is to say of the poses in calibration.yaml."""
+    return {
+        "poses": len(found.poses),
+        "chi_square": {name: s.chi_square for name, s in found.solutions.items()},
+        "offset_walk": {name: s.rate for name, s in found.solutions.items()},
+        "pose_repeatability": {name: s.repeatability for name, s in found.solutions.items()},
+    }
 
 
 def still_reports(logs: Sequence[Log], found: StillEstimate) -> list[LogReport]:

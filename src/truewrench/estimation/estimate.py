@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.estimation.joint import Joint, body_part
+from truewrench.model.rig import PayloadSpec
+
 __all__ = [
     "Clock",
     "Estimate",
@@ -18,6 +21,8 @@ __all__ = [
     "Slow",
     "Step",
     "no_rows",
+    "payload_departure",
+    "without_motion",
 ]
 
 Array = NDArray[np.float64]
@@ -212,6 +217,8 @@ class Estimate:
         history_time: (B,) [s] of the blocks of `online`; empty for `map`.
         history_log: (B,) which log each belongs to.
         history_gain: (B, n, 6) the gain after it.
+        joint: `gain`, `tilt`, of each payload that is not exact its `body_part` and the departure of its
+            inertia, `inertia NAME` [kg m^2], and `offset K` of each log, together; None where nothing moved.
     """
 
     solved: bool
@@ -250,6 +257,7 @@ class Estimate:
     history_time: Array
     history_log: NDArray[np.int64]
     history_gain: Array
+    joint: Joint | None = None
 
     @property
     def time_offsets(self) -> Array:
@@ -303,3 +311,26 @@ def without_motion(n: int, count: int, **found: Any) -> Estimate:
         "history_gain": np.zeros((0, n, 6)),
     }
     return Estimate(**(nothing | found))
+
+
+def payload_departure(spec: PayloadSpec, joint: Joint, name: str) -> PayloadDeparture:
+    """What was found of a payload less what was stated; the inertia as stated where nothing moved with it.
+
+    Args:
+        spec: as stated.
+        joint: with its `body_part`.
+        name: of the payload.
+    """
+    body, P = joint.of([body_part(name)])
+    mean, std = np.zeros(10), np.full(10, spec.uncertainty.inertia)
+    mean[0] = np.expm1(body[0] - np.log(spec.mass))
+    mean[1:4] = body[1:] - spec.center_of_mass_array
+    std[:4] = np.sqrt(np.diag(P))
+    if f"inertia {name}" in joint.places:
+        root = np.sqrt(np.diag(spec.inertia_matrix))
+        unit = np.array(
+            [1.0 / (root[i] * root[j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        )
+        inertia, P = joint.of([f"inertia {name}"])
+        mean[4:], std[4:] = inertia * unit, np.sqrt(np.diag(P)) * unit
+    return PayloadDeparture(mean, std)

@@ -16,11 +16,12 @@ from truewrench.estimation.estimate import (
     Event,
     FoundNoise,
     LogRows,
-    PayloadDeparture,
     Slow,
     Step,
+    payload_departure,
     without_motion,
 )
+from truewrench.estimation.joint import EXACT, Joint, bend, body_part
 from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
 from truewrench.model.log import Log
@@ -65,25 +66,18 @@ def _solved(
 ) -> Estimate:
     fit, n = found.fit, rig.sensor.n
     scale, span = assumed.channel_scale, rig.sensor.range_array
-    theta, covariance = np.asarray(fit.theta), np.asarray(found.covariance)
+    theta, covariance = np.asarray(fit.theta), np.array(found.covariance)
     columns = [fit.columns(k) for k in range(len(logs))]
-    offsets, offsets_std = np.zeros((len(logs), n)), np.zeros((len(logs), n))
-    for k, c in enumerate(columns):
-        at = [np.array(c.at)[b : b + n] for b in (c.b, *c.steps)]
-        offsets[k] = sum(theta[places] for places in at) * scale
-        sum_of = np.zeros((n, theta.size))
-        for places in at:
-            sum_of[np.arange(n), places] += 1.0
-        offsets_std[k] = np.sqrt(np.diag(sum_of @ covariance @ sum_of.T)) * scale
+    joint = _joint(rig, assumed, logs, fit, covariance, np.asarray(found.gain_covariance))
+    pairs = [joint.of([f"offset {k}"]) for k in range(len(logs))]
     # of [gain, offset of the last log]: (10.9) and (10.10) widen the gain's block
-    last = np.zeros((n, theta.size))
-    for b in (columns[-1].b, *columns[-1].steps):
-        last[np.arange(n), np.array(columns[-1].at)[b : b + n]] += 1.0
-    pick = np.vstack([np.eye(6 * n, theta.size), last])
-    normalised = pick @ covariance @ pick.T
-    before = covariance[: 6 * n, : 6 * n] + np.asarray(found.added)
-    normalised[: 6 * n, : 6 * n] = np.asarray(found.gain_covariance)
+    _, P = joint.of(["gain", f"offset {len(logs) - 1}"])
     units = np.append((scale[:, None] / span).ravel(), scale)
+    bent = _bent(rig, assumed, columns, fit, covariance)
+    P[: 6 * n, : 6 * n] += bent * units[: 6 * n, None] * units[: 6 * n]
+    covariance[: 6 * n, : 6 * n] += bent
+    normalised = P / units[:, None] / units
+    before = covariance[: 6 * n, : 6 * n] + np.asarray(found.added)
     u = np.array(columns[0].at)[columns[0].u : columns[0].u + n]
     tilt = None
     if columns[0].tilt >= 0:
@@ -97,16 +91,20 @@ def _solved(
     return Estimate(
         solved=True,
         gain=theta[: 6 * n].reshape(n, 6) * scale[:, None] / span,
-        covariance=normalised * units[:, None] * units,
+        covariance=P,
         normalised_covariance=normalised,
         before_pose=before,
         gain_prior=np.sqrt(np.asarray(fit.prior)[: 6 * n]),
-        offsets=offsets,
-        offsets_std=offsets_std,
+        offsets=np.array([offset for offset, _ in pairs]),
+        offsets_std=np.sqrt([np.diag(variance) for _, variance in pairs]),
         clocks=tuple(
             _clocks(rig, c, record, fit, covariance) for c, record in zip(columns, records, strict=True)
         ),
-        payloads=_payloads(rig, logs, columns, theta, covariance),
+        payloads={
+            name: payload_departure(spec, joint, name)
+            for name, spec in rig.payloads.items()
+            if body_part(name) in joint.places
+        },
         tilt=None if tilt is None else theta[tilt],
         tilt_std=None if tilt is None else np.sqrt(np.diag(covariance)[tilt]),
         offset_temperature=None if slope is None else theta[slope] * scale,
@@ -133,6 +131,7 @@ def _solved(
         history_time=_NOTHING if history is None else history.time,
         history_log=np.zeros(0, np.int64) if history is None else history.log,
         history_gain=np.zeros((0, n, 6)) if history is None else history.gain * unit,
+        joint=joint,
     )
 
 
@@ -218,22 +217,43 @@ def _clocks(rig: Rig, columns: Any, record: Any, fit: Any, covariance: Array) ->
     return tuple(out)
 
 
-def _payloads(
-    rig: Rig, logs: Sequence[Log], columns: Sequence[Any], theta: Array, covariance: Array
-) -> dict[str, PayloadDeparture]:
-    out = {}
+def _bent(rig: Rig, assumed: Assumptions, columns: Sequence[Any], fit: Any, covariance: Array) -> Array:
+    """`bend` of the normalised gain (6n, 6n), by the mean covariance of the logs' centres of mass."""
+    n = rig.sensor.n
+    unit = (assumed.channel_scale[:, None] / rig.sensor.range_array).ravel()
+    places = [np.array(c.at)[c.body + 1 : c.body + 4] for c in columns]
+    center = np.mean([covariance[np.ix_(at, at)] for at in places], axis=0)
+    gain, prior = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit), np.asarray(fit.prior)[: 6 * n]
+    return bend(gain, center, prior * unit**2) / np.outer(unit, unit)
+
+
+def _joint(
+    rig: Rig, assumed: Assumptions, logs: Sequence[Log], fit: Any, covariance: Array, gain_covariance: Array
+) -> Joint:
+    """Gain, tilt, bodies and offsets out of theta, with the gain's own covariance as it was widened."""
+    n, theta, P_theta = rig.sensor.n, np.asarray(fit.theta), covariance.copy()
+    P_theta[: 6 * n, : 6 * n] = gain_covariance
+    unit = np.eye(theta.size)
+    columns = [fit.columns(k) for k in range(len(logs))]
+    scale = assumed.channel_scale
+    rows = {"gain": unit[: 6 * n] * (scale[:, None] / rig.sensor.range_array).reshape(-1, 1)}
+    stated = {}
+    tilt = columns[0].tilt
+    rows["tilt"] = unit[np.array(columns[0].at)[tilt : tilt + 2]] if tilt >= 0 else np.zeros((2, theta.size))
     for log, c in zip(logs, columns, strict=True):
-        spec = rig.payloads[log.payload]
-        if log.payload in out or spec.exact:
+        spec, name = rig.payloads[log.payload], body_part(log.payload)
+        if name in rows or spec.exact:
             continue
-        at = np.array(c.at)[c.body : c.body + 10]
-        root = np.sqrt(np.diag(spec.inertia_matrix))
-        pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-        unit = np.array([1.0] * 4 + [1.0 / (root[i] * root[j]) for i, j in pairs])
-        mean, std = theta[at] * unit, np.sqrt(np.diag(covariance)[at]) * unit
-        mean[0] = np.expm1(mean[0])
-        out[log.payload] = PayloadDeparture(mean, std)
-    return out
+        body = unit[np.array(c.at)[c.body : c.body + 10]]
+        rows[name], rows[f"inertia {log.payload}"] = body[:4], body[4:]
+        stated[name] = np.append(np.log(spec.mass), spec.center_of_mass_array)
+    for k, c in enumerate(columns):
+        rows[f"offset {k}"] = scale[:, None] * sum(unit[np.array(c.at)[b : b + n]] for b in (c.b, *c.steps))
+    whole = np.vstack(list(rows.values()))
+    P = whole @ P_theta @ whole.T
+    P[np.diag_indices_from(P)] += EXACT**2 * (np.diag(P) == 0.0)
+    means = {name: row @ theta + stated.get(name, 0.0) for name, row in rows.items()}
+    return Joint.of_parts(means, P)
 
 
 def _sources(

@@ -1,0 +1,208 @@
+"""Logs of motion and logs of static poses in one calibration.
+
+What motion told, gain, gravity's tilt and bodies together, is the prior of the poses (still_poses.py). Both
+have offsets of their own, so what the poses add to motion can be tested: where they follow the same sensor,
+
+    d = x - x_motion  ~  N(0, P_motion - P),
+
+with the walk of the offset that the poses by themselves show: another would follow what does not agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from truewrench import _core
+from truewrench.calibrating.reference_body import Known
+from truewrench.calibrating.still_poses import (
+    StillEstimate,
+    compare_still,
+    estimate_still,
+    misfit_of_still,
+    still_figures,
+    still_reports,
+)
+from truewrench.estimation.estimate import Estimate, no_rows, payload_departure
+from truewrench.estimation.estimator import estimate as estimate_motion
+from truewrench.estimation.joint import body_part
+from truewrench.model.calibration import LogReport
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.tool.poses import stands_still
+
+__all__ = ["Pooled", "estimate_pooled", "moving_logs"]
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+_TOLD = 0.05  # share of a variance that the poses take, from which on they are held against motion: tolerance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pooled:
+    """What logs of motion and of static poses say together.
+
+    Attributes:
+        estimate: of all logs, in their order.
+        moving: which of them move.
+        still: what the poses of the others said beyond it; None without any.
+        agreement: p of the poses' departure from what motion told; 1 without poses.
+    """
+
+    estimate: Estimate
+    moving: tuple[int, ...]
+    still: StillEstimate | None = None
+    agreement: float = 1.0
+
+    def reports(self, logs: Sequence[Log], reports: Sequence[LogReport]) -> tuple[LogReport, ...]:
+        """Those of motion, with the poses' in their places."""
+        out = list(reports)
+        if self.still is not None:
+            places = [k for k in range(len(logs)) if k not in self.moving]
+            for k, report in zip(places, still_reports([logs[k] for k in places], self.still), strict=True):
+                out[k] = report
+        return tuple(out)
+
+    def figures(self) -> dict[str, Any]:
+        """What there is to say of the poses in calibration.yaml."""
+        if self.still is None:
+            return {}
+        return {**still_figures(self.still), "poses_agree": self.agreement}
+
+    def worse(self, rig: Rig, logs: Sequence[Log], held_out: bool) -> list[str]:
+        """What the poses have against the result."""
+        if self.still is None:
+            return []
+        poses = [log for k, log in enumerate(logs) if k not in self.moving]
+        if self.agreement >= 0.5 * _core.DOUBT:
+            reasons = misfit_of_still(self.still)
+        else:
+            reasons = [
+                f"the static poses tell another sensor than the motion (p = {self.agreement:.1g}): something "
+                "touched a pose, a payload is another than stated, or a cable pulls"
+            ]
+        return [*reasons, *compare_still(rig, poses, self.still, held_out).reasons]
+
+
+def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool) -> Pooled:
+    """Estimate from motion, and go on with the logs that are static poses in gravity.
+
+    Args:
+        rig: sensor, payloads, motion.
+        logs: pooled into one gain; at least one of them moves.
+        threads: as of `estimate_motion`.
+        online: likewise.
+
+    Raises:
+        InputError: for logs that do not hold what the rig says.
+    """
+    moving = moving_logs(rig, logs)
+    found = estimate_motion(rig, [logs[k] for k in moving], threads=threads, online=online)
+    if len(moving) == len(logs):
+        return Pooled(found, moving)
+    at_rest = [k for k in range(len(logs)) if k not in moving]
+    if found.joint is None:
+        offsets = np.zeros((len(at_rest), rig.sensor.n))
+        std = np.tile(rig.sensor.offset_prior_array, (len(at_rest), 1))
+        return Pooled(_spread(found, len(logs), moving, offsets, std), moving)
+    largest = logs[max(zip(moving, found.rows, strict=True), key=lambda pair: pair[1].rows.size)[0]]
+    before = Known.of_motion(rig, found.joint, largest.payload)
+    still_logs = [logs[k] for k in at_rest]
+    still = estimate_still(rig, still_logs, before)
+    whole = _spread(found, len(logs), moving, still.estimate.offsets, still.estimate.offsets_std)
+    n, joint = rig.sensor.n, still.known.plain(rig)
+    places = {k: f"offset {j}" for j, k in enumerate(moving)}
+    places |= {k: f"pose offset {j}" for j, k in enumerate(at_rest)}
+    pairs = [joint.of([places[k]]) for k in range(len(logs))]
+    mean, P = joint.of(["gain", places[len(logs) - 1]])
+    scale = rig.sensor.channel_scale
+    units = np.append((scale[:, None] / rig.sensor.range_array).ravel(), scale)
+    normalised = P / np.outer(units, units)
+    tilt, P_tilt = joint.of(["tilt"])
+    whole = replace(
+        whole,
+        gain=mean[: 6 * n].reshape(n, 6),
+        covariance=P,
+        normalised_covariance=normalised,
+        before_pose=normalised[: 6 * n, : 6 * n],
+        offsets=np.array([offset for offset, _ in pairs]),
+        offsets_std=np.sqrt([np.diag(variance) for _, variance in pairs]),
+        payloads={
+            name: payload_departure(spec, joint, name)
+            for name, spec in rig.payloads.items()
+            if body_part(name) in joint.places and not spec.exact
+        },
+        tilt=tilt,
+        tilt_std=np.sqrt(np.diag(P_tilt)),
+        offset_temperature=found.offset_temperature
+        if found.offset_temperature is not None
+        else still.estimate.offset_temperature,
+        sources={},
+        joint=joint,
+    )
+    alone = estimate_still(rig, still_logs)
+    return Pooled(whole, moving, still, _agreement(estimate_still(rig, still_logs, before, alone.sizes)))
+
+
+def moving_logs(rig: Rig, logs: Sequence[Log]) -> tuple[int, ...]:
+    """Which logs are no static poses; all, if none moves."""
+    every = tuple(range(len(logs)))
+    if len(logs) == 1 or not rig.in_gravity:
+        return every
+    return tuple(k for k in every if not stands_still(rig, logs[k])) or every
+
+
+def _agreement(still: StillEstimate) -> float:
+    """P of d = x - x_motion, of the parts that motion told, over the directions that the poses tell."""
+    parts = list(still.before.joint.places)
+    (before, P), (after, P_after) = still.before.joint.of(parts), still.known.joint.of(parts)
+    scale = np.sqrt(np.diag(P))
+    value, vector = np.linalg.eigh(P / np.outer(scale, scale))
+    kept = value > 1e-9 * value[-1]
+    white = (vector[:, kept] / np.sqrt(value[kept])).T / scale  # L^-1
+    share, turn = np.linalg.eigh(np.eye(kept.sum()) - white @ P_after @ white.T)
+    told = share > _TOLD
+    d = (turn.T @ (white @ (after - before)))[told]
+    return float(chdtrc(int(told.sum()), float(np.sum(d**2 / share[told])))) if told.any() else 1.0
+
+
+def _spread(found: Estimate, count: int, moving: Sequence[int], offsets: Array, std: Array) -> Estimate:
+    """The estimate of the logs that move, as one of all logs, of which the others hold no motion."""
+    n = found.gain.shape[0]
+
+    def per_log(values: Sequence[T], nothing: T) -> tuple[T, ...]:
+        out = [nothing] * count
+        for k, value in zip(moving, values, strict=True):
+            out[k] = value
+        return tuple(out)
+
+    def column(values: NDArray[Any], nothing: Any) -> Any:
+        out = np.full((count, *values.shape[1:]), nothing, dtype=values.dtype)
+        out[list(moving)] = values
+        return out
+
+    at_rest = [k for k in range(count) if k not in moving]
+    all_offsets, all_std = column(found.offsets, 0.0), column(found.offsets_std, 0.0)
+    all_offsets[at_rest], all_std[at_rest] = offsets, std
+    return replace(
+        found,
+        offsets=all_offsets,
+        offsets_std=all_std,
+        clocks=per_log(found.clocks, ()),
+        noise=per_log(found.noise, ()),
+        slow=per_log(found.slow, ()),
+        events=per_log(found.events, ()),
+        steps=per_log(found.steps, ()),
+        spacing=column(found.spacing, np.nan),
+        unexplained=column(found.unexplained, 0.0),
+        unresolved=column(found.unresolved, False),
+        dropped=column(found.dropped, 0),
+        rows=per_log(found.rows, no_rows(n)),
+        history_log=np.asarray(moving, np.int64)[found.history_log],
+    )

@@ -1,0 +1,114 @@
+"""What is known together: a normal distribution whose parts have names, and what others tell of some."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.motion.spatial import cross_matrix
+
+__all__ = ["EXACT", "Joint", "bend", "body_part"]
+
+Array = NDArray[np.float64]
+
+EXACT = 1e-9
+"""Of a unit: 1 sigma that holds a parameter."""
+
+
+def bend(gain: Array, center: Array, prior: Array) -> Array:
+    """What the product of gain of moment and centre of mass adds to the covariance of the gain (6n, 6n).
+
+    Of the force f the channels feel (C_f + C_m [c]) f. Where C_m is not told, an error of c turns it into one
+    of C_f that no derivative at the estimate shows: dC_m [dc]. No gain's variance rises above its prior's.
+
+    Args:
+        gain: (6n, 6n) covariance, row by row [raw units, SI].
+        center: (3, 3) of the centre of mass [m^2].
+        prior: (6n,) variances of the gain beforehand.
+    """
+    n = len(gain) // 6
+    E = cross_matrix(np.eye(3))
+    moments = gain.reshape(n, 6, n, 6)[:, 3:, :, 3:]
+    added = np.zeros((n, 6, n, 6))
+    added[:, :3, :, :3] = np.einsum("pq,pka,ikjl,qlb->iajb", center, E, moments, E, optimize=True)
+    out = added.reshape(6 * n, 6 * n)
+    room, most = np.maximum(prior - np.diag(gain), 0.0), np.diag(out)
+    g = np.sqrt(np.minimum(room, most) / np.where(most > 0.0, most, 1.0))
+    return np.asarray(out * np.outer(g, g))
+
+
+def body_part(payload: str) -> str:
+    """The part that holds logarithm of the mass and centre of mass [m] of a payload."""
+    return f"body {payload}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """N(mean, covariance) of parts that are called by name.
+
+    Attributes:
+        places: of each part.
+        mean: (p,).
+        covariance: (p, p).
+    """
+
+    places: Mapping[str, slice]
+    mean: Array
+    covariance: Array
+
+    @staticmethod
+    def of_parts(parts: Mapping[str, Array], covariance: Array) -> Joint:
+        """Of the mean of each part, in the order of the covariance."""
+        places, start = {}, 0
+        for name, mean in parts.items():
+            places[name] = slice(start, start + len(mean))
+            start += len(mean)
+        return Joint(places, np.concatenate(list(parts.values())), covariance)
+
+    def at(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Places of some parts, one part after the other."""
+        none = np.zeros(0, np.int64)
+        return np.concatenate(
+            [none, *(np.arange(self.places[name].start, self.places[name].stop) for name in names)]
+        )
+
+    def of(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """Mean and covariance of some parts."""
+        at = self.at(names)
+        return self.mean[at], self.covariance[np.ix_(at, at)]
+
+    def told(
+        self, known: Sequence[str], mean: Array, covariance: Array, new: Mapping[str, int] | None = None
+    ) -> Joint:
+        """The same once others have told more of some parts, and of new ones with them.
+
+        The rest is tied to the known parts by y = K x + what does not depend on x, K = P_yx P_xx^-1, which
+        stays; through it the new parts hang together with the rest.
+
+        Args:
+            known: parts of which more is known.
+            mean: of them, then of the new ones.
+            covariance: of the same.
+            new: size of each new part, in their order.
+        """
+        at = self.at(known)
+        count = at.size
+        P = self.covariance[np.ix_(at, at)]
+        scale = np.sqrt(np.diag(P))
+        K = np.linalg.solve(P / np.outer(scale, scale), self.covariance[at] / scale[:, None]).T / scale
+        K[at] = np.eye(count)
+        rest = self.covariance - K @ P @ K.T
+        rest[at], rest[:, at] = 0.0, 0.0
+        own = rest + K @ covariance[:count, :count] @ K.T
+        cross = K @ covariance[:count, count:]
+        whole = np.block([[own, cross], [cross.T, covariance[count:, count:]]])
+        places = dict(self.places)
+        start = self.mean.size
+        for name, size in (new or {}).items():
+            places[name] = slice(start, start + size)
+            start += size
+        moved = self.mean + K @ (mean[:count] - self.mean[at])
+        return Joint(places, np.append(moved, mean[count:]), 0.5 * (whole + whole.T))
