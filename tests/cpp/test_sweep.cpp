@@ -164,6 +164,8 @@ TEST_P(SweepOf, DenseAlgebra) {
   Sweep sweep;
   const Information found = sweep.forward(c.stretch, c.columns(), c.theta, c.lagged, c.sizes);
   EXPECT_NEAR(found.logdet, 2.0 * Eigen::MatrixXd(Hxx.llt().matrixL()).diagonal().array().log().sum(), 1e-4);
+  Sweep alone;
+  EXPECT_EQ(alone.forward(c.stretch, c.columns(), c.theta, c.lagged, c.sizes, true).logdet, found.logdet);
   const Eigen::VectorXd scale = H.diagonal().tail(nt).cwiseMax(1e-12).cwiseSqrt();
   const Eigen::MatrixXd off =
       scale.cwiseInverse().asDiagonal() * (found.S - S) * scale.cwiseInverse().asDiagonal();

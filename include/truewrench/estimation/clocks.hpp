@@ -112,7 +112,7 @@ inline double Fit::bend_of_determinant(std::size_t l, Eigen::VectorXd* pull) {
     Sizes sizes = log.sizes;
     for (const double c : {1.0 - e, 1.0 + e, 1.0}) {
       sizes.q = log.sizes.q / c;
-      const Information found = sweep.forward(s, columns, at, lagged, sizes);
+      const Information found = sweep.forward(s, columns, at, lagged, sizes, c != 1.0 || !pull);
       bend[i] += (c == 1.0 ? -2.0 : 1.0) * found.logdet / (e * e);
       pulls[i] = found.g;
     }

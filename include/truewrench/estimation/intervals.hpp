@@ -82,11 +82,13 @@ class Intervals {
   std::vector<double> gt;    // (nt) and of theta
   int ldx = 16;
 
+  // `alone`: only what H_xx is made of.
   void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
-             const Sizes& sizes) {
+             const Sizes& sizes, bool alone = false) {
     M = s.components();
     n = s.channels();
     nt = columns.size();
+    alone_ = alone;
     orders = s.log().source == Source::mapped ? 3 : 2;
     feature.clear();
     for (int i = 0; i < n; ++i) {
@@ -191,6 +193,7 @@ class Intervals {
   std::vector<double>
       told_;  // (orders M) information on [x, x', x''] over h^p of an interval's motion samples
   double felt_[6] = {};
+  bool alone_ = false;
   std::vector<double> spread_;  // (6, orders M) sums of squares of the Jacobians about their mean
   std::vector<char> done_;
 
@@ -332,6 +335,10 @@ class Intervals {
     out.v = information_;
     for (int i = 0; i < n; ++i)
       if (!std::isfinite(s.raw.value(rows_[0], i))) out.v[static_cast<std::size_t>(i)] = 0.0;
+    if (alone_) {
+      sum_alone(s, out);
+      return;
+    }
     const double* v = out.v.data();
     phi_.resize(static_cast<std::size_t>(count * ld + 8));
     weights_.resize(static_cast<std::size_t>(count * ldw + 8));
@@ -381,10 +388,7 @@ class Intervals {
       }
       for (int x = 0; x < nf + n; ++x) left_row[kLocal * orders + x] = -weight * phi[x];
     }
-    for (int i = 0; i < n; ++i)  // d raw / d w
-      for (int c = 0; c < 6; ++c)
-        slope_[static_cast<std::size_t>(6 * i + c)] =
-            C_[6 * i + c] + 2.0 * u_[i] * (cw_mean[i] / total) * lagged_[6 * i + c];
+    set_slope(cw_mean, total);
     dense::subtract(G.data(), ld, weights_.data(), 1, ldw, phi_.data(), ld, left_rows, ld, count,
                     dense::Mode::fresh);
     out.z.resize(static_cast<std::size_t>(n));
@@ -401,6 +405,35 @@ class Intervals {
     finish_raw(s, out, count);
     out.weight = total;
     out.samples = count;
+  }
+
+  // J_x and the bases alone.
+  void sum_alone(const Stretch& s, RawSums& out) {
+    double cw_mean[max_components] = {}, total = 0.0;
+    for (const Eigen::Index k : rows_) {
+      total += s.raw.weight[k];
+      for (int i = 0; i < n; ++i) cw_mean[i] += s.raw.weight[k] * s.now.cw(k, i);
+    }
+    set_slope(cw_mean, total);
+    sum_bases(s, out);
+    out.J.assign(static_cast<std::size_t>(n * orders * M), 0.0);
+    add_J(out);
+  }
+
+  // d raw / d w, by the sum of weighted C w.
+  void set_slope(const double* cw, double total) {
+    for (int i = 0; i < n; ++i)
+      for (int c = 0; c < 6; ++c)
+        slope_[static_cast<std::size_t>(6 * i + c)] =
+            C_[6 * i + c] + 2.0 * u_[i] * (cw[i] / total) * lagged_[6 * i + c];
+  }
+
+  void add_J(RawSums& out) const {
+    const int OM = orders * M;
+    for (int i = 0; i < n; ++i)
+      for (int c = 0; c < 6; ++c)
+        dense::add(out.J.data() + i * OM, slope_[static_cast<std::size_t>(6 * i + c)], mean_.data() + c * OM,
+                   OM);
   }
 
   void sum_bases(const Stretch& s, RawSums& out) const {
@@ -432,8 +465,8 @@ class Intervals {
                      y = x * out.v[static_cast<std::size_t>(i)];
         out.SV[static_cast<std::size_t>(c * n + i)] = y;
         dense::add<6>(Q + 6 * c, -y, slope_.data() + 6 * i);
-        dense::add(out.J.data() + i * OM, x, mean_.data() + c * OM, OM);
       }
+    add_J(out);
     std::fill(left.begin(), left.end(), 0.0);
     for (int h = 0; h < 6; ++h)
       for (int c = 0; c < 6; ++c) dense::add(left.data() + h * OM, -Q[6 * h + c], mean_.data() + c * OM, OM);

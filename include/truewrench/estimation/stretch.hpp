@@ -154,6 +154,7 @@ class Stretch {
     const Eigen::Index rows = raw.rows();
     for (RowMatrix* m : {&now.nu, &now.a}) m->resize(rows, 6);
     if (log_->source == Source::mapped) {
+      if (mapped_at_.size() == c.size() && mapped_at_ == c) return;  // theta plays no part in it
       std::array<RowMatrix, 3> x;
       for (std::size_t p = 0; p < 3; ++p) {
         x[p].resize(rows, M_);
@@ -162,6 +163,7 @@ class Stretch {
       log_->map(raw.time, x[0], x[1], x[2], mapped);
       now.nu = mapped.nu;
       now.a = mapped.a;
+      mapped_at_ = c;
       return;
     }
     double x0[max_components], x1[max_components];
@@ -223,6 +225,7 @@ class Stretch {
   const RecordedLog* log_ = nullptr;
   const Statement* rig_ = nullptr;
   int M_ = 6, n_ = 6;
+  RowMatrix mapped_at_;  // the coefficients that `mapped` is of
 
   // twist = nu(t + s) + (kappa - 1/2) s^2 nuddot + sigma_v eps                                                     (10.4)
   void predict_motion(const Columns& columns, const Eigen::VectorXd& theta) {

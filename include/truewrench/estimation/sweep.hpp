@@ -34,10 +34,10 @@ inline constexpr int knot_pair(int k, int l) { return k * kLocal - k * (k - 1) /
 // upper triangular, the second zero where a knot of the next block lies more than five after (METHOD 9).
 class Sweep {
  public:
-  // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction.
+  // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction; `alone`: for log |H_xx| and nothing else.
   Information forward(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta,
-                      const RowMatrix& lagged, const Sizes& sizes) {
-    setup(s, columns, theta, lagged, sizes);
+                      const RowMatrix& lagged, const Sizes& sizes, bool alone = false) {
+    setup(s, columns, theta, lagged, sizes, alone);
     Information out;
     const int last = blocks() - 1;
     for (int g = 0; g <= last; ++g) {
@@ -48,7 +48,7 @@ class Sweep {
         out.logdet = std::nan("");
         return out;
       }
-      for (int t = 0; t <= nt_; t += dense::tile_rows) {
+      for (int t = 0; t <= nt_ && !alone_; t += dense::tile_rows) {
         const int c = t & ~7;
         dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), htt_.data() + t * ldt_ + c, ldt_,
                        P + 2 * Wp_ + t, 1, ld_, P + 2 * Wp_ + c, ld_, ldt_ - c, W_);
@@ -58,9 +58,11 @@ class Sweep {
         const int rows = std::min(dense::tile_rows, W_ - t), c = t & ~7, from = t / m_ * m_;
         const double *A = P + from * ld_ + Wp_ + t, *B = P + from * ld_;
         dense::tile_of(rows, N + t * ld_ + c, ld_, A, 1, ld_, B + Wp_ + c, ld_, Wp_ - c, W_ - from);
-        dense::tile_of(rows, N + t * ld_ + 2 * Wp_, ld_, A, 1, ld_, B + 2 * Wp_, ld_, ldt_, W_ - from);
+        if (!alone_)
+          dense::tile_of(rows, N + t * ld_ + 2 * Wp_, ld_, A, 1, ld_, B + 2 * Wp_, ld_, ldt_, W_ - from);
       }
     }
+    if (alone_) return out;
     out.S.resize(nt_, nt_);
     out.g.resize(nt_);
     for (int i = 0; i < nt_; ++i) {
@@ -121,7 +123,7 @@ class Sweep {
  private:
   Intervals sums_;
   int M_ = 6, n_ = 6, nt_ = 0, m_ = 6, W_ = 30, Wp_ = 32, ldt_ = 64, ld_ = 128, nc_ = 2, blocks_ = 0;
-  bool d_ = false;
+  bool d_ = false, alone_ = false;
   std::vector<double> panels_, htt_;  // (W, ld) a block; (nt + 1, ldt) upper triangle
   std::vector<RawSums> pool_;
   std::vector<std::size_t> first_;                // by interval
@@ -171,11 +173,12 @@ class Sweep {
   }
 
   void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
-             const Sizes& sizes) {
-    sums_.setup(s, columns, theta, lagged, sizes);
+             const Sizes& sizes, bool alone) {
+    sums_.setup(s, columns, theta, lagged, sizes, alone);
     M_ = s.components();
     n_ = s.channels();
-    nt_ = columns.size();
+    alone_ = alone;
+    nt_ = alone ? 0 : columns.size();  // then a panel ends in the gradient's column, unread
     d_ = sizes.form != Form::none;
     m_ = M_ + (d_ ? n_ : 0);
     W_ = kBlock * m_;
@@ -245,11 +248,12 @@ class Sweep {
         add_band<6>(sums, at);
       else
         add_band<0>(sums, at);
+      if (d_) add_discrepancy(columns, sums, at);
+      if (alone_) return;
       if (M_ == 6)
         add_cross<6>(columns, sums, at);
       else
         add_cross<0>(columns, sums, at);
-      if (d_) add_discrepancy(columns, sums, at);
       add_theta(columns, sums);
     });
     first_[static_cast<std::size_t>(interval) + 1] = used;
@@ -322,7 +326,7 @@ class Sweep {
         for (int h = l; h < kLocal; ++h) dense::add(sums + knot_pair(l, h) * M_, b[l] * b[h], here, M_);
       }
     }
-    for (int j = 0; j < M_; ++j) {
+    for (int j = 0; j < M_ && !alone_; ++j) {
       Eigen::MatrixXd& own = clock_tt_[i][static_cast<std::size_t>(group[j])];
       const auto both = [&](int a, int c, double x) {  // of two of the stream's columns
         own(first + a, first + c) += x;
@@ -447,6 +451,7 @@ class Sweep {
           }
           if (l >= k) own[at.column[k][l] + M_ + i] += v * sums.m[0](k, l);
         }
+        if (alone_) continue;
         const double* G = sums_.G.data() + k * sums_.ld;
         double* row = own + 2 * Wp_;
         for (int x = 0; x < nf; ++x) row[sums_.feature[static_cast<std::size_t>(i * nf + x)]] += v * G[x];
