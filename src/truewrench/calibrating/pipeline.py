@@ -5,13 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench import _core
+from truewrench.calibrating.from_motion import calibrate_from_motion
 from truewrench.calibrating.known_wrench import (
     compare_known_wrench,
     judge_known_wrench,
@@ -19,7 +18,6 @@ from truewrench.calibrating.known_wrench import (
     known_wrench_reports,
     wrench_is_known,
 )
-from truewrench.calibrating.pooled import estimate_pooled, moving_logs
 from truewrench.calibrating.still_poses import (
     compare_still,
     estimate_still,
@@ -29,22 +27,15 @@ from truewrench.calibrating.still_poses import (
     still_reports,
 )
 from truewrench.calibrating.unknown_bodies import (
-    known_logs,
     known_payload,
     notes_on_bodies,
-    scale_unknown,
-    with_first_guess,
 )
-from truewrench.estimation.assembly import assemble, assemble_motion, motion_figures
+from truewrench.estimation.assembly import assemble, assemble_motion
 from truewrench.estimation.bound import oracle_rms
 from truewrench.estimation.ekf import estimate_ekf
-from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
 from truewrench.estimation.least_squares import least_squares
-from truewrench.judging import Comparisons, findings, judge, setup_errors
-from truewrench.judging.channels import still_motion
-from truewrench.judging.validation.comparison import Comparison, compare_held_out, compare_in_sample
 from truewrench.model.calibration import Bound, Calibration, LogReport, Verdict
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
@@ -123,117 +114,8 @@ def calibrate(
         return _from_still_poses(rig, records, held_out, report, show)
     report(f"estimating ({estimator})", None)
     if estimator == "map" or estimator == "online":
-        return _from_motion(rig, records, estimator, threads, held_out, report, show)
+        return calibrate_from_motion(rig, records, estimator, threads, held_out, report, show)
     return _from_reference(rig, records, estimator, published, smooth, process_density, started, show)
-
-
-def _from_motion(
-    rig: Rig,
-    logs: Sequence[Log],
-    estimator: Literal["map", "online"],
-    threads: int | None,
-    held_out: bool,
-    report: Progress,
-    show: Show,
-) -> Calibration:
-    clock = [time.perf_counter()]
-    online = estimator == "online"
-    stated, rig = rig, with_first_guess(rig, [logs[k] for k in moving_logs(rig, logs)])
-    pooled = estimate_pooled(rig, logs, threads=threads or 0, online=online)
-    estimate, moving = pooled.estimate, [logs[k] for k in pooled.moving]
-    known = known_logs(rig, moving)
-    clock.append(time.perf_counter())
-    provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
-
-    def without_the_part(kept: Sequence[Log]) -> Calibration | None:
-        others = [log for k, log in enumerate(logs) if k not in pooled.moving or not known_payload(rig, log)]
-        again = estimate_pooled(rig, [*kept, *others], threads=threads or 0, online=online).estimate
-        return (
-            assemble_motion(rig, [*kept, *others], estimator, again, Verdict(True)) if again.solved else None
-        )
-
-    compared: Comparison | str = "not asked for"
-    if not estimate.solved:
-        compared = "nothing of the record could be fitted"
-    elif estimate.unresolved.any() or (estimate.unexplained > _core.MOST_LOST).any():
-        compared = "the record does not follow its motion"
-    elif held_out and not known:
-        compared = "no payload is known, by which the gains could be compared"
-    elif held_out:
-        report("comparing", None)
-        undisturbed = [
-            _undisturbed(logs[k], estimate, k) for k in pooled.moving if known_payload(rig, logs[k])
-        ]
-        compared = compare_held_out(rig, undisturbed, without_the_part)
-    if isinstance(compared, str):
-        compared = compare_in_sample(rig, logs, estimate, provisional.inverse, compared)
-    clock.append(time.perf_counter())
-    report("judging", None)
-    worse = [*scale_unknown(rig, logs), *pooled.worse(rig, logs, held_out)]
-    comparisons = _comparisons(estimate, compared, rig, worse, known)
-    judgement = judge(estimate, comparisons, rig, logs)
-    assumed = findings(estimate, rig, logs)
-    clock.append(time.perf_counter())
-    show(Evidence(tuple(logs), estimate))
-    return replace(
-        provisional,
-        rig=stated,
-        logs=pooled.reports(logs, provisional.logs),
-        verdict=judgement.verdict,
-        axes=judgement.axes,
-        assumed=assumed,
-        improvement=compared.improvement,
-        figures={
-            **motion_figures(rig, estimate),
-            **pooled.figures(),
-            "held_out": compared.figures,
-            "notes": [
-                *_log_notes(logs),
-                *still_motion(moving),
-                *judgement.notes,
-                *notes_on_bodies(rig, logs, estimate.payloads),
-            ],
-        },
-        timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
-    )
-
-
-def _comparisons(
-    estimate: Estimate, compared: Comparison, rig: Rig, worse: Sequence[str], known: Sequence[Log]
-) -> Comparisons:
-    held_out = any(axis.held_out for axis in compared.improvement.values())
-    return Comparisons(
-        improvement=compared.improvement if held_out else {},
-        worse=(*compared.reasons, *worse),
-        not_held_out="" if held_out else str(compared.figures.get("none_because", "nothing was compared")),
-        # of bodies that nobody knows, nothing tells a wrong unit from a wrong mass
-        setup=setup_errors(estimate, rig, known, partial(_plain, rig, known))
-        if estimate.solved and known
-        else (),
-    )
-
-
-def _plain(rig: Rig, logs: Sequence[Log]) -> tuple[Array, Array] | None:
-    """Gain and covariance by least squares, which takes no departure for noise; None if it tells little."""
-    try:
-        # differences of noisy velocities would shrink the gain, which looks like a wrong unit
-        found = least_squares(rig, tracked(rig, logs), "spline")
-    except InputError:
-        return None
-    n = rig.sensor.n
-    left = found.chi_square * rig.sensor.noise_array**2
-    if not np.median(left / np.nanvar(np.concatenate([log.raw for log in logs]), axis=0)) < _core.MOST_LOST:
-        return None
-    scatter = np.repeat(np.sqrt(np.maximum(found.chi_square, 1.0)), 6)
-    return found.gain, found.covariance[: 6 * n, : 6 * n] * np.outer(scatter, scatter)
-
-
-def _undisturbed(log: Log, estimate: Estimate, k: int) -> Log:
-    """The log without the samples that were left out, cut where its offset steps."""
-    raw = log.raw.copy()
-    raw[estimate.rows[k].rows[estimate.rows[k].masked]] = np.nan
-    jumps = tuple(int(log.time_ns[0] + round(1e9 * step.time)) for step in estimate.steps[k])
-    return replace(log, raw=raw, offset_jumps_ns=jumps)
 
 
 def _from_known_wrench(

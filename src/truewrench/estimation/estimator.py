@@ -27,7 +27,7 @@ from truewrench.estimation.record import recorded_logs
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["estimate"]
+__all__ = ["estimate", "unsolved"]
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = 
     else:
         found = _core.estimate(statement, records, settings)
     if found.status != _core.Status.ok:
-        return _unsolved(rig, assumed, logs, found)
+        return unsolved(rig, logs, found)
     return _solved(rig, assumed, logs, found, records)
 
 
@@ -135,20 +135,26 @@ def _solved(
     )
 
 
-def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -> Estimate:
-    """The prior, where a record says nothing that could be solved."""
+def unsolved(rig: Rig, logs: Sequence[Log], found: Any = None) -> Estimate:
+    """The prior, where a record says nothing that could be solved, or was not asked.
+
+    Args:
+        rig: sensor and motion.
+        logs: of the record.
+        found: what the core says of it.
+    """
     n, count = rig.sensor.n, len(logs)
-    scale, span = assumed.channel_scale, rig.sensor.range_array
+    scale, span = Assumptions.of(rig, logs).channel_scale, rig.sensor.range_array
     prior = np.append(np.full(6 * n, min(rig.sensor.gain_prior, 1e30)), rig.sensor.offset_prior_array / scale)
     normalised = np.diag(prior**2)
     units = np.append((scale[:, None] / span).ravel(), scale)
     offset_std = np.tile(rig.sensor.offset_prior_array, (count, 1))
-    unexplained = np.zeros(count)
-    unexplained[: len(found.unexplained)] = found.unexplained
-    unresolved = np.zeros(count, dtype=bool)
-    unresolved[: len(found.unresolved)] = found.unresolved
+    unexplained, unresolved = np.zeros(count), np.zeros(count, dtype=bool)
     dropped = np.zeros(count, dtype=np.int64)
-    dropped[: len(found.dropped)] = found.dropped
+    if found is not None:
+        unexplained[: len(found.unexplained)] = found.unexplained
+        unresolved[: len(found.unresolved)] = found.unresolved
+        dropped[: len(found.dropped)] = found.dropped
     return without_motion(
         n,
         count,
@@ -165,7 +171,7 @@ def _unsolved(rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any) -
         dropped=dropped,
         converged=False,
         iterations=0,
-        fits=int(found.fits),
+        fits=0 if found is None else int(found.fits),
     )
 
 

@@ -17,7 +17,8 @@ from truewrench.judging.blind import blind_to
 from truewrench.judging.channels import channel_faults, still_motion
 from truewrench.judging.comparisons import Comparisons
 from truewrench.judging.departure import largest_departure
-from truewrench.judging.setup_odds import Suspicion, setup_errors
+from truewrench.judging.joint_faults import joint_faults
+from truewrench.judging.setup_odds import Suspicion, gross_errors, setup_errors
 from truewrench.judging.words import (
     MOST,
     findings,
@@ -33,7 +34,17 @@ from truewrench.model.calibration_parts import AXES, Undetermined, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["Comparisons", "Judgement", "Suspicion", "blind_to", "findings", "judge", "setup_errors"]
+__all__ = [
+    "Comparisons",
+    "Judgement",
+    "Suspicion",
+    "blind_to",
+    "findings",
+    "gross_errors",
+    "joint_faults",
+    "judge",
+    "setup_errors",
+]
 
 Array = NDArray[np.float64]
 
@@ -80,7 +91,9 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
     reasons = [fault.words for fault in faults]
     unexplained = _unexplained(estimate, rig, logs)
     of_record: list[str] = []
-    if unexplained or not estimate.solved:  # what else was found is no more than what nothing explains
+    if comparisons.hopeless:
+        reasons += comparisons.hopeless
+    elif unexplained or not estimate.solved:  # what else was found is no more than what nothing explains
         reasons += still_motion(logs) or unexplained or _unsolved(estimate, logs)
     else:
         of_record = _of_record(estimate, rig, logs)

@@ -20,9 +20,11 @@ class Comparisons:
         worse: why, by that, the new gain should not replace the nominal one, in words.
         not_held_out: why nothing was held out, in words; empty where something was. It is always told.
         setup: `setup_errors` of the estimate.
+        hopeless: why nothing was estimated, in words: `joint_faults`, `gross_errors`.
     """
 
     improvement: Mapping[str, AxisImprovement] = field(default_factory=dict)
     worse: tuple[str, ...] = ()
     not_held_out: str = ""
     setup: tuple[Suspicion, ...] = ()
+    hopeless: tuple[str, ...] = ()

@@ -40,7 +40,7 @@ from truewrench.judging.setup_mistakes import (
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["Suspicion", "payload_errors", "setup_errors", "suspected_setup_errors"]
+__all__ = ["Suspicion", "gross_errors", "payload_errors", "setup_errors", "suspected_setup_errors"]
 
 Array = NDArray[np.float64]
 
@@ -54,6 +54,7 @@ UNSEEN = 0.98  # of the prior variance: a direction that uncertain has not been 
 NAMED = 0.05  # share of the odds from which on a hypothesis is worth naming
 MOST = 3  # hypotheses that are named
 NEGLIGIBLE = 20.0  # nats: what is less likely by so much is not pursued: tolerance
+GROSS, SURE = 1.5, 6.0  # of nominal, and of the prior's sigma, that some gain is off: no turn, no late clock
 LOST = 10.0  # times the stated noise of the sensor, from which on the estimate describes nothing: tolerance
 SHORTLIST = 12  # signed permutations of each family that are evaluated in full: tolerance
 
@@ -107,9 +108,10 @@ def setup_errors(
     """
     n = rig.sensor.n
     names = [name for name in dict.fromkeys(log.payload for log in logs) if name in rig.payloads]
+    prior = float(np.median(estimate.gain_prior))
     if not _lost(estimate, rig):
         P = estimate.normalised_covariance[: 6 * n, : 6 * n]
-        found = _of_gain(estimate.gain, P, estimate.before_pose, estimate, rig, names)
+        found = _of_gain(estimate.gain, P, estimate.before_pose, prior, rig, names)
         for name, departure in estimate.payloads.items():
             if name in rig.payloads:
                 found += payload_errors(name, departure.mean, _stated(rig, name))
@@ -119,11 +121,31 @@ def setup_errors(
     gain, covariance = known
     unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel()
     P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit) + _payload_unknown(gain, rig, names)
-    return _of_gain(gain, P, None, estimate, rig, names)
+    return _of_gain(gain, P, None, prior, rig, names)
+
+
+def gross_errors(rig: Rig, logs: Sequence[Log], gain: Array, covariance: Array) -> tuple[Suspicion, ...]:
+    """Set-up errors so gross that no sensor is so wrong by itself; empty where there is none.
+
+    Args:
+        rig: what was stated.
+        logs: those of the calibration.
+        gain: (n, 6) that no prior has pulled, SI.
+        covariance: (6n, 6n) of it, for an exact payload.
+    """
+    sensor, names = rig.sensor, list(dict.fromkeys(log.payload for log in logs))
+    unit = sensor.range_array / sensor.channel_scale[:, None]
+    apart = float(np.abs((gain - sensor.nominal_gain_array) * unit).max())
+    if not apart > max(GROSS, SURE * sensor.gain_prior):
+        return ()
+    n = sensor.n
+    P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit) + _payload_unknown(gain, rig, names)
+    found = _of_gain(gain, P, None, sensor.gain_prior, rig, names)
+    return found if found and found[0].kind in ("scale", "axes") and found[0].log_odds > NEGLIGIBLE else ()
 
 
 def _of_gain(
-    gain: Array, P: Array, before_pose: Array | None, estimate: Estimate, rig: Rig, names: Sequence[str]
+    gain: Array, P: Array, before_pose: Array | None, prior: float, rig: Rig, names: Sequence[str]
 ) -> tuple[Suspicion, ...]:
     sensor = rig.sensor
     unit = sensor.range_array / sensor.channel_scale[:, None]  # normalised gain per SI gain
@@ -131,7 +153,7 @@ def _of_gain(
         gain * unit,
         P,
         sensor.nominal_gain_array * unit,
-        float(np.median(estimate.gain_prior)),
+        prior,
         sensor.range_array,
         sensor.channel_scale,
         centers_of_mass=[rig.payloads[name].center_of_mass_array for name in names],

@@ -1,0 +1,143 @@
+"""A calibration from motion: estimate, compare, judge, and put together what is said about it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from truewrench import _core
+from truewrench.calibrating.hopeless import hopeless, plain_gain
+from truewrench.calibrating.pooled import Pooled, estimate_pooled, moving_logs
+from truewrench.calibrating.unknown_bodies import (
+    known_logs,
+    known_payload,
+    notes_on_bodies,
+    scale_unknown,
+    with_first_guess,
+)
+from truewrench.estimation.assembly import assemble_motion, motion_figures
+from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.estimator import unsolved
+from truewrench.estimation.evidence import Evidence
+from truewrench.judging import Comparisons, findings, judge, setup_errors
+from truewrench.judging.channels import still_motion
+from truewrench.judging.validation.comparison import Comparison, compare_held_out, compare_in_sample
+from truewrench.model.calibration import Calibration, Verdict
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+
+__all__ = ["calibrate_from_motion"]
+
+Progress = Callable[[str, float | None], None]
+Show = Callable[[Evidence], None]
+
+
+def calibrate_from_motion(
+    rig: Rig,
+    logs: Sequence[Log],
+    estimator: Literal["map", "online"],
+    threads: int | None,
+    held_out: bool,
+    report: Progress,
+    show: Show,
+) -> Calibration:
+    """The calibration from logs of which at least one moves; arguments as of `calibrate`."""
+    clock = [time.perf_counter()]
+    online = estimator == "online"
+    stated, rig = rig, with_first_guess(rig, [logs[k] for k in moving_logs(rig, logs)])
+    moving = [logs[k] for k in moving_logs(rig, logs)]
+    known = known_logs(rig, moving)
+    refused = hopeless(rig, moving, known)
+    if refused:
+        pooled = Pooled(unsolved(rig, logs), moving_logs(rig, logs))
+    else:
+        pooled = estimate_pooled(rig, logs, threads=threads or 0, online=online)
+    estimate = pooled.estimate
+    clock.append(time.perf_counter())
+    provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
+
+    def without_the_part(kept: Sequence[Log]) -> Calibration | None:
+        others = [log for k, log in enumerate(logs) if k not in pooled.moving or not known_payload(rig, log)]
+        again = estimate_pooled(rig, [*kept, *others], threads=threads or 0, online=online).estimate
+        return (
+            assemble_motion(rig, [*kept, *others], estimator, again, Verdict(True)) if again.solved else None
+        )
+
+    compared: Comparison | str = "not asked for"
+    if not estimate.solved:
+        compared = "nothing of the record could be fitted"
+    elif estimate.unresolved.any() or (estimate.unexplained > _core.MOST_LOST).any():
+        compared = "the record does not follow its motion"
+    elif held_out and not known:
+        compared = "no payload is known, by which the gains could be compared"
+    elif held_out:
+        report("comparing", None)
+        undisturbed = [
+            _undisturbed(logs[k], estimate, k) for k in pooled.moving if known_payload(rig, logs[k])
+        ]
+        compared = compare_held_out(rig, undisturbed, without_the_part)
+    if isinstance(compared, str):
+        compared = compare_in_sample(rig, logs, estimate, provisional.inverse, compared)
+    clock.append(time.perf_counter())
+    report("judging", None)
+    worse = [*scale_unknown(rig, logs), *pooled.worse(rig, logs, held_out)]
+    comparisons = _comparisons(estimate, compared, rig, worse, known, refused)
+    judgement = judge(estimate, comparisons, rig, logs)
+    assumed = findings(estimate, rig, logs)
+    clock.append(time.perf_counter())
+    show(Evidence(tuple(logs), estimate))
+    return replace(
+        provisional,
+        rig=stated,
+        logs=pooled.reports(logs, provisional.logs),
+        verdict=judgement.verdict,
+        axes=judgement.axes,
+        assumed=assumed,
+        improvement=compared.improvement,
+        figures={
+            **motion_figures(rig, estimate),
+            **pooled.figures(),
+            "held_out": compared.figures,
+            "notes": [
+                *(f"{log.path}: {note}" for log in logs for note in log.notes),
+                *still_motion(moving),
+                *judgement.notes,
+                *notes_on_bodies(rig, logs, estimate.payloads),
+            ],
+        },
+        timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
+    )
+
+
+def _comparisons(
+    estimate: Estimate,
+    compared: Comparison,
+    rig: Rig,
+    worse: Sequence[str],
+    known: Sequence[Log],
+    refused: Sequence[str],
+) -> Comparisons:
+    held_out = any(axis.held_out for axis in compared.improvement.values())
+    return Comparisons(
+        improvement=compared.improvement if held_out else {},
+        worse=(*compared.reasons, *worse),
+        not_held_out="" if held_out else str(compared.figures.get("none_because", "nothing was compared")),
+        # of bodies that nobody knows, nothing tells a wrong unit from a wrong mass
+        setup=setup_errors(estimate, rig, known, partial(plain_gain, rig, known))
+        if estimate.solved and known
+        else (),
+        hopeless=tuple(refused),
+    )
+
+
+def _undisturbed(log: Log, estimate: Estimate, k: int) -> Log:
+    """The log without the samples that were left out, cut where its offset steps."""
+    raw = log.raw.copy()
+    raw[estimate.rows[k].rows[estimate.rows[k].masked]] = np.nan
+    jumps = tuple(int(log.time_ns[0] + round(1e9 * step.time)) for step in estimate.steps[k])
+    return replace(log, raw=raw, offset_jumps_ns=jumps)

@@ -1,0 +1,134 @@
+"""What needs no estimate to be refused: the joints themselves, or least squares on a few seconds, tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.estimation.estimator import estimate
+from truewrench.estimation.least_squares import least_squares
+from truewrench.judging import gross_errors, joint_faults
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
+from truewrench.robot.arm import robot_of
+from truewrench.robot.track import tracked
+
+__all__ = ["hopeless", "plain_gain"]
+
+Array = NDArray[np.float64]
+
+SECONDS = 6.0  # of each log, from its middle
+SMOOTHED = 40.0  # of nominal: no gain is that large because its motion was smoothed
+FREE = 1e3  # 1 sigma of the gains that pulls none
+FOLLOWED = 0.02  # share of the raw output that least squares leave, up to which its gain is the sensor's
+LEFT, MISFIT = 0.003, 4.0  # the same, and chi-square, from which on joints may be logged otherwise,
+BETTER = 10.0  # and how many times less must be left then
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plain:
+    gain: Array  # (n, 6), SI
+    covariance: Array  # (6n, 6n)
+    left: float  # share of the raw output, median over the channels
+    chi_square: float  # per sample, likewise
+
+
+def hopeless(rig: Rig, logs: Sequence[Log], known: Sequence[Log]) -> list[str]:
+    """Why these logs cannot calibrate, in words; empty where they may.
+
+    Args:
+        rig: what was stated.
+        logs: of motion.
+        known: those of them that carry a known payload.
+    """
+    found = joint_faults(rig, logs)
+    if found or not known:
+        return found
+    short = [_middle(log) for log in known]
+    plain = _plain(rig, short)
+    if plain is None:
+        return []
+    if plain.left < FOLLOWED and (gross := gross_errors(rig, known, plain.gain, plain.covariance)):
+        unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
+        largest = float(np.abs(plain.gain * unit).max())
+        found = [s.words for s in gross] if largest > SMOOTHED else _confirmed(rig, short)
+    return found or _logged_otherwise(rig, short, plain)
+
+
+def _confirmed(rig: Rig, logs: Sequence[Log]) -> list[str]:
+    """What the estimator says of these seconds, pulled by no prior.
+
+    Least squares smooth a noisy motion, which makes gains several times too large: of 600 imperfect records
+    25 looked like pounds to them.
+    """
+    free = rig.sensor.model_copy(update={"gain_prior": FREE * max(1.0, rig.sensor.gain_prior)})
+    found = estimate(rig.model_copy(update={"sensor": free}), logs)
+    if not found.solved:
+        return []
+    return [s.words for s in gross_errors(rig, logs, found.gain, found.covariance)]
+
+
+def plain_gain(rig: Rig, logs: Sequence[Log]) -> tuple[Array, Array] | None:
+    """Gain and covariance by least squares, which takes no departure for noise; None if it tells little."""
+    found = _plain(rig, logs)
+    return None if found is None or found.left >= _core.MOST_LOST else (found.gain, found.covariance)
+
+
+def _plain(rig: Rig, logs: Sequence[Log]) -> _Plain | None:
+    try:
+        # differences of noisy velocities would shrink the gain, which looks like a wrong unit
+        found = least_squares(rig, tracked(rig, logs), "spline")
+    except InputError:
+        return None
+    n = rig.sensor.n
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance = np.nanvar(np.concatenate([log.raw for log in logs]), axis=0)
+        left = float(np.median(found.chi_square * rig.sensor.noise_array**2 / variance))
+    scatter = np.repeat(np.sqrt(np.maximum(found.chi_square, 1.0)), 6)
+    P = found.covariance[: 6 * n, : 6 * n] * np.outer(scatter, scatter)
+    return _Plain(found.gain, P, left, float(np.median(found.chi_square))) if np.isfinite(left) else None
+
+
+def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]:
+    """What was done to the joints, positions and velocities alike: one turned, or all in degrees."""
+    if rig.motion.source != "joints" or not (plain.left > LEFT and plain.chi_square > MISFIT):
+        return []
+    robot = robot_of(rig)
+    revolute = np.array([joint.shortname().startswith("JointModelR") for joint in robot.model.joints[1:]])
+    guesses = {"the joints are in degrees": np.where(revolute, np.pi / 180.0, 1.0)}
+    for j, name in enumerate(robot.joints):
+        words = (
+            f"joint {name}: its sign is turned, or its axis is the other way round in the robot's description"
+        )
+        guesses[words] = np.where(np.arange(robot.n) == j, -1.0, 1.0)
+    best, said = plain.left / BETTER, ""
+    for words, factor in guesses.items():
+        other = _plain(rig, [_scaled(log, factor) for log in logs])
+        if other is not None and other.left < best:
+            best, said = other.left, words
+    if not said:
+        return []
+    return [
+        f"{said}: so the motion explains all but {100 * best:.2g}% of the raw output, as it is logged all "
+        f"but {100 * plain.left:.2g}%"
+    ]
+
+
+def _scaled(log: Log, factor: Array) -> Log:
+    """The log with other joints, from which its motion follows anew."""
+    position = None if log.position is None else log.position * factor
+    velocity = None if log.velocity is None else log.velocity * factor
+    return replace(log, position=position, velocity=velocity, twist=None, gravity=None, tracking=None)
+
+
+def _middle(log: Log) -> Log:
+    """`SECONDS` of a log."""
+    middle = 0.5 * float(log.time[-1]) if len(log.time_ns) else 0.0
+    rows = np.abs(log.time - middle) <= 0.5 * SECONDS
+    return log if rows.all() else rows_of(log, rows)

@@ -1,0 +1,163 @@
+"""Joints whose streams contradict each other or themselves: no motion of the arm is all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.robot.arm import robot_of
+
+__all__ = ["joint_faults"]
+
+Array = NDArray[np.float64]
+
+SPAN = (
+    0.25  # [s] over which the way of a joint is compared: far above its noise, far below a turn of its motion
+)
+MOVES = 0.02  # [rad, m] RMS of that way, from which on it can be compared
+FOLLOWS = 0.9  # correlation of both ways, from which on their ratio says something, and
+APART = 0.5  # below which, at any lag within LAG, they are of different motions
+RATIO = 2.0  # of both ways, either way round: a unit
+LAG = 0.5  # [s] more than any driver holds one stream back
+JUMP = 5e-3  # [rad, m] at least, and
+AHEAD = 0.05  # [s] at the joint's speed: what a stamp may be off, and
+NOISE = 20.0  # sigma of what a row departs by
+COUNTS = 3.0  # of the encoder, and
+NEAR = 5  # rows within which a stray one comes back
+
+
+def joint_faults(rig: Rig, logs: Sequence[Log]) -> list[str]:
+    """What no motion of the arm explains, in words; empty where joints are not logged.
+
+    A position that jumps and stays away: a joint cannot have moved so far. Velocities that tell another
+    motion than the positions, its opposite, or one in another unit.
+
+    Args:
+        rig: whose motion comes from joints.
+        logs: positions without turns that begin anew (`robot.parts.unwrapped`).
+    """
+    if rig.motion.source != "joints":
+        return []
+    found = []
+    for k, log in enumerate(logs):
+        if log.position is None:
+            continue
+        where = f" in log {k + 1}" if len(logs) > 1 else ""
+        for j, name in enumerate(robot_of(rig).joints):
+            words = _of_joint(log, j)
+            if words:
+                found.append(f"joint {name}{where}: {words}")
+    return found
+
+
+def _of_joint(log: Log, j: int) -> str:
+    assert log.position is not None
+    rows = np.flatnonzero(np.isfinite(log.position[:, j]))
+    if rows.size < 4 * NEAR:
+        return ""
+    time, q = log.time[rows], log.position[rows, j]
+    went = None
+    if log.velocity is not None:
+        known = np.flatnonzero(np.isfinite(log.velocity[:, j]))
+        if known.size >= 4 * NEAR:
+            went = _Path(log.time[known], log.velocity[known, j])
+            if words := _disagree(time, q, went):
+                return words
+    return _jump(time, q, went)
+
+
+class _Path:
+    """The way of a joint by its velocities: their integral, known between their first and last."""
+
+    def __init__(self, time: Array, velocity: Array) -> None:
+        step = np.diff(time)
+        self.time, self.velocity = time, velocity
+        self.way = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step))
+        self.longest = NEAR * float(np.median(step))
+        self.gaps = np.append(0, np.cumsum(step > self.longest))
+
+    def between(self, begin: Array, end: Array) -> Array:
+        """Way from one time to the other, NaN across gaps and outside."""
+        way = np.interp(end, self.time, self.way) - np.interp(begin, self.time, self.way)
+        first, last = np.searchsorted(self.time, begin, "right") - 1, np.searchsorted(self.time, end)
+        inside = (first >= 0) & (last < self.time.size)
+        first, last = np.clip(first, 0, None), np.clip(last, None, self.time.size - 1)
+        return np.where(inside & (self.gaps[first] == self.gaps[last]), way, np.nan)
+
+
+def _disagree(time: Array, q: Array, went: _Path) -> str:
+    """How positions and velocities tell different motions."""
+    span = max(1, round(SPAN / float(np.median(np.diff(time)))))
+    if q.size <= 2 * span:
+        return ""
+    begin, end = time[:-span], time[span:]
+    way = q[span:] - q[:-span]
+    together = end - begin < 2.0 * SPAN  # no gap of the positions
+
+    def compared(lag: float) -> tuple[float, float, float]:
+        by_velocity = went.between(begin + lag, end + lag)
+        use = together & np.isfinite(by_velocity)
+        if np.count_nonzero(use) < 2 * span:
+            return 0.0, 0.0, 0.0
+        a, b = way[use], by_velocity[use]
+        return float(np.mean(a * a)), float(np.mean(b * b)), float(np.mean(a * b))
+
+    a2, b2, ab = compared(0.0)
+    if max(a2, b2) < MOVES**2:
+        return ""
+    if min(a2, b2) < 1e-4 * max(a2, b2):
+        still = "velocities" if b2 < a2 else "positions"
+        other = "positions" if b2 < a2 else "velocities"
+        return f"its {still} hardly move where its {other} do"
+    if a2 < MOVES**2 or b2 < MOVES**2:
+        return ""
+    r, ratio = ab / np.sqrt(a2 * b2), np.sqrt(a2 / b2)
+    if r < -FOLLOWS:
+        return "its positions move against its velocities: the sign of one of them is turned"
+    if abs(r) > FOLLOWS and not 1.0 / RATIO < ratio < RATIO:
+        return (
+            f"its positions move {ratio:.3g} times as far as its velocities say: degrees, another unit, or "
+            "stamps at another rate"
+        )
+    if abs(r) > APART:
+        return ""
+    every = [compared(lag) for lag in np.linspace(-LAG, LAG, 41)]
+    if any(abs(x) > APART * np.sqrt(a * b) for a, b, x in every if a > 0.0 and b > 0.0):
+        return ""
+    return f"its positions and velocities tell different motions (correlation {r:.2f}): columns swapped?"
+
+
+def _jump(time: Array, q: Array, went: _Path | None) -> str:
+    """The largest jump that stays."""
+    step, move = np.diff(time), np.diff(q)
+    speed = np.abs(move) / step
+    depart = move - np.append(np.append(np.nan, 0.5 * (move[2:] + move[:-2])), np.nan)
+    if went is not None:  # both have to say so
+        by_velocity = move - went.between(time[:-1], time[1:])
+        depart = np.where(np.abs(by_velocity) < np.abs(depart), by_velocity, depart)
+    known = np.isfinite(depart) & (step <= NEAR * np.median(step))
+    if np.count_nonzero(known) < 4 * NEAR:
+        return ""
+    depart = np.where(known, depart, 0.0)
+    size = np.abs(depart)
+    noise = float(np.median(size[known])) / 0.6745
+    count = float(np.min(np.abs(move[move != 0.0]), initial=np.inf))  # or the least of its noise
+    if not np.isfinite(count):
+        return ""
+    for k in np.argsort(-size)[:NEAR]:
+        near = slice(max(k - NEAR, 0), k + NEAR + 1)
+        if not known[near].all():
+            continue
+        stays = abs(float(depart[near].sum()))
+        around = np.delete(speed[near], min(k, NEAR))
+        ahead = AHEAD * float(np.median(around))
+        if stays > max(JUMP, NOISE * noise, COUNTS * count, ahead, 0.5 * size[k]):
+            return (
+                f"its position jumps by {stays:.2g} rad or m at {time[k + 1]:.4g} s and stays there: an "
+                "encoder that slipped, or two runs in one log"
+            )
+    return ""

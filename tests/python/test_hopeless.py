@@ -1,0 +1,150 @@
+"""What is refused before anything is estimated: joints that contradict themselves, gross mistakes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import truewrench as tw
+from truewrench.calibrating.hopeless import hopeless
+from truewrench.judging import joint_faults
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+
+Array = NDArray[np.float64]
+
+TWIST: dict[str, Any] = {
+    "sensor": {
+        "channels": ["fx", "fy", "fz", "mx", "my", "mz"],
+        "feels": "payload_on_sensor",
+        "noise": [0.05] * 3 + [0.005] * 3,
+        "range": [100] * 3 + [10] * 3,
+        "gain_prior": 0.1,
+    },
+    "payloads": {
+        "default": {
+            "mass": 5,
+            "center_of_mass": [0.02, 0.03, 0.1],
+            "inertia": {"xx": 0.06, "yy": 0.05, "zz": 0.03},
+        }
+    },
+    "motion": {"source": "twist", "of": "sensor", "noise": [1e-3] * 6},
+    "gravity": [0, 0, -9.81],
+    "required": 0.05,
+    "plan": {"duration": 12},
+    "simulate": {"rate": 100, "payload": "random"},
+}
+
+
+@pytest.fixture(scope="module")
+def twist_log() -> Log:
+    return tw.simulate(Rig.from_mapping(TWIST), seed=1).log
+
+
+@pytest.fixture
+def arm(arm_rig: Callable[..., Rig]) -> tuple[Rig, Log]:
+    rig = arm_rig("panda_ground", plan={"duration": 10}, simulate={"rate": 125, "sensor_rate": 125})
+    return rig, as_read(tw.simulate_arm(rig, seed=1).log)
+
+
+def as_read(log: Log) -> Log:
+    return replace(log, twist=None, gravity=None, tracking=None)
+
+
+def changed(log: Log, j: int, position: Callable[[Array], Array], velocity: Callable[[Array], Array]) -> Log:
+    assert log.position is not None
+    assert log.velocity is not None
+    q, dq = log.position.copy(), log.velocity.copy()
+    q[:, j], dq[:, j] = position(q[:, j]), velocity(dq[:, j])
+    return replace(log, position=q, velocity=dq)
+
+
+def same(x: Array) -> Array:
+    return x
+
+
+def test_sound_records_are_left_to_the_estimate(twist_log: Log, arm: tuple[Rig, Log]) -> None:
+    rig = Rig.from_mapping(TWIST)
+    assert hopeless(rig, [twist_log], [twist_log]) == []
+    assert hopeless(arm[0], [arm[1]], [arm[1]]) == []
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "words"),
+    [
+        (lambda q: np.where(np.arange(q.size) > q.size // 2, q + 0.3, q), same, "jumps by 0.3 rad"),
+        (lambda q: -q, same, "against its velocities"),
+        (np.rad2deg, same, "57.3 times as far"),
+        (same, lambda v: 0.0 * v, "velocities hardly move"),
+        (same, lambda v: 0.3 * np.sin(0.1 * np.arange(v.size)), "different motions"),
+        (lambda q: -q, lambda v: -v, "its sign is turned"),
+    ],
+    ids=["jump", "against", "degrees", "no velocities", "another motion", "turned"],
+)
+def test_joints_that_no_arm_moves_so_are_named(
+    arm: tuple[Rig, Log],
+    position: Callable[[Array], Array],
+    velocity: Callable[[Array], Array],
+    words: str,
+) -> None:
+    rig, log = arm
+    found = hopeless(rig, [changed(log, 3, position, velocity)], [changed(log, 3, position, velocity)])
+    assert len(found) == 1
+    assert "panda_joint4" in found[0]
+    assert words in found[0]
+
+
+def test_joints_in_degrees_are_named_and_a_verdict_says_nothing_else(arm: tuple[Rig, Log]) -> None:
+    rig, log = arm
+    assert log.position is not None
+    assert log.velocity is not None
+    degrees = replace(log, position=np.rad2deg(log.position), velocity=np.rad2deg(log.velocity))
+    verdict = tw.calibrate(rig, degrees).verdict
+    assert not verdict.usable
+    assert len(verdict.reasons) == 1
+    assert verdict.reasons[0].startswith("the joints are in degrees")
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-3, 1e-2])
+def test_coarse_encoders_do_not_jump(arm: tuple[Rig, Log], step: float) -> None:
+    rig, log = arm
+    assert log.position is not None
+    coarse = replace(log, position=np.round(log.position / step) * step)
+    assert joint_faults(rig, [coarse]) == []
+    assert joint_faults(rig, [replace(coarse, velocity=None)]) == []
+
+
+def test_a_stray_row_comes_back_and_is_no_jump(arm: tuple[Rig, Log]) -> None:
+    rig, log = arm
+    assert log.position is not None
+    q = log.position.copy()
+    q[400, 2] += 0.5
+    assert joint_faults(rig, [replace(log, position=q)]) == []
+
+
+@pytest.mark.parametrize(
+    ("raw", "words"),
+    [
+        (lambda x: 9.80665 * x, "9.807 times too large"),
+        (lambda x: 1e3 * x, "1000 times too large"),
+        (lambda x: -x, "wrong sign of the whole wrench"),
+        (lambda x: x[:, ::-1].copy(), "axes mixed up"),
+        (lambda x: x * [1, -1, 1, 1, -1, 1], "wrong sign of fy and my"),
+    ],
+    ids=["kilograms", "millinewtons", "sign", "order", "left-handed"],
+)
+def test_gross_mistakes_of_the_set_up_need_no_estimate(
+    twist_log: Log, raw: Callable[[Array], Array], words: str
+) -> None:
+    log = replace(twist_log, raw=raw(twist_log.raw))
+    found = hopeless(Rig.from_mapping(TWIST), [log], [log])
+    assert found
+    assert words in found[0]
+    calibration = tw.calibrate(Rig.from_mapping(TWIST), log)
+    assert calibration.verdict.reasons == tuple(found)
+    assert not any(calibration.axes.values())
