@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 import truewrench as tw
 from truewrench.calibrating.hopeless import hopeless
-from truewrench.judging import joint_faults
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.robot.joint_faults import joint_faults
 
 Array = NDArray[np.float64]
 
@@ -117,6 +117,21 @@ def test_coarse_encoders_do_not_jump(arm: tuple[Rig, Log], step: float) -> None:
     coarse = replace(log, position=np.round(log.position / step) * step)
     assert joint_faults(rig, [coarse]) == []
     assert joint_faults(rig, [replace(coarse, velocity=None)]) == []
+
+
+def test_poses_are_no_jumps(arm: tuple[Rig, Log]) -> None:
+    rig, log = arm
+    assert log.position is not None
+    rows = np.repeat([100, 100, 100, 100, 100, 900], 8)
+    time_ns = 2_000_000_000 * np.arange(rows.size)
+    poses = replace(log, time_ns=time_ns, raw=log.raw[rows], position=log.position[rows], velocity=None)
+    assert joint_faults(rig, [poses]) == []
+
+
+def test_a_tool_is_refused_by_the_same_words(arm: tuple[Rig, Log]) -> None:
+    rig, log = arm
+    with pytest.raises(tw.InputError, match=r"panda_joint4.*against its velocities"):
+        tw.identify_tool(rig, changed(log, 3, lambda q: -q, same))
 
 
 def test_a_stray_row_comes_back_and_is_no_jump(arm: tuple[Rig, Log]) -> None:

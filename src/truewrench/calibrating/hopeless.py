@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.least_squares import least_squares
-from truewrench.judging import gross_errors, joint_faults
+from truewrench.judging import gross_errors
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
 from truewrench.robot.arm import robot_of
+from truewrench.robot.joint_faults import joint_faults
 from truewrench.robot.track import tracked
 
 __all__ = ["hopeless", "plain_gain"]

@@ -17,7 +17,6 @@ from truewrench.judging.blind import blind_to
 from truewrench.judging.channels import channel_faults, still_motion
 from truewrench.judging.comparisons import Comparisons
 from truewrench.judging.departure import largest_departure
-from truewrench.judging.joint_faults import joint_faults
 from truewrench.judging.setup_odds import Suspicion, gross_errors, setup_errors
 from truewrench.judging.words import (
     MOST,
@@ -41,7 +40,6 @@ __all__ = [
     "blind_to",
     "findings",
     "gross_errors",
-    "joint_faults",
     "judge",
     "setup_errors",
 ]

@@ -15,9 +15,8 @@ __all__ = ["joint_faults"]
 
 Array = NDArray[np.float64]
 
-SPAN = (
-    0.25  # [s] over which the way of a joint is compared: far above its noise, far below a turn of its motion
-)
+SAMPLED = 0.1  # [s] between rows at most: others are poses
+SPAN = 0.25  # [s] over which the way of a joint is compared: far above its noise, below a turn of its motion
 MOVES = 0.02  # [rad, m] RMS of that way, from which on it can be compared
 FOLLOWS = 0.9  # correlation of both ways, from which on their ratio says something, and
 APART = 0.5  # below which, at any lag within LAG, they are of different motions
@@ -57,7 +56,7 @@ def joint_faults(rig: Rig, logs: Sequence[Log]) -> list[str]:
 def _of_joint(log: Log, j: int) -> str:
     assert log.position is not None
     rows = np.flatnonzero(np.isfinite(log.position[:, j]))
-    if rows.size < 4 * NEAR:
+    if rows.size < 4 * NEAR or np.median(np.diff(log.time[rows])) > SAMPLED:
         return ""
     time, q = log.time[rows], log.position[rows, j]
     went = None
