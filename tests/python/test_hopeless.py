@@ -119,6 +119,15 @@ def test_coarse_encoders_do_not_jump(arm: tuple[Rig, Log], step: float) -> None:
     assert joint_faults(rig, [replace(coarse, velocity=None)]) == []
 
 
+def test_velocities_that_nobody_fills_are_left_out(arm: tuple[Rig, Log]) -> None:
+    rig, log = arm
+    assert log.velocity is not None
+    found = tw.calibrate(rig, replace(log, velocity=np.zeros_like(log.velocity)))
+    without = tw.calibrate(rig, replace(log, velocity=None))
+    assert np.array_equal(found.gain, without.gain)
+    assert any("the driver does not fill them" in note for note in found.figures["notes"])
+
+
 def test_poses_are_no_jumps(arm: tuple[Rig, Log]) -> None:
     rig, log = arm
     assert log.position is not None

@@ -18,6 +18,7 @@ __all__ = ["on_common_rows", "together", "unwrapped"]
 Array = NDArray[np.float64]
 
 _POINTS = 4  # of a cubic
+_MOVES, _NEAR = 0.02, 0.1  # [rad, m] that is a motion, [s] between rows that are no poses
 _APART = 1.0  # [s] between rows of which nobody says that the joint went on
 
 
@@ -41,7 +42,21 @@ def unwrapped(rig: Rig, log: Log) -> Log:
         turns = int(np.count_nonzero(turned & (np.diff(log.time[rows]) < _APART)))
         if turns:
             notes.append(f"q_{name} was logged within one turn: it goes on across {turns} jumps of 360 deg")
+    if _not_filled(log.time, position, log.velocity):
+        notes.append("dq_* say that nothing moves where q_* do: the driver does not fill them; left out")
+        return replace(log, position=position, velocity=None, notes=(*log.notes, *notes))
     return replace(log, position=position, notes=(*log.notes, *notes))
+
+
+def _not_filled(time: Array, position: Array, velocity: Array | None) -> bool:
+    """Whether all velocities (N, n) are one and the same while positions (N, n) move between near rows."""
+    if velocity is None:
+        return False
+    rows, known = np.isfinite(velocity).all(axis=1), np.flatnonzero(np.isfinite(position).all(axis=1))
+    if not rows.any() or np.ptp(velocity[rows], axis=0).any():
+        return False
+    runs = np.split(known, np.flatnonzero(np.diff(time[known]) > _NEAR) + 1)
+    return any(np.ptp(position[run], axis=0).max(initial=0.0) > _MOVES for run in runs if run.size > _POINTS)
 
 
 def together(
