@@ -120,7 +120,7 @@ def test_worse_axis_forbids_the_use(
     monkeypatch: pytest.MonkeyPatch, rig: Rig, run: SimulatedRun, result: Calibration
 ) -> None:
     monkeypatch.setattr(
-        "truewrench.calibrating.pipeline.compare_held_out",
+        "truewrench.calibrating.from_motion.compare_held_out",
         lambda *_: Comparison(result.improvement, ("fx is worse",), {}),
     )
     spoilt = calibrate(rig, run.log)
