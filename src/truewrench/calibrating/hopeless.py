@@ -24,7 +24,7 @@ __all__ = ["hopeless", "plain_gain"]
 
 Array = NDArray[np.float64]
 
-SECONDS = 6.0  # of each log, from its middle
+SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator
 SMOOTHED = 40.0  # of nominal: no gain is that large because its motion was smoothed
 FREE = 1e3  # 1 sigma of the gains that pulls none
 FOLLOWED = 0.02  # share of the raw output that least squares leave, up to which its gain is the sensor's
@@ -51,25 +51,25 @@ def hopeless(rig: Rig, logs: Sequence[Log], known: Sequence[Log]) -> list[str]:
     found = joint_faults(rig, logs)
     if found or not known:
         return found
-    short = [_middle(log) for log in known]
+    short = [_middle(log, SECONDS) for log in known]
     plain = _plain(rig, short)
     if plain is None:
         return []
     if plain.left < FOLLOWED and (gross := gross_errors(rig, known, plain.gain, plain.covariance)):
         unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
         largest = float(np.abs(plain.gain * unit).max())
-        found = [s.words for s in gross] if largest > SMOOTHED else _confirmed(rig, short)
+        found = [s.words for s in gross] if largest > SMOOTHED else _confirmed(rig, known)
     return found or _logged_otherwise(rig, short, plain)
 
 
 def _confirmed(rig: Rig, logs: Sequence[Log]) -> list[str]:
-    """What the estimator says of these seconds, pulled by no prior.
+    """What the estimator says of `CONFIRMING` seconds, pulled by no prior.
 
     Least squares smooth a noisy motion, which makes gains several times too large: of 600 imperfect records
     25 looked like pounds to them.
     """
     free = rig.sensor.model_copy(update={"gain_prior": FREE * max(1.0, rig.sensor.gain_prior)})
-    found = estimate(rig.model_copy(update={"sensor": free}), logs)
+    found = estimate(rig.model_copy(update={"sensor": free}), [_middle(log, CONFIRMING) for log in logs])
     if not found.solved:
         return []
     return [s.words for s in gross_errors(rig, logs, found.gain, found.covariance)]
@@ -108,7 +108,7 @@ def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]
             f"joint {name}: its sign is turned, or its axis is the other way round in the robot's description"
         )
         guesses[words] = np.where(np.arange(robot.n) == j, -1.0, 1.0)
-    best, said = plain.left / BETTER, ""
+    best, said = min(plain.left / BETTER, FOLLOWED), ""
     for words, factor in guesses.items():
         other = _plain(rig, [_scaled(log, factor) for log in logs])
         if other is not None and other.left < best:
@@ -128,8 +128,7 @@ def _scaled(log: Log, factor: Array) -> Log:
     return replace(log, position=position, velocity=velocity, twist=None, gravity=None, tracking=None)
 
 
-def _middle(log: Log) -> Log:
-    """`SECONDS` of a log."""
+def _middle(log: Log, seconds: float) -> Log:
     middle = 0.5 * float(log.time[-1]) if len(log.time_ns) else 0.0
-    rows = np.abs(log.time - middle) <= 0.5 * SECONDS
+    rows = np.abs(log.time - middle) <= 0.5 * seconds
     return log if rows.all() else rows_of(log, rows)
