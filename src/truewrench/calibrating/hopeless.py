@@ -82,13 +82,13 @@ def plain_gain(rig: Rig, logs: Sequence[Log]) -> tuple[Array, Array] | None:
 
 
 def _plain(rig: Rig, logs: Sequence[Log]) -> _Plain | None:
-    try:
-        # differences of noisy velocities would shrink the gain, which looks like a wrong unit
-        found = least_squares(rig, tracked(rig, logs), "spline")
-    except InputError:
-        return None
     n = rig.sensor.n
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(all="ignore"):  # whatever the cells hold: the estimate tells what is wrong with them
+        try:
+            # differences of noisy velocities would shrink the gain, which looks like a wrong unit
+            found = least_squares(rig, tracked(rig, logs), "spline")
+        except (InputError, np.linalg.LinAlgError):
+            return None
         variance = np.nanvar(np.concatenate([log.raw for log in logs]), axis=0)
         left = float(np.median(found.chi_square * rig.sensor.noise_array**2 / variance))
     scatter = np.repeat(np.sqrt(np.maximum(found.chi_square, 1.0)), 6)
