@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import truewrench as tw
-from truewrench.calibrating.hopeless import hopeless
+from truewrench.calibrating.hopeless import hopeless, plain_gain
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.joint_faults import joint_faults
@@ -110,6 +110,21 @@ def test_joints_in_degrees_are_named_and_a_verdict_says_nothing_else(arm: tuple[
     assert verdict.reasons[0].startswith("the joints are in degrees")
 
 
+def test_gains_that_least_squares_make_too_large_are_left_to_the_estimate() -> None:
+    noisy = {
+        **TWIST,
+        "gravity": [0, 0, 0],
+        "motion": {**TWIST["motion"], "noise": [5e-2] * 6},
+        "plan": {"duration": 120, "harmonics": 1},
+    }
+    rig = Rig.from_mapping(noisy)
+    log = tw.simulate(rig, seed=2).log
+    found = plain_gain(rig, [log])
+    assert found is not None
+    assert np.abs(found[0]).max() > 1.5
+    assert hopeless(rig, [log], [log]) == []
+
+
 @pytest.mark.parametrize("step", [1e-5, 1e-3, 1e-2])
 def test_coarse_encoders_do_not_jump(arm: tuple[Rig, Log], step: float) -> None:
     rig, log = arm
@@ -155,12 +170,11 @@ def test_a_stray_row_comes_back_and_is_no_jump(arm: tuple[Rig, Log]) -> None:
     ("raw", "words"),
     [
         (lambda x: 9.80665 * x, "9.807 times too large"),
-        (lambda x: 1e3 * x, "1000 times too large"),
         (lambda x: -x, "wrong sign of the whole wrench"),
         (lambda x: x[:, ::-1].copy(), "axes mixed up"),
         (lambda x: x * [1, -1, 1, 1, -1, 1], "wrong sign of fy and my"),
     ],
-    ids=["kilograms", "millinewtons", "sign", "order", "left-handed"],
+    ids=["kilograms", "sign", "order", "left-handed"],
 )
 def test_gross_mistakes_of_the_set_up_need_no_estimate(
     twist_log: Log, raw: Callable[[Array], Array], words: str

@@ -25,7 +25,7 @@ __all__ = ["hopeless", "plain_gain"]
 Array = NDArray[np.float64]
 
 SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator
-SMOOTHED = 40.0  # of nominal: no gain is that large because its motion was smoothed
+LARGEST = 40.0  # of nominal: what is larger is noise to the estimator, which ends at once
 FREE = 1e3  # 1 sigma of the gains that pulls none
 FOLLOWED = 0.02  # share of the raw output that least squares leave, up to which its gain is the sensor's
 LEFT, MISFIT = 0.003, 4.0  # the same, and chi-square, from which on joints may be logged otherwise,
@@ -55,10 +55,9 @@ def hopeless(rig: Rig, logs: Sequence[Log], known: Sequence[Log]) -> list[str]:
     plain = _plain(rig, short)
     if plain is None:
         return []
-    if plain.left < FOLLOWED and (gross := gross_errors(rig, known, plain.gain, plain.covariance)):
-        unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
-        largest = float(np.abs(plain.gain * unit).max())
-        found = [s.words for s in gross] if largest > SMOOTHED else _confirmed(rig, known)
+    unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
+    if plain.left < FOLLOWED and np.abs(plain.gain * unit).max() < LARGEST:
+        found = _confirmed(rig, known) if gross_errors(rig, known, plain.gain, plain.covariance) else []
     return found or _logged_otherwise(rig, short, plain)
 
 
@@ -66,7 +65,7 @@ def _confirmed(rig: Rig, logs: Sequence[Log]) -> list[str]:
     """What the estimator says of `CONFIRMING` seconds, pulled by no prior.
 
     Least squares smooth a noisy motion, which makes gains several times too large: of 600 imperfect records
-    25 looked like pounds to them.
+    25 looked like pounds to them, and a slow one like degrees.
     """
     free = rig.sensor.model_copy(update={"gain_prior": FREE * max(1.0, rig.sensor.gain_prior)})
     found = estimate(rig.model_copy(update={"sensor": free}), [_middle(log, CONFIRMING) for log in logs])
