@@ -127,6 +127,7 @@ def test_a_usable_calibration_says_what_the_poses_are(tmp_path: Path, estimator:
     assert main([str(word) for word in words]) == 0
     found = tw.load_calibration(tmp_path / "out" / "calibration.yaml")
     assert found.figures["poses"] == 24
+    assert {"noise", "mass", "center_of_mass"} <= set(found.figures["limited_by"])
     assert [log.used for log in found.logs][1:] == [12, 12]
     assert set(found.payload_posterior) == set(BODIES)
     assert found.payload_posterior["other"]["mass_std"] < 0.01 * BODIES["other"][0]

@@ -30,7 +30,7 @@ from truewrench.calibrating.still_poses import (
 )
 from truewrench.estimation.estimate import Estimate, no_rows, payload_departure
 from truewrench.estimation.estimator import estimate as estimate_motion
-from truewrench.estimation.joint import body_part
+from truewrench.estimation.joint import Joint, body_part, explained
 from truewrench.model.calibration import LogReport
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -143,7 +143,7 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
         offset_temperature=found.offset_temperature
         if found.offset_temperature is not None
         else still.estimate.offset_temperature,
-        sources={},
+        sources=_sources(rig, joint, normalised),
         joint=joint,
     )
     alone = estimate_still(rig, still_logs)
@@ -156,6 +156,30 @@ def moving_logs(rig: Rig, logs: Sequence[Log]) -> tuple[int, ...]:
     if len(logs) == 1 or not rig.in_gravity:
         return every
     return tuple(k for k in every if not stands_still(rig, logs[k])) or every
+
+
+def _sources(rig: Rig, joint: Joint, normalised: Array) -> dict[str, Array]:
+    """1 sigma (n, 6) of the normalised gain that each source accounts for; clocks are within the noise."""
+    n = rig.sensor.n
+    bodies = [joint.places[name] for name in map(body_part, rig.payloads) if name in joint.places]
+    places = {
+        "mass": [body.start for body in bodies],
+        "center_of_mass": [k for body in bodies for k in range(body.start + 1, body.stop)],
+        "inertia": [
+            k for name, at in joint.places.items() if name.startswith("inertia ") for k in _range(at)
+        ],
+        "gravity": [*_range(joint.places["tilt"])],
+    }
+    unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel() ** 2
+    found = {name: unit * explained(joint.covariance, 6 * n, at) for name, at in places.items()}
+    every = unit * explained(joint.covariance, 6 * n, [k for at in places.values() for k in at])
+    found["noise"] = np.diag(normalised)[: 6 * n] - every
+    sigma = {name: np.sqrt(np.maximum(v, 0.0)).reshape(n, 6) for name, v in found.items()}
+    return {name: s for name, s in sigma.items() if name == "noise" or s.max() > 1e-9}
+
+
+def _range(place: slice) -> range:
+    return range(place.start, place.stop)
 
 
 def _agreement(still: StillEstimate) -> float:

@@ -21,7 +21,7 @@ from truewrench.estimation.estimate import (
     payload_departure,
     without_motion,
 )
-from truewrench.estimation.joint import EXACT, Joint, bend, body_part
+from truewrench.estimation.joint import EXACT, Joint, bend, body_part, explained
 from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
 from truewrench.model.log import Log
@@ -280,17 +280,8 @@ def _sources(
             places["gravity"] |= set(at[c.tilt : c.tilt + 2].tolist())
     gains = np.diag(covariance)[: 6 * n]
 
-    def explained(at: set[int]) -> Array:
-        known = [k for k in sorted(at) if covariance[k, k] > 1e-17]  # what is exact explains nothing
-        if not known:
-            return np.zeros(6 * n)
-        inner, cross = covariance[np.ix_(known, known)], covariance[: 6 * n, known]
-        scale = np.sqrt(np.diag(inner))
-        K = np.linalg.lstsq(inner / scale / scale[:, None], (cross / scale).T, rcond=1e-12)[0].T
-        return np.asarray(np.einsum("ij,ij->i", K, cross / scale))
-
-    found = {name: explained(at) for name, at in places.items()}
-    every = explained(set().union(*places.values()))
+    found = {name: explained(covariance, 6 * n, at) for name, at in places.items()}
+    every = explained(covariance, 6 * n, set().union(*places.values()))
     found["noise"] = gains - every
     found["slow"] = np.diag(before) - gains
     found["pose"] = np.diag(normalised)[: 6 * n] - np.diag(before)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from truewrench.motion.spatial import cross_matrix
 
-__all__ = ["EXACT", "Joint", "bend", "body_part"]
+__all__ = ["EXACT", "Joint", "bend", "body_part", "explained"]
 
 Array = NDArray[np.float64]
 
 EXACT = 1e-9
 """Of a unit: 1 sigma that holds a parameter."""
+_NOTHING = 1e-17  # variance of one that is exact
 
 
 def bend(gain: Array, center: Array, prior: Array) -> Array:
@@ -38,6 +39,23 @@ def bend(gain: Array, center: Array, prior: Array) -> Array:
     room, most = np.maximum(prior - np.diag(gain), 0.0), np.diag(out)
     g = np.sqrt(np.minimum(room, most) / np.where(most > 0.0, most, 1.0))
     return np.asarray(out * np.outer(g, g))
+
+
+def explained(covariance: Array, gains: int, at: Iterable[int]) -> Array:
+    """What of the variance of the first parameters others account for: K P_vv K^T, K = P_gv P_vv^-1.
+
+    Args:
+        covariance: of all.
+        gains: how many the first are.
+        at: places of the others; those that are exact explain nothing.
+    """
+    known = [k for k in sorted(at) if covariance[k, k] > _NOTHING]
+    if not known:
+        return np.zeros(gains)
+    inner, cross = covariance[np.ix_(known, known)], covariance[:gains, known]
+    scale = np.sqrt(np.diag(inner))
+    K = np.linalg.lstsq(inner / scale / scale[:, None], (cross / scale).T, rcond=1e-12)[0].T
+    return np.asarray(np.einsum("ij,ij->i", K, cross / scale))
 
 
 def body_part(payload: str) -> str:
