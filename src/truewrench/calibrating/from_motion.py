@@ -31,7 +31,7 @@ from truewrench.model.calibration import Calibration, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["calibrate_from_motion"]
+__all__ = ["Progress", "Show", "calibrate_from_motion"]
 
 Progress = Callable[[str, float | None], None]
 Show = Callable[[Evidence], None]
@@ -49,12 +49,13 @@ def calibrate_from_motion(
     """The calibration from logs of which at least one moves; arguments as of `calibrate`."""
     clock = [time.perf_counter()]
     online = estimator == "online"
-    stated, rig = rig, with_first_guess(rig, [logs[k] for k in moving_logs(rig, logs)])
-    moving = [logs[k] for k in moving_logs(rig, logs)]
+    places = moving_logs(rig, logs)
+    moving = [logs[k] for k in places]
+    stated, rig = rig, with_first_guess(rig, moving)
     known = known_logs(rig, moving)
     refused = hopeless(rig, moving, known)
     if refused:
-        pooled = Pooled(unsolved(rig, logs), moving_logs(rig, logs))
+        pooled = Pooled(unsolved(rig, logs), places)
     else:
         pooled = estimate_pooled(rig, logs, threads=threads or 0, online=online)
     estimate = pooled.estimate

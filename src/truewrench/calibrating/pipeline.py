@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.calibrating.from_motion import calibrate_from_motion
+from truewrench.calibrating.from_motion import Progress, Show, calibrate_from_motion
 from truewrench.calibrating.known_wrench import (
     compare_known_wrench,
     judge_known_wrench,
@@ -49,8 +49,6 @@ __all__ = ["calibrate"]
 
 Array = NDArray[np.float64]
 EstimatorName = Literal["map", "online", "ekf", "ls"]
-Progress = Callable[[str, float | None], None]
-Show = Callable[[Evidence], None]
 
 
 def calibrate(

@@ -28,7 +28,7 @@ from truewrench.calibrating.still_poses import (
     still_figures,
     still_reports,
 )
-from truewrench.estimation.estimate import Estimate, no_rows, payload_departure
+from truewrench.estimation.estimate import Estimate, no_rows, of_joint
 from truewrench.estimation.estimator import estimate as estimate_motion
 from truewrench.estimation.joint import Joint, body_part, explained
 from truewrench.model.calibration import LogReport
@@ -116,34 +116,17 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
     still_logs = [logs[k] for k in at_rest]
     still = estimate_still(rig, still_logs, before)
     whole = _spread(found, len(logs), moving, still.estimate.offsets, still.estimate.offsets_std)
-    n, joint = rig.sensor.n, still.known.plain(rig)
+    joint = still.known.plain(rig)
     places = {k: f"offset {j}" for j, k in enumerate(moving)}
     places |= {k: f"pose offset {j}" for j, k in enumerate(at_rest)}
-    pairs = [joint.of([places[k]]) for k in range(len(logs))]
-    mean, P = joint.of(["gain", places[len(logs) - 1]])
-    scale = rig.sensor.channel_scale
-    units = np.append((scale[:, None] / rig.sensor.range_array).ravel(), scale)
-    normalised = P / np.outer(units, units)
-    tilt, P_tilt = joint.of(["tilt"])
+    told = of_joint(rig, joint, [places[k] for k in range(len(logs))])
     whole = replace(
         whole,
-        gain=mean[: 6 * n].reshape(n, 6),
-        covariance=P,
-        normalised_covariance=normalised,
-        before_pose=normalised[: 6 * n, : 6 * n],
-        offsets=np.array([offset for offset, _ in pairs]),
-        offsets_std=np.sqrt([np.diag(variance) for _, variance in pairs]),
-        payloads={
-            name: payload_departure(spec, joint, name)
-            for name, spec in rig.payloads.items()
-            if body_part(name) in joint.places and not spec.exact
-        },
-        tilt=tilt,
-        tilt_std=np.sqrt(np.diag(P_tilt)),
+        **told,
         offset_temperature=found.offset_temperature
         if found.offset_temperature is not None
         else still.estimate.offset_temperature,
-        sources=_sources(rig, joint, normalised),
+        sources=_sources(rig, joint, told["normalised_covariance"]),
         joint=joint,
     )
     alone = estimate_still(rig, still_logs)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from truewrench.calibrating.known_wrench import BLOCKS, FOLDS, FREEDOM, improvement_by_axis, worse_on_rows
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
-from truewrench.estimation.estimate import Estimate, payload_departure, without_motion
+from truewrench.estimation.estimate import Estimate, of_joint, without_motion
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation.comparison import Comparison
 from truewrench.model.calibration import BlindTo, LogReport
@@ -127,34 +127,15 @@ def _solved(
 
 
 def _as_estimate(rig: Rig, logs: Sequence[Log], solutions: dict[str, Solution], known: Known) -> Estimate:
-    sensor, n, count, joint = rig.sensor, rig.sensor.n, len(logs), known.plain(rig)
+    n, count = rig.sensor.n, len(logs)
     last = list(solutions.values())[-1]
-    scale = sensor.channel_scale
-    units = np.append((scale[:, None] / sensor.range_array).ravel(), scale)
-    pairs = [joint.of([f"pose offset {k}"]) for k in range(count)]
-    payloads = {
-        name: payload_departure(rig.payloads[name], joint, name)
-        for name in solutions
-        if not rig.payloads[name].exact
-    }
-    mean, P = joint.of(["gain", f"pose offset {count - 1}"])
-    normalised = P / np.outer(units, units)
-    tilt, P_tilt = joint.of(["tilt"])
     v = last.problem.vector
     return without_motion(
         n,
         count,
         solved=True,
-        gain=mean[: 6 * n].reshape(n, 6),
-        covariance=P,
-        normalised_covariance=normalised,
-        before_pose=normalised[: 6 * n, : 6 * n],
-        gain_prior=np.full(6 * n, sensor.gain_prior),
-        offsets=np.array([offset for offset, _ in pairs]),
-        offsets_std=np.sqrt([np.diag(variance) for _, variance in pairs]),
-        payloads=payloads,
-        tilt=tilt,
-        tilt_std=np.sqrt(np.diag(P_tilt)),
+        **of_joint(rig, known.plain(rig), [f"pose offset {k}" for k in range(count)]),
+        gain_prior=np.full(6 * n, rig.sensor.gain_prior),
         offset_temperature=last.x[v.slope].copy() if v.warm else None,
         converged=True,
         iterations=max(found.steps for found in solutions.values()),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.estimation.joint import Joint, body_part
-from truewrench.model.rig import PayloadSpec
+from truewrench.model.rig import PayloadSpec, Rig
 
 __all__ = [
     "Clock",
@@ -21,6 +22,7 @@ __all__ = [
     "Slow",
     "Step",
     "no_rows",
+    "of_joint",
     "payload_departure",
     "without_motion",
 ]
@@ -311,6 +313,37 @@ def without_motion(n: int, count: int, **found: Any) -> Estimate:
         "history_gain": np.zeros((0, n, 6)),
     }
     return Estimate(**(nothing | found))
+
+
+def of_joint(rig: Rig, joint: Joint, offsets: Sequence[str]) -> dict[str, Any]:
+    """What an estimate has of a joint distribution, by attribute.
+
+    Args:
+        rig: sensor and payloads.
+        joint: with `gain`, `tilt`, and the offset of each log.
+        offsets: parts that hold them.
+    """
+    n, scale = rig.sensor.n, rig.sensor.channel_scale
+    units = np.append((scale[:, None] / rig.sensor.range_array).ravel(), scale)
+    pairs = [joint.of([name]) for name in offsets]
+    mean, P = joint.of(["gain", offsets[-1]])
+    normalised = P / np.outer(units, units)
+    tilt, P_tilt = joint.of(["tilt"])
+    return {
+        "gain": mean[: 6 * n].reshape(n, 6),
+        "covariance": P,
+        "normalised_covariance": normalised,
+        "before_pose": normalised[: 6 * n, : 6 * n],
+        "offsets": np.array([offset for offset, _ in pairs]),
+        "offsets_std": np.sqrt([np.diag(variance) for _, variance in pairs]),
+        "payloads": {
+            name: payload_departure(spec, joint, name)
+            for name, spec in rig.payloads.items()
+            if body_part(name) in joint.places and not spec.exact
+        },
+        "tilt": tilt,
+        "tilt_std": np.sqrt(np.diag(P_tilt)),
+    }
 
 
 def payload_departure(spec: PayloadSpec, joint: Joint, name: str) -> PayloadDeparture:

@@ -13,12 +13,12 @@ from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import robot_of
 
-__all__ = ["on_common_rows", "together", "unwrapped"]
+__all__ = ["MOVES", "SAMPLED", "on_common_rows", "together", "unwrapped"]
 
 Array = NDArray[np.float64]
 
 _POINTS = 4  # of a cubic
-_MOVES, _NEAR = 0.02, 0.1  # [rad, m] that is a motion, [s] between rows that are no poses
+MOVES, SAMPLED = 0.02, 0.1  # [rad, m] that is a motion, [s] between rows at most: others are poses
 _APART = 1.0  # [s] between rows of which nobody says that the joint went on
 
 
@@ -55,8 +55,8 @@ def _not_filled(time: Array, position: Array, velocity: Array | None) -> bool:
     rows, known = np.isfinite(velocity).all(axis=1), np.flatnonzero(np.isfinite(position).all(axis=1))
     if not rows.any() or np.ptp(velocity[rows], axis=0).any():
         return False
-    runs = np.split(known, np.flatnonzero(np.diff(time[known]) > _NEAR) + 1)
-    return any(np.ptp(position[run], axis=0).max(initial=0.0) > _MOVES for run in runs if run.size > _POINTS)
+    runs = np.split(known, np.flatnonzero(np.diff(time[known]) > SAMPLED) + 1)
+    return any(np.ptp(position[run], axis=0).max(initial=0.0) > MOVES for run in runs if run.size > _POINTS)
 
 
 def together(

@@ -9,6 +9,7 @@ import numpy as np
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.robot.joint_faults import joint_faults
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS
 
@@ -42,7 +43,7 @@ def check_known(known: Mapping[str, tuple[float, float]]) -> None:
 
 
 def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
-    """Refuse units of degrees, and free fall of another size than the rig's."""
+    """Refuse units of degrees, free fall of another size than the rig's, joints that no arm moves so."""
     stated = float(np.linalg.norm(rig.gravity_array))
     if stated == 0.0 and not any(log.twist is not None or log.position is not None for log in logs):
         raise InputError.at(rig.path, "gravity", "0", "gravity, which poses need")
@@ -62,6 +63,9 @@ def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
         if fastest > _FASTEST:
             raise InputError.at(log.path, "wx wy wz", f"a turn of {fastest:.4g}", "rad/s (degrees?)")
         _check_turns(rig, log)
+    for log in logs:
+        if faults := joint_faults(rig, [log]):
+            raise InputError.at(log.path, "joints", "; ".join(faults[:2]), "the motion of one arm")
 
 
 def check_session(rig: Rig, logs: Sequence[Log], on: Tool | None) -> None:

@@ -18,7 +18,6 @@ from truewrench.model.log import Log
 from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated
-from truewrench.robot.joint_faults import joint_faults
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
 from truewrench.tool.bodies import joined, nearest_physical, total_body
@@ -105,9 +104,6 @@ def identify_tool(
     records = [without_repeats(unwrapped(rig, log)) for log in records]
     check_known(known or {})
     check_logs(rig, records)
-    for log in records:
-        if faults := joint_faults(rig, [log]):
-            raise InputError.at(log.path, "joints", "; ".join(faults[:2]), "the motion of one arm")
     check_session(rig, records, on)
     if rig.sensor.subtracted is not None:
         records = uncompensated(rig, tracked(rig, records))
