@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.estimation.joint import EXACT, Joint, bend, body_part
+from truewrench.estimation.joint import EXACT, Joint, body_part
+from truewrench.estimation.second_order import bend, changes
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import total_body
 from truewrench.tool.model_rows import MotionInformation, Problem, about_center
-from truewrench.tool.parameters import Layout, second_moments
+from truewrench.tool.parameters import Layout, second_moments, symmetric
 from truewrench.tool.poses import Poses
 from truewrench.tool.prior import S_STD, Prior
 from truewrench.tool.solve import Solution
@@ -58,6 +59,25 @@ class PosesOfOne(Problem):
         D[: 6 * n + 4, at] = jacobian[: 6 * n + 4]
         D[6 * n + 4 + np.arange(rest.size), rest] = 1.0
         return np.append(y[: 6 * n + 4], x[rest]), D
+
+    @property
+    def normal_in_product(self) -> bool:
+        """What is known of a reference body is."""
+        return self.motion is not None
+
+    def changes(self, x: Array, std: Array) -> Array:
+        """Of the wrench as the product tells it: C w = K M_reference^-1 w."""
+        out = Problem.changes(self, x, std)
+        if self.motion is None:
+            return out
+        if not self.vector.on:
+            return np.zeros_like(out)
+        before = self.vector.before
+        body, by_x = total_body(x[before].reshape(1, 10))
+        L = changes(float(np.exp(body[0])), body[1:4], symmetric(body[4:]))
+        out[before] = -np.einsum("kp,kab->pab", by_x, L)
+        out[before][4:] = 0.0  # the product holds mass and centre of mass
+        return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

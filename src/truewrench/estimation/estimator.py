@@ -21,9 +21,10 @@ from truewrench.estimation.estimate import (
     payload_departure,
     without_motion,
 )
-from truewrench.estimation.joint import EXACT, Joint, bend, body_part, explained
+from truewrench.estimation.joint import EXACT, Joint, body_part
 from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
+from truewrench.estimation.second_order import PAIRS, Carried, bend, explained, to_the_middle
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
@@ -66,14 +67,18 @@ def _solved(
 ) -> Estimate:
     fit, n = found.fit, rig.sensor.n
     scale, span = assumed.channel_scale, rig.sensor.range_array
-    theta, covariance = np.asarray(fit.theta), np.array(found.covariance)
+    covariance = np.array(found.covariance)
     columns = [fit.columns(k) for k in range(len(logs))]
-    joint = _joint(rig, assumed, logs, fit, covariance, np.asarray(found.gain_covariance))
+    rows = tuple(_rows(rig, log, fit.rows(k)) for k, log in enumerate(logs))
+    carried = _carried(rig, logs, columns, np.asarray(fit.theta), rows)
+    prior = np.asarray(fit.prior)[: 6 * n]
+    theta = np.asarray(fit.theta) + to_the_middle(covariance, prior, span, carried)
+    joint = _joint(rig, assumed, logs, columns, theta, covariance, np.asarray(found.gain_covariance))
     pairs = [joint.of([f"offset {k}"]) for k in range(len(logs))]
     # of [gain, offset of the last log]: (10.9) and (10.10) widen the gain's block
     _, P = joint.of(["gain", f"offset {len(logs) - 1}"])
     units = np.append((scale[:, None] / span).ravel(), scale)
-    bent = _bent(rig, assumed, columns, fit, covariance)
+    bent = _bent(rig, assumed, columns, prior, covariance)
     P[: 6 * n, : 6 * n] += bent * units[: 6 * n, None] * units[: 6 * n]
     covariance[: 6 * n, : 6 * n] += bent
     normalised = P / units[:, None] / units
@@ -85,7 +90,6 @@ def _solved(
     slope = None
     if columns[0].slope >= 0:
         slope = np.array(columns[0].at)[columns[0].slope : columns[0].slope + n]
-    rows = tuple(_rows(rig, log, fit.rows(k)) for k, log in enumerate(logs))
     history: History | None = getattr(found, "history", None)
     unit = scale[:, None] / span
     return Estimate(
@@ -94,11 +98,12 @@ def _solved(
         covariance=P,
         normalised_covariance=normalised,
         before_pose=before,
-        gain_prior=np.sqrt(np.asarray(fit.prior)[: 6 * n]),
+        gain_prior=np.sqrt(prior),
         offsets=np.array([offset for offset, _ in pairs]),
         offsets_std=np.sqrt([np.diag(variance) for _, variance in pairs]),
         clocks=tuple(
-            _clocks(rig, c, record, fit, covariance) for c, record in zip(columns, records, strict=True)
+            _clocks(rig, c, record, fit, theta, covariance)
+            for c, record in zip(columns, records, strict=True)
         ),
         payloads={
             name: payload_departure(spec, joint, name)
@@ -199,8 +204,10 @@ def _streams(rig: Rig, record: Any) -> list[str]:
     return [(twist, "accelerations")[m.derivative] for m in record.motion]
 
 
-def _clocks(rig: Rig, columns: Any, record: Any, fit: Any, covariance: Array) -> tuple[Clock, ...]:
-    active, at, theta = set(fit.active), np.array(columns.at), np.asarray(fit.theta)
+def _clocks(
+    rig: Rig, columns: Any, record: Any, fit: Any, theta: Array, covariance: Array
+) -> tuple[Clock, ...]:
+    active, at = set(fit.active), np.array(columns.at)
     std = np.sqrt(np.diag(covariance))
     gamma = at[columns.gamma] if columns.gamma >= 0 and at[columns.gamma] in active else None
     out = []
@@ -223,24 +230,49 @@ def _clocks(rig: Rig, columns: Any, record: Any, fit: Any, covariance: Array) ->
     return tuple(out)
 
 
-def _bent(rig: Rig, assumed: Assumptions, columns: Sequence[Any], fit: Any, covariance: Array) -> Array:
+def _bent(rig: Rig, assumed: Assumptions, columns: Sequence[Any], prior: Array, covariance: Array) -> Array:
     """`bend` of the normalised gain (6n, 6n), by the mean covariance of the logs' centres of mass."""
     n = rig.sensor.n
     unit = (assumed.channel_scale[:, None] / rig.sensor.range_array).ravel()
     places = [np.array(c.at)[c.body + 1 : c.body + 4] for c in columns]
     center = np.mean([covariance[np.ix_(at, at)] for at in places], axis=0)
-    gain, prior = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit), np.asarray(fit.prior)[: 6 * n]
+    gain = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit)
     return bend(gain, center, prior * unit**2) / np.outer(unit, unit)
 
 
+def _carried(
+    rig: Rig, logs: Sequence[Log], columns: Sequence[Any], theta: Array, rows: Sequence[LogRows]
+) -> list[Carried]:
+    """The payloads of the logs as theta has them, and what the sensor felt of them."""
+    felt: dict[str, Array] = {}
+    for log, of in zip(logs, rows, strict=True):
+        felt[log.payload] = felt.get(log.payload, 0.0) + of.wrench.T @ of.wrench
+    out = []
+    for log, c in zip(logs, columns, strict=True):
+        if log.payload not in felt:
+            continue
+        spec, places = rig.payloads[log.payload], np.array(c.at)[c.body : c.body + 10]
+        body, inertia = theta[places], spec.inertia_matrix.copy()
+        for (i, j), departure in zip(PAIRS, body[4:], strict=True):
+            inertia[[i, j], [j, i]] = spec.inertia_matrix[i, j] + departure
+        mass, center = spec.mass * np.exp(body[0]), spec.center_of_mass_array + body[1:4]
+        out.append(Carried(places, float(mass), center, inertia, felt.pop(log.payload)))
+    return out
+
+
 def _joint(
-    rig: Rig, assumed: Assumptions, logs: Sequence[Log], fit: Any, covariance: Array, gain_covariance: Array
+    rig: Rig,
+    assumed: Assumptions,
+    logs: Sequence[Log],
+    columns: Sequence[Any],
+    theta: Array,
+    covariance: Array,
+    gain_covariance: Array,
 ) -> Joint:
     """Gain, tilt, bodies and offsets out of theta, with the gain's own covariance as it was widened."""
-    n, theta, P_theta = rig.sensor.n, np.asarray(fit.theta), covariance.copy()
+    n, P_theta = rig.sensor.n, covariance.copy()
     P_theta[: 6 * n, : 6 * n] = gain_covariance
     unit = np.eye(theta.size)
-    columns = [fit.columns(k) for k in range(len(logs))]
     scale = assumed.channel_scale
     rows = {"gain": unit[: 6 * n] * (scale[:, None] / rig.sensor.range_array).reshape(-1, 1)}
     stated = {}

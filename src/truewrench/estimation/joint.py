@@ -2,60 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.motion.spatial import cross_matrix
-
-__all__ = ["EXACT", "Joint", "bend", "body_part", "explained"]
+__all__ = ["EXACT", "Joint", "body_part"]
 
 Array = NDArray[np.float64]
 
 EXACT = 1e-9
 """Of a unit: 1 sigma that holds a parameter."""
-_NOTHING = 1e-17  # variance of one that is exact
-
-
-def bend(gain: Array, center: Array, prior: Array) -> Array:
-    """What the product of gain of moment and centre of mass adds to the covariance of the gain (6n, 6n).
-
-    Of the force f the channels feel (C_f + C_m [c]) f. Where C_m is not told, an error of c turns it into one
-    of C_f that no derivative at the estimate shows: dC_m [dc]. No gain's variance rises above its prior's.
-
-    Args:
-        gain: (6n, 6n) covariance, row by row [raw units, SI].
-        center: (3, 3) of the centre of mass [m^2].
-        prior: (6n,) variances of the gain beforehand.
-    """
-    n = len(gain) // 6
-    E = cross_matrix(np.eye(3))
-    moments = gain.reshape(n, 6, n, 6)[:, 3:, :, 3:]
-    added = np.zeros((n, 6, n, 6))
-    added[:, :3, :, :3] = np.einsum("pq,pka,ikjl,qlb->iajb", center, E, moments, E, optimize=True)
-    out = added.reshape(6 * n, 6 * n)
-    room, most = np.maximum(prior - np.diag(gain), 0.0), np.diag(out)
-    g = np.sqrt(np.minimum(room, most) / np.where(most > 0.0, most, 1.0))
-    return np.asarray(out * np.outer(g, g))
-
-
-def explained(covariance: Array, gains: int, at: Iterable[int]) -> Array:
-    """What of the variance of the first parameters others account for: K P_vv K^T, K = P_gv P_vv^-1.
-
-    Args:
-        covariance: of all.
-        gains: how many the first are.
-        at: places of the others; those that are exact explain nothing.
-    """
-    known = [k for k in sorted(at) if covariance[k, k] > _NOTHING]
-    if not known:
-        return np.zeros(gains)
-    inner, cross = covariance[np.ix_(known, known)], covariance[:gains, known]
-    scale = np.sqrt(np.diag(inner))
-    K = np.linalg.lstsq(inner / scale / scale[:, None], (cross / scale).T, rcond=1e-12)[0].T
-    return np.asarray(np.einsum("ij,ij->i", K, cross / scale))
 
 
 def body_part(payload: str) -> str:

@@ -14,10 +14,11 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.estimation.second_order import changes
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import cross_matrix
 from truewrench.tool.bodies import total_body, weight
-from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, tilted
+from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, symmetric, tilted
 from truewrench.tool.poses import Move, Poses
 from truewrench.tool.prior import Prior
 
@@ -147,6 +148,11 @@ class Problem:
     end_ns: Sequence[int]
     moves: Sequence[Move] = ()
     motion: MotionInformation | None = None
+
+    @property
+    def normal_in_product(self) -> bool:
+        """Whether `motion` is what is known beforehand of product and body, and no data of either."""
+        return False
 
     @property
     def vector(self) -> Vector:
@@ -281,6 +287,19 @@ class Problem:
             jacobians.append(np.eye(v.size)[place])
         y, by_y = about_center(np.concatenate(parts), n)
         return y, by_y @ np.vstack(jacobians)
+
+    def changes(self, x: Array, std: Array) -> Array:
+        """D w / dx w^-1 (p, 6, 6) of the wrench w that the gain is told by, in the channels' axes.
+
+        Args:
+            x: (p,).
+            std: (p,) 1 sigma.
+        """
+        body, by_x = self.total(x)
+        R6 = np.kron(np.eye(2), channel_turn(x[self.vector.layout.mounting])[0])
+        spread = float(np.sqrt(np.mean((by_x[4:7] * std) ** 2) * len(std)))
+        L = R6 @ changes(float(np.exp(body[0])), body[1:4], symmetric(body[4:]), spread) @ R6.T
+        return np.asarray(np.einsum("kp,kab->pab", by_x, L))
 
     def of_known(self, x: Array) -> tuple[Array, Array]:
         """What is stated of the tool less what x says, over its sigma, and the derivative of x's part."""

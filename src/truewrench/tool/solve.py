@@ -4,7 +4,8 @@
 
 Rate and repeatability, one each for all channels as fractions of their range, maximise the marginal
 likelihood with theta integrated out at the linearisation; how well they are known is part of sigma:
-estimates and covariances are mixed over a grid of both.
+estimates and covariances are mixed over a grid of both. Body and gain bend within what is left of either:
+the body is the one that is likeliest with the gain integrated out (second_order.py).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from truewrench.estimation.second_order import volume_slope
 from truewrench.tool.model_rows import Problem, whitened
 
 __all__ = ["REPEATABILITY", "WALK", "Solution", "solve"]
@@ -28,6 +30,7 @@ MOST_REPEATABILITY = 10.0  # times that: a pose that scatters more is no pose of
 MOST_WALK = 500.0
 _SPREAD = 2.0  # 1 sigma of the logarithm of either about its start: data overrule it
 _STEPS, _HALVINGS = 20, 8
+_MIDDLE = 4  # steps at most
 _GRID = np.linspace(-2.5, 2.5, 6)  # sigma of the logarithms
 
 
@@ -71,7 +74,8 @@ class _Linear:
 
     r: Array  # (T + L, n) of poses, and of the links between offsets of one session
     J: Array  # (n, T + L, p)
-    information: Array  # of prior, motion and known figures
+    before: Array  # information of what is normal in gain, or product, and body
+    information: Array  # of that, motion and known figures
     pull: Array  # their gradient at x
     constant: float
     K: Array
@@ -80,7 +84,7 @@ class _Linear:
 def _linearise(problem: Problem, x: Array, mean: Array, inverse: Array, scale: Array, K: Array) -> _Linear:
     y, J = problem.of_poses(x)
     away = (mean - x) / scale
-    information, pull = inverse.copy(), inverse @ away
+    before, information, pull = inverse, inverse.copy(), inverse @ away
     constant = float(away @ inverse @ away)
     if problem.motion is not None:
         m = problem.motion
@@ -88,6 +92,8 @@ def _linearise(problem: Problem, x: Array, mean: Array, inverse: Array, scale: A
         D = D * scale
         gap = m.at - z
         information += D.T @ m.information @ D
+        if problem.normal_in_product:
+            before = information.copy()
         pull += D.T @ (m.information @ gap + m.gradient)
         constant += float(gap @ m.information @ gap + 2.0 * m.gradient @ gap)
     if problem.prior.known:
@@ -98,7 +104,7 @@ def _linearise(problem: Problem, x: Array, mean: Array, inverse: Array, scale: A
         constant += float(r @ r)
     gap, D = problem.of_links(x)
     r, J = np.vstack([problem.poses.raw - y, gap]), np.concatenate([J, D], axis=1)
-    return _Linear(r, J * scale, information, pull, constant, K)
+    return _Linear(r, J * scale, before, information, pull, constant, K)
 
 
 def _sums(problem: Problem, at: _Linear, sizes: Array) -> tuple[Array, Array, float, float]:
@@ -157,10 +163,7 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
         A, g, squares, _ = _sums(problem, at, now)
         step = np.linalg.solve(A, g)
         size = float(np.sqrt(np.mean((A @ step) * step)))
-        body = problem.vector.layout.log_mass
-        step *= min(
-            1.0, 0.7 / max(abs(step[body] * scale[body]), 1e-12)
-        )  # the mass by a factor of two at most
+        step = _limited(problem, np.asarray(step), scale)
         for _ in range(_HALVINGS):  # where gain and body bend, a whole step goes too far
             at = _linearise(problem, x + scale * step, mean, inverse, scale, K)
             if _sums(problem, at, now)[2] <= squares:
@@ -169,7 +172,15 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
         x = x + scale * step
         if size < 1e-3 and steps > 2:
             break
-    x_mixed, covariance = _mixed(problem, at, now, x, scale, held)
+    for _ in range(_MIDDLE):
+        A, g, *_ = _sums(problem, at, now)
+        slope = _slope(problem, x, A, at, scale)
+        step = _limited(problem, np.asarray(np.linalg.solve(A, g - slope)), scale)
+        x = x + scale * step
+        at = _linearise(problem, x, mean, inverse, scale, K)
+        if np.sqrt(np.mean((A @ step) * step)) < 0.01:
+            break
+    x_mixed, covariance = _mixed(problem, at, now, x, slope, scale, held)
     A, *_ = _sums(problem, at, now)
     residual, T = at.r, len(problem.poses)
     walk, chi, per_pose, taken = np.zeros_like(residual), 0.0, np.zeros(len(residual)), 0.0
@@ -203,6 +214,23 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
     )
 
 
+def _limited(problem: Problem, step: Array, scale: Array) -> Array:
+    """The mass by a factor of two at most."""
+    mass = problem.vector.layout.log_mass
+    return np.asarray(step * min(1.0, 0.7 / max(abs(step[mass] * scale[mass]), 1e-12)), np.float64)
+
+
+def _slope(problem: Problem, x: Array, A: Array, at: _Linear, scale: Array) -> Array:
+    """`volume_slope` by x, in units of the prior's sigma."""
+    v = problem.vector
+    linear = np.r_[v.layout.gain, v.layout.offset, v.carried.start : v.size]  # y is linear in these
+    P = np.linalg.inv(A[np.ix_(linear, linear)])
+    told = ((A - at.before)[np.ix_(linear, linear)] @ P)[: 6 * v.n, : 6 * v.n]
+    gains = scale[v.layout.gain]
+    change = problem.changes(x, np.sqrt(np.diag(np.linalg.inv(A))) * scale)
+    return volume_slope(change, told / gains[:, None] * gains) * scale
+
+
 def _sizes(problem: Problem, at: _Linear, start: Array) -> Array:
     def evidence(s: Array) -> float:
         return _evidence(problem, at, _bounded(s))
@@ -216,7 +244,7 @@ _SIMPLEX = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
 
 def _mixed(
-    problem: Problem, at: _Linear, sizes: Array, x: Array, scale: Array, held: bool
+    problem: Problem, at: _Linear, sizes: Array, x: Array, slope: Array, scale: Array, held: bool
 ) -> tuple[Array, Array]:
     """Mean and covariance of x over what the sizes may be."""
     A, g, *_ = _sums(problem, at, sizes)
@@ -231,6 +259,7 @@ def _mixed(
             if (where > _bounded(where) + 1e-9).any():
                 continue
             A, g, squares, logdet = _sums(problem, at, where)
+            g -= slope
             inverse = np.linalg.inv(A)
             step = inverse @ g
             prior = float((((where - _START) / _SPREAD) ** 2).sum())
