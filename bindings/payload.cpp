@@ -1,10 +1,13 @@
 // Whole records through include/truewrench/payload.hpp.
 #include "bindings.hpp"
 
+#include "truewrench/estimation/second_order.hpp"
 #include "truewrench/payload.hpp"
 
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/vector.h>
 
 #include <utility>
 
@@ -43,6 +46,39 @@ std::pair<ArrayOut, ArrayOut> payload_jacobians(const Payload& payload, const Ar
   return {acceleration, twist};
 }
 
+void bind_second_order(nb::module_& m) {
+  nb::class_<Carried>(
+      m, "Carried",
+      "A payload that logs moved: places (10) of log mass, centre of mass, xx yy zz xy xz yz among "
+      "the parameters,\nthe body as found, and the sum of w w^T (6, 6) over its samples.")
+      .def(
+          "__init__",
+          [](Carried* self, const std::array<int, kBodyParameters>& places, const Payload& body,
+             const Matrix6& felt) { new (self) Carried{places, body, felt}; },
+          nb::arg("places"), nb::arg("body"), nb::arg("felt"));
+  m.def(
+      "body_changes",
+      [](const Payload& body, double inertia_std) {
+        ArrayOut out = new_array({kBodyParameters, 6, 6});
+        const BodyChanges change = body_changes(body, inertia_std);
+        for (std::size_t k = 0; k < change.size(); ++k)
+          Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(out.data() + 36 * k) = change[k];
+        return out;
+      },
+      nb::arg("body"), nb::arg("inertia_std") = 0.0,
+      "(dM / db_k) M^-1 (10, 6, 6), M the spatial inertia about the sensor: w + L_k w db_k is felt of a body "
+      "that is another.");
+  m.def(
+      "to_the_middle", &to_the_middle, nb::arg("covariance"), nb::arg("prior"), nb::arg("range"),
+      nb::arg("carried"),
+      "How far from the likeliest parameters (p) those lie with which the bodies are likeliest, the gain "
+      "integrated out:\nof their covariance (p, p), the gain normalised and first, and the gain's variances "
+      "(6n) beforehand.");
+  m.def("bend", &bend, nb::arg("gain"), nb::arg("center"), nb::arg("prior"),
+        "What the product of gain of moment and centre of mass adds to the covariance of the gain (6n, 6n) "
+        "[SI].");
+}
+
 }  // namespace
 
 void bind_payload(nb::module_& m) {
@@ -69,6 +105,7 @@ void bind_payload(nb::module_& m) {
   m.def(
       "twist_shift", &twist_shift, nb::arg("r"),
       "6 x 6 map from the twist of a point to that of another of the same body, r [m] from the first to it.");
+  bind_second_order(m);
 }
 
 }  // namespace truewrench::python

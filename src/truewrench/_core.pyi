@@ -82,6 +82,30 @@ def twist_shift(r: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]
     6 x 6 map from the twist of a point to that of another of the same body, r [m] from the first to it.
     """
 
+class Carried:
+    """
+    A payload that logs moved: places (10) of log mass, centre of mass, xx yy zz xy xz yz among the parameters,
+    the body as found, and the sum of w w^T (6, 6) over its samples.
+    """
+
+    def __init__(self, places: Sequence[int], body: Payload, felt: Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')]) -> None: ...
+
+def body_changes(body: Payload, inertia_std: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(order='C')]:
+    """
+    (dM / db_k) M^-1 (10, 6, 6), M the spatial inertia about the sensor: w + L_k w db_k is felt of a body that is another.
+    """
+
+def to_the_middle(covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], prior: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], range: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], carried: Sequence[Carried]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    """
+    How far from the likeliest parameters (p) those lie with which the bodies are likeliest, the gain integrated out:
+    of their covariance (p, p), the gain normalised and first, and the gain's variances (6n) beforehand.
+    """
+
+def bend(gain: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], center: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], prior: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]:
+    """
+    What the product of gain of moment and centre of mass adds to the covariance of the gain (6n, 6n) [SI].
+    """
+
 class Conditioning:
     """How well a gain is posed, in range-normalised units."""
 

@@ -118,6 +118,32 @@ TEST(Incremental, CorrectsAsWellAsItSays) {
   EXPECT_LT(squares, 1.8);
 }
 
+// A payload known to 5 %: the likeliest gain and body together would make every wrench too large by some 0.9 sigma, in the mean.
+TEST(Incremental, CorrectsInTheMiddleOfWhatAPayloadLeaves) {
+  constexpr int seeds = 12;
+  double mean = 0.0;
+  for (unsigned seed = 0; seed < seeds; ++seed) {
+    LoopCase loop(seed);
+    loop.rig.body_prior[0] << 0.05, 0.002, 0.002, 0.002, 0.075, 0.075, 0.02, 0.075, 0.04, 0.04;
+    Incremental online(loop.rig, loop.about, settings);
+    BodyVector by;
+    for (int k = 0; k < kBodyParameters; ++k)
+      by[k] = loop.rig.body_prior[0][k] * oracle::normal_matrix(loop.random, 1, 1)(0, 0);
+    loop.about.payload = departed(loop.about.payload, by);
+    ASSERT_EQ(loop.feed(online, 12.0), Status::ok);
+    ASSERT_EQ(online.finish(), Status::ok);
+    Corrector<6> corrector;
+    ASSERT_EQ(configure(corrector, online, Vector6::Ones()), Status::ok);
+    for (int k = 0; k < 6; ++k) {
+      const Vector6 w = 0.2 * Vector6::Unit(k);
+      Correction out;
+      ASSERT_EQ(corrector.step(Vector6(loop.gain * w + loop.offset).data(), out), Status::ok);
+      mean += (out.wrench[k] - 0.2 * loop.rig.range[k]) / out.std[k] / (6 * seeds);
+    }
+  }
+  EXPECT_LT(std::abs(mean), 0.6) << mean;  // of masses of 12 records and moments of inertia, a sigma of some 0.2
+}
+
 TEST(Incremental, TellsNothingOfARecordThatIsTooShort) {
   LoopCase loop(0);
   Incremental online(loop.rig, loop.about, settings);

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from tool_cases import a_rig, pose_log, tensor_of
 
+from truewrench import _core
 from truewrench.estimation.estimator import estimate
-from truewrench.estimation.second_order import Carried, changes, to_the_middle
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.simulation.free_body import simulate
@@ -55,7 +55,7 @@ def integrated(log_p: Callable[[Array], float], middle: Array, P: Array, count: 
 
 def test_what_another_body_feels_is_the_derivative_of_its_spatial_inertia() -> None:
     b = np.concatenate([[np.log(MASS)], CENTER, INERTIA])
-    L = changes(MASS, CENTER, tensor_of(INERTIA))
+    L = _core.body_changes(_core.Payload(MASS, CENTER, tensor_of(INERTIA)))
     for k, step in enumerate(1e-6 * np.eye(10)):
         by = (spatial(b + step) - spatial(b - step)) / 2e-6
         np.testing.assert_allclose(L[k], by @ np.linalg.inv(spatial(b)), atol=1e-6 * np.abs(L[k]).max())
@@ -80,8 +80,9 @@ def test_a_calibration_whose_body_is_in_doubt_is_moved_to_the_middle_of_its_post
     J, theta = np.asarray(found.jac), found.x
     P = np.linalg.inv(J.T @ J)
     felt = spatial(theta[36:]) @ spatial(theta[36:]).T
-    carried = Carried(np.arange(36, 46), float(np.exp(theta[36])), theta[37:40], tensor_of(theta[40:]), felt)
-    moved = theta + to_the_middle(P, np.full(36, P0**2), SPAN, [carried])
+    body = _core.Payload(float(np.exp(theta[36])), theta[37:40], tensor_of(theta[40:]))
+    carried = _core.Carried(list(range(36, 46)), body, felt)
+    moved = theta + _core.to_the_middle(P, np.full(36, P0**2), SPAN, [carried])
 
     def log_p(b: Array) -> float:
         M = spatial(b) / normal

@@ -143,6 +143,7 @@ class Lag {
   int gain_at() const { return C_; }
   int offset_at() const { return b_; }
   int quadratic_at() const { return u_; }
+  int body_at() const { return body_; }
   int clock_at(std::size_t i) const { return clock_[i]; }
   int gamma_at() const { return gamma_; }
   Block& block(long g) { return blocks_[static_cast<std::size_t>(g) % blocks_.size()]; }

@@ -30,8 +30,7 @@ from truewrench.calibrating.still_poses import (
 )
 from truewrench.estimation.estimate import Estimate, no_rows, of_joint
 from truewrench.estimation.estimator import estimate as estimate_motion
-from truewrench.estimation.joint import Joint, body_part
-from truewrench.estimation.second_order import explained
+from truewrench.estimation.joint import Joint, body_part, explained
 from truewrench.model.calibration import LogReport
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench import _core
 from truewrench.estimation.joint import EXACT, Joint, body_part
-from truewrench.estimation.second_order import bend, changes
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import total_body
 from truewrench.tool.model_rows import MotionInformation, Problem, about_center
@@ -74,7 +74,7 @@ class PosesOfOne(Problem):
             return np.zeros_like(out)
         before = self.vector.before
         body, by_x = total_body(x[before].reshape(1, 10))
-        L = changes(float(np.exp(body[0])), body[1:4], symmetric(body[4:]))
+        L = _core.body_changes(_core.Payload(float(np.exp(body[0])), body[1:4], symmetric(body[4:])))
         out[before] = -np.einsum("kp,kab->pab", by_x, L)
         out[before][4:] = 0.0  # the product holds mass and centre of mass
         return out
@@ -183,7 +183,7 @@ class Known:
         _, J = _product(np.append(gain, own), n)
         out = _mapped(self.joint, "product", "gain", at, gain, np.asarray(np.linalg.inv(J), np.float64))
         place = out.places["gain"]
-        out.covariance[place, place] += bend(
+        out.covariance[place, place] += _core.bend(
             out.covariance[place, place], P_body[1:, 1:], _stated_std(rig) ** 2
         )
         return out

@@ -21,10 +21,9 @@ from truewrench.estimation.estimate import (
     payload_departure,
     without_motion,
 )
-from truewrench.estimation.joint import EXACT, Joint, body_part
+from truewrench.estimation.joint import EXACT, Joint, body_part, explained
 from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
-from truewrench.estimation.second_order import PAIRS, Carried, bend, explained, to_the_middle
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
@@ -72,7 +71,7 @@ def _solved(
     rows = tuple(_rows(rig, log, fit.rows(k)) for k, log in enumerate(logs))
     carried = _carried(rig, logs, columns, np.asarray(fit.theta), rows)
     prior = np.asarray(fit.prior)[: 6 * n]
-    theta = np.asarray(fit.theta) + to_the_middle(covariance, prior, span, carried)
+    theta = np.asarray(fit.theta) + _core.to_the_middle(covariance, prior, span, carried)
     joint = _joint(rig, assumed, logs, columns, theta, covariance, np.asarray(found.gain_covariance))
     pairs = [joint.of([f"offset {k}"]) for k in range(len(logs))]
     # of [gain, offset of the last log]: (10.9) and (10.10) widen the gain's block
@@ -231,18 +230,18 @@ def _clocks(
 
 
 def _bent(rig: Rig, assumed: Assumptions, columns: Sequence[Any], prior: Array, covariance: Array) -> Array:
-    """`bend` of the normalised gain (6n, 6n), by the mean covariance of the logs' centres of mass."""
+    """`_core.bend` of the normalised gain (6n, 6n), by the mean covariance of the logs' centres of mass."""
     n = rig.sensor.n
     unit = (assumed.channel_scale[:, None] / rig.sensor.range_array).ravel()
     places = [np.array(c.at)[c.body + 1 : c.body + 4] for c in columns]
     center = np.mean([covariance[np.ix_(at, at)] for at in places], axis=0)
     gain = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit)
-    return bend(gain, center, prior * unit**2) / np.outer(unit, unit)
+    return np.asarray(_core.bend(gain, center, prior * unit**2) / np.outer(unit, unit))
 
 
 def _carried(
     rig: Rig, logs: Sequence[Log], columns: Sequence[Any], theta: Array, rows: Sequence[LogRows]
-) -> list[Carried]:
+) -> list[_core.Carried]:
     """The payloads of the logs as theta has them, and what the sensor felt of them."""
     felt: dict[str, Array] = {}
     for log, of in zip(logs, rows, strict=True):
@@ -252,11 +251,11 @@ def _carried(
         if log.payload not in felt:
             continue
         spec, places = rig.payloads[log.payload], np.array(c.at)[c.body : c.body + 10]
-        body, inertia = theta[places], spec.inertia_matrix.copy()
-        for (i, j), departure in zip(PAIRS, body[4:], strict=True):
-            inertia[[i, j], [j, i]] = spec.inertia_matrix[i, j] + departure
-        mass, center = spec.mass * np.exp(body[0]), spec.center_of_mass_array + body[1:4]
-        out.append(Carried(places, float(mass), center, inertia, felt.pop(log.payload)))
+        mass, center = spec.mass * np.exp(theta[places[0]]), spec.center_of_mass_array + theta[places[1:4]]
+        xx, yy, zz, xy, xz, yz = theta[places[4:]]
+        inertia = spec.inertia_matrix + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        payload = _core.Payload(float(mass), center, inertia)
+        out.append(_core.Carried(places.tolist(), payload, felt.pop(log.payload)))
     return out
 
 

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EXACT", "Joint", "body_part"]
+__all__ = ["EXACT", "Joint", "body_part", "explained"]
 
 Array = NDArray[np.float64]
 
 EXACT = 1e-9
 """Of a unit: 1 sigma that holds a parameter."""
+_NOTHING = 1e-17  # variance of one that is exact
+
+
+def explained(covariance: Array, gains: int, at: Iterable[int]) -> Array:
+    """What of the variance of the first parameters others account for: K P_vv K^T, K = P_gv P_vv^-1.
+
+    Args:
+        covariance: of all.
+        gains: how many the first are.
+        at: places of the others; those that are exact explain nothing.
+    """
+    known = [k for k in sorted(at) if covariance[k, k] > _NOTHING]
+    if not known:
+        return np.zeros(gains)
+    inner, cross = covariance[np.ix_(known, known)], covariance[:gains, known]
+    scale = np.sqrt(np.diag(inner))
+    K = np.linalg.lstsq(inner / scale / scale[:, None], (cross / scale).T, rcond=1e-12)[0].T
+    return np.asarray(np.einsum("ij,ij->i", K, cross / scale))
 
 
 def body_part(payload: str) -> str:

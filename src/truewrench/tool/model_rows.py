@@ -14,7 +14,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.estimation.second_order import changes
+from truewrench import _core
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import cross_matrix
 from truewrench.tool.bodies import total_body, weight
@@ -298,7 +298,8 @@ class Problem:
         body, by_x = self.total(x)
         R6 = np.kron(np.eye(2), channel_turn(x[self.vector.layout.mounting])[0])
         spread = float(np.sqrt(np.mean((by_x[4:7] * std) ** 2) * len(std)))
-        L = R6 @ changes(float(np.exp(body[0])), body[1:4], symmetric(body[4:]), spread) @ R6.T
+        payload = _core.Payload(float(np.exp(body[0])), body[1:4], symmetric(body[4:]))
+        L = R6 @ _core.body_changes(payload, spread) @ R6.T
         return np.asarray(np.einsum("kp,kab->pab", by_x, L))
 
     def of_known(self, x: Array) -> tuple[Array, Array]:

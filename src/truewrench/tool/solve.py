@@ -5,7 +5,9 @@
 Rate and repeatability, one each for all channels as fractions of their range, maximise the marginal
 likelihood with theta integrated out at the linearisation; how well they are known is part of sigma:
 estimates and covariances are mixed over a grid of both. Body and gain bend within what is left of either:
-the body is the one that is likeliest with the gain integrated out (second_order.py).
+the body is the one that is likeliest with the gain C integrated out,
+
+    p(b) ~ exp(-Q(b) / 2) |H_CC(b)|^(-1/2),  1/2 d log |H_CC| / db = tr[(1 x dw/db w^-1) H P]
 """
 
 from __future__ import annotations
@@ -17,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from truewrench.estimation.second_order import volume_slope
 from truewrench.tool.model_rows import Problem, whitened
 
 __all__ = ["REPEATABILITY", "WALK", "Solution", "solve"]
@@ -221,14 +222,15 @@ def _limited(problem: Problem, step: Array, scale: Array) -> Array:
 
 
 def _slope(problem: Problem, x: Array, A: Array, at: _Linear, scale: Array) -> Array:
-    """`volume_slope` by x, in units of the prior's sigma."""
+    """1/2 d log |H_CC| by x, in units of the prior's sigma; H P: what data tell of a gain, the body known."""
     v = problem.vector
     linear = np.r_[v.layout.gain, v.layout.offset, v.carried.start : v.size]  # y is linear in these
     P = np.linalg.inv(A[np.ix_(linear, linear)])
     told = ((A - at.before)[np.ix_(linear, linear)] @ P)[: 6 * v.n, : 6 * v.n]
     gains = scale[v.layout.gain]
+    told = (told / gains[:, None] * gains).reshape(v.n, 6, v.n, 6)
     change = problem.changes(x, np.sqrt(np.diag(np.linalg.inv(A))) * scale)
-    return volume_slope(change, told / gains[:, None] * gains) * scale
+    return np.asarray(np.einsum("pab,ibia->p", change, told) * scale, np.float64)
 
 
 def _sizes(problem: Problem, at: _Linear, start: Array) -> Array:
