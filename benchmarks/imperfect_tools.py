@@ -8,7 +8,7 @@ axis, 10 s and 10 s, one visits 12 planned poses, of which 8 are fitted, and one
 (MuJoCo). A step or a push happens in the first part; nothing touches the tool in the rest. Wrong: mass,
 centre of mass or an inertia that is determined is more than 5 sigma away, or an axis of the wrench in half
 of the rows. Coverage: of 95% intervals, of the body, and of the wrench in every tenth row; figures of
-usable tools.
+usable tools, and beside them those of the recipe of ten linear parameters, of the same records.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from runs import interval
 from scipy.spatial.transform import Rotation
 from tool_draws import LAYOUT, draw, rig_of
+from tool_recipe import fitted
 
 import truewrench as tw
 from truewrench import _core
@@ -138,8 +139,9 @@ def run_one(seed: int, index: int) -> runs.Row:
         turns = Rotation.from_matrix(attitude(record.trajectory, log.time)).as_quat()
         log = replace(log, attitude=turns[:, [3, 0, 1, 2]])
     early = log.time < record.end
-    tool = tw.identify_tool(record.rig, part(record.rig, log, early), threads=1)
-    found = contact(part(record.rig, log, ~early), tool)
+    before, after = part(record.rig, log, early), part(record.rig, log, ~early)
+    tool = tw.identify_tool(record.rig, before, threads=1)
+    found = contact(after, tool)
     rows = np.isfinite(found.chi2)
     sigma = np.sqrt(np.diagonal(found.covariance[rows], axis1=1, axis2=2))
     wrench = np.abs(found.wrench[rows] / sigma)
@@ -157,6 +159,22 @@ def run_one(seed: int, index: int) -> runs.Row:
         "worst_wrench": float(np.median(wrench, axis=0).max()),
         "contacts": float(np.mean(found.chi2[rows] > CONTACT)),
         "wrong": bool(body.max() > FAR or np.median(wrench, axis=0).max() > FAR),
+        **by_recipe(record.rig, before, after, tool, theta),
+    }
+
+
+def by_recipe(rig: Rig, before: Log, after: Log, tool: tw.Tool, theta: Array) -> dict[str, float]:
+    """Coverage of body and wrench by the recipe; inertia where the tool has it determined."""
+    plain = fitted(rig, [before], moving=True)
+    x, sigma = plain.body()
+    mass = float(np.exp(theta[LAYOUT.log_mass]))
+    true = np.concatenate([[mass], theta[LAYOUT.center_of_mass], inertia_of(mass, theta[LAYOUT.S])])
+    told = np.append(np.ones(4, dtype=bool), tool.determined["inertia"])
+    wrench, P, _ = plain.contact_of(after)
+    z = wrench / np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    return {
+        "recipe body": float(np.mean(np.abs((x[:10] - true) / sigma[:10])[told] < WITHIN)),
+        "recipe wrench": float(np.mean(np.abs(z[np.isfinite(z).all(axis=1)][::10]) < WITHIN)),
     }
 
 
@@ -185,6 +203,8 @@ def line(name: str, rows: Sequence[runs.Row]) -> list[str]:
         share("body"),
         share("wrench"),
         share("contacts"),
+        share("recipe body"),
+        share("recipe wrench"),
     ]
 
 
@@ -195,6 +215,7 @@ def main() -> None:
     rows = runs.gather(work, range(options.runs), options.out, options.workers, settings)
     told = [row for row in rows if row["outcome"] == "found"]
     header = "kind|runs|usable|wrong and usable|body covered|wrench covered|rows called contact"
+    header += "|recipe: body|wrench"
     groups = [(kind, [row for row in told if row["kind"] == kind]) for kind in RANGES]
     groups += [(f"all, {how}", [row for row in told if row["record"] == how]) for how in RECORDS[1:]]
     runs.table(header.split("|"), [line(name, of) for name, of in [*groups, ("all", told)] if of])

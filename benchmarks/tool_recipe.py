@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +18,61 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 STEP = 1e-6
 
 
-def recipe(rig: Rig, logs: Sequence[Log], *, moving: bool) -> tuple[Array, Array]:
-    """Mass, centre of mass, inertia about it, last offset of the wrench (16,), and their formal 1 sigma.
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """Mass, mass times centre of mass, inertia at the sensor, offset of the last log, as wrenches (16,).
+
+    Attributes:
+        rig: its nominal gain is believed.
+        x: (16,).
+        P: (16, 16), formal.
+    """
+
+    rig: Rig
+    x: Array
+    P: Array
+
+    def contact(self, raw: Array, nu: Array, a: Array, gravity: Array) -> tuple[Array, Array, Array]:
+        """Wrench (N, 6) that the tool does not account for, its covariance (N, 6, 6), and derivative by x."""
+        back, sensor = np.linalg.pinv(self.rig.sensor.nominal_gain_array), self.rig.sensor
+        A = np.concatenate([regressor(nu, a, gravity), np.tile(np.eye(6), (len(raw), 1, 1))], axis=2)
+        left = sensor.sign * raw @ back.T - A @ self.x
+        noise = (back * sensor.noise_array**2) @ back.T
+        return sensor.sign * left, A @ self.P @ A.transpose(0, 2, 1) + noise, A
+
+    def contact_of(self, log: Log) -> tuple[Array, Array, Array]:
+        """The same of the rows of a log, and which they are; velocities are differentiated."""
+        parts = [
+            (self.contact(log.raw[rows], nu, a, g)[:2], rows) for rows, nu, a, g in _measured(self.rig, log)
+        ]
+        wrench, P = (np.concatenate([part[0][k] for part in parts]) for k in range(2))
+        return wrench, P, np.concatenate([rows for _, rows in parts])
+
+    def body(self) -> tuple[Array, Array]:
+        """Mass, centre of mass, inertia about it, offset (16,), and their 1 sigma."""
+        scale = np.maximum(np.abs(self.x), 1e-3)
+        by = np.column_stack(
+            [
+                (_body(self.x + STEP * s * e) - _body(self.x - STEP * s * e)) / (2.0 * STEP * s)
+                for s, e in zip(scale, np.eye(16), strict=True)
+            ]
+        )
+        return _body(self.x), np.sqrt(np.diag(by @ self.P @ by.T))
+
+
+def fitted(rig: Rig, logs: Sequence[Log], *, moving: bool) -> Fitted:
+    """Least squares.
 
     Args:
         rig: its nominal gain is believed.
         logs: rows at rest, or motions whose velocities are differentiated; each has an offset of its own.
-        moving: whether inertia is asked for; else its place holds NaN.
+        moving: whether inertia is asked for; else it is 0.
     """
     back = np.linalg.pinv(rig.sensor.nominal_gain_array)
     noise = np.sqrt((back**2) @ rig.sensor.noise_array**2)
     A, y = [], []
     for k, log in enumerate(reversed(logs)):
-        at_rest = log.twist is not None and not np.nan_to_num(log.twist).any()
-        for rows, nu, a, g in [_still(log)] if at_rest else measured_motions(rig, log):
+        for rows, nu, a, g in _measured(rig, log):
             know = np.isfinite(log.raw[rows]).all(axis=1)
             offset = np.zeros((int(know.sum()), 6, 6 * len(logs)))
             offset[:, :, 6 * k : 6 * k + 6] = np.eye(6)
@@ -43,19 +85,24 @@ def recipe(rig: Rig, logs: Sequence[Log], *, moving: bool) -> tuple[Array, Array
     x[kept] = np.linalg.lstsq(rows[:, kept], read, rcond=None)[0]
     left = read - rows @ x
     information = rows[:, kept].T @ rows[:, kept]
-    P[np.ix_(kept, kept)] = np.linalg.inv(information) * (left @ left / (read.size - kept.size))
-    scale = np.maximum(np.abs(x), 1e-3)
-    by = np.column_stack(
-        [
-            (_body(x + STEP * s * e) - _body(x - STEP * s * e)) / (2.0 * STEP * s)
-            for s, e in zip(scale, np.eye(size), strict=True)
-        ]
-    )
-    sigma = np.sqrt(np.diag(by @ P @ by.T))
-    out = _body(x)
+    P[np.ix_(kept, kept)] = np.linalg.pinv(information) * (left @ left / max(1, read.size - kept.size))
+    return Fitted(rig, x[:16], P[:16, :16])
+
+
+def recipe(rig: Rig, logs: Sequence[Log], *, moving: bool) -> tuple[Array, Array]:
+    """Mass, centre of mass, inertia about it, last offset of the wrench (16,), and their formal 1 sigma.
+
+    The arguments are those of `fitted`; where inertia is not asked for its place holds NaN.
+    """
+    out, sigma = fitted(rig, logs, moving=moving).body()
     if not moving:
         out[4:10] = sigma[4:10] = np.nan
     return out, sigma
+
+
+def _measured(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array, Array, Array]]:
+    at_rest = log.twist is not None and not np.nan_to_num(log.twist).any()
+    return [_still(log)] if at_rest else list(measured_motions(rig, log))
 
 
 def _still(log: Log) -> tuple[NDArray[np.int64], Array, Array, Array]:

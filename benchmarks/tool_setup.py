@@ -6,7 +6,8 @@
 Tools, gains, offsets and walks as in unknown_tools.py; every mistake is made in the same logs. Refused is a
 tool of status 3, or a log that is bad input (2); a word counts where the reason names the mistake. A force
 scale that is off by 10% leaves no trace: there it counts that the result says so. Intervals are
-Clopper-Pearson's, 95%.
+Clopper-Pearson's, 95%. The recipe of ten linear parameters refuses nothing: by how much its mass is off, in
+the median.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta
 from tool_draws import LAYOUT, draw, motion, poses, rig_of
+from tool_recipe import fitted
 
 import truewrench as tw
 from truewrench.model.errors import InputError
@@ -176,6 +178,14 @@ def verdict(rig: Rig, log: Log) -> tuple[bool, str, str]:
     return not tool.verdict.usable, " ".join(tool.verdict.reasons), unknown
 
 
+def plain_error(rig: Rig, log: Log, theta: Array, *, moving: bool) -> float:
+    """Of the recipe's mass, relative; NaN where the log holds none."""
+    if log.gravity is None:
+        return np.nan
+    mass = float(np.exp(theta[LAYOUT.log_mass]))
+    return abs(float(fitted(rig, [log], moving=moving).x[0]) / mass - 1.0)
+
+
 def interval(k: int, n: int) -> str:
     low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
     high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
@@ -196,23 +206,34 @@ def main() -> None:
     asked = parser.parse_args()
     make = poses if asked.data == "poses" else motion
     print(
-        f"| {asked.data} | refused | named | of | 95% of named | seconds a log |\n|---|---|---|---|---|---|"
+        f"| {asked.data} | refused | named | of | 95% of named | seconds a log | recipe's mass off by |\n"
+        "|---|---|---|---|---|---|---|"
     )
     for name, mistake in MISTAKES.items():
         if not asked.seeds or asked.data not in mistake.data or (asked.only and asked.only not in name):
             continue
-        refused, named, started = 0, 0, time.perf_counter()
+        refused, named, seconds, off = 0, 0, 0.0, []
         for seed in range(asked.seeds):
             rng = np.random.default_rng(seed)
             theta = mistake.theta(draw(rng, RIG, seed))
             log = mistake.spoil(rng, make(rng, RIG, theta), theta)
+            started = time.perf_counter()
             no, reasons, unknown = verdict(mistake.rig(RIG), log)
+            seconds += time.perf_counter() - started
+            off.append(plain_error(mistake.rig(RIG), log, theta, moving=asked.data == "motion"))
             told = mistake.word in (reasons if mistake.seen else unknown)
             refused, named = refused + no, named + told
             if asked.reasons and not told:
                 print(f"    seed {seed}: {'refused' if no else 'usable'}: {reasons[:300]}")
-        took = (time.perf_counter() - started) / asked.seeds
-        cells = (name, refused, named, asked.seeds, interval(named, asked.seeds), f"{took:.2f}")
+        cells = (
+            name,
+            refused,
+            named,
+            asked.seeds,
+            interval(named, asked.seeds),
+            f"{seconds / asked.seeds:.2f}",
+            f"{100 * np.median(off):.2g}%",
+        )
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
     alarms, started = 0, time.perf_counter()
     for seed in range(0 if asked.only else asked.healthy):
@@ -224,7 +245,9 @@ def main() -> None:
             print(f"    healthy {seed}: {reasons[:300]}")
     if asked.healthy and not asked.only:
         took = (time.perf_counter() - started) / asked.healthy
-        print(f"| healthy | {alarms} | | {asked.healthy} | {interval(alarms, asked.healthy)} | {took:.2f} |")
+        print(
+            f"| healthy | {alarms} | | {asked.healthy} | {interval(alarms, asked.healthy)} | {took:.2f} | |"
+        )
 
 
 if __name__ == "__main__":

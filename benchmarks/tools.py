@@ -29,6 +29,7 @@ import yaml
 from bound_oracle import MotionInformation, Rnea, covariance
 from numpy.typing import NDArray
 from runs import WITHIN_95, interval
+from tool_recipe import recipe
 
 import truewrench as tw
 from truewrench.io.tables import GRAVITY, TWIST, read_log, write_table
@@ -181,7 +182,7 @@ def unknown_rig() -> Rig:
 
 
 def identified(seed: int) -> list[Array]:
-    """Relative error of the mass, error of the centre of mass [m], both in sigma (8,), of each tool."""
+    """Relative error of mass, error of centre of mass [m], both in sigma, here and by the recipe (16,)."""
     bodies = yaml.safe_load((data_folder() / "payloads.yaml").read_text(encoding="utf-8"))["payloads"]
     rng, out, settings = np.random.default_rng(seed), [], unknown_rig()
     sensor = settings.sensor
@@ -192,9 +193,16 @@ def identified(seed: int) -> list[Array]:
         twist = log.twist + settings.motion.noise_array * rng.standard_normal(log.twist.shape)
         log = replace(log, raw=raw, twist=twist, acceleration=None)
         tool = tw.identify_tool(settings, log, mounting_sigma=0.0, tilt_sigma=0.0, threads=1)
-        error = np.append(tool.mass - body["mass"], tool.center_of_mass - body["center_of_mass"])
-        sigma = np.append(tool.mass_std, tool.center_of_mass_std)
-        out.append(np.concatenate([[error[0] / body["mass"]], error[1:], error / sigma]))
+        true = np.append(body["mass"], body["center_of_mass"])
+        x, sigma = recipe(settings, [log], moving=True)
+        row = []
+        for found, std in (
+            (np.append(tool.mass, tool.center_of_mass), np.append(tool.mass_std, tool.center_of_mass_std)),
+            (x[:4], sigma[:4]),
+        ):
+            error = found - true
+            row += [[error[0] / true[0]], error[1:], error / std]
+        out.append(np.concatenate(row))
     return out
 
 
@@ -202,11 +210,11 @@ def unknown(draws: int, processes: int) -> None:
     """Table of six tools that nobody knows."""
     with ProcessPoolExecutor(processes) as pool:
         found = np.concatenate(list(pool.map(identified, range(draws))))
-    mass, center = (np.sqrt(np.mean(of**2)) for of in (found[:, 0], found[:, 1:4]))
-    share = float(np.mean(np.abs(found[:, 4:]) < WITHIN_95))
-    share_held = interval(share * len(found), len(found))
     print(f"Six tools, {draws} draws; RMS error of mass and centre of mass, held by 95% intervals:")
-    print(f"{100 * mass:.3f}%, {1000 * center:.3f} mm, {share_held}")
+    for name, part in zip(("here", "recipe"), np.split(found, 2, axis=1), strict=True):
+        mass, center = (np.sqrt(np.mean(of**2)) for of in (part[:, 0], part[:, 1:4]))
+        share = float(np.mean(np.abs(part[:, 4:]) < WITHIN_95))
+        print(f"{name}: {100 * mass:.3f}%, {1000 * center:.3f} mm, {interval(share * len(part), len(part))}")
 
 
 def write(folder: Path) -> None:

@@ -286,7 +286,7 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
         if over.max() > _OVERLOAD:
             channel = rig.sensor.channels[int(np.argmax(over))]
             found = f"{channel} at {over.max():.3g} times its range"
-            raise InputError.at(log.path, place, found, "a reading within its range")
+            raise InputError.at(log.path, place, found, "a reading within its range: units of the log?")
         variance[i] = _of_mean(log.raw[rows], rig.sensor.noise_array)
         stamps[i] = (int(log.time_ns[rows[0]]) + int(log.time_ns[rows[-1]])) // 2
         seconds[i] = log.time[rows[-1]] - log.time[rows[0]]
