@@ -2,15 +2,11 @@
 
     python benchmarks/live.py
     python benchmarks/live.py --duration 10 --rate 500
-    python benchmarks/live.py --tool
 
 A publisher (rclpy, rmw_fastrtps_cpp, reliable) sends stamped wrenches. Two receive them, each a process:
 truewrench, and an rclpy node that publishes what it receives and does nothing else. A subscriber to
 both, which reads bytes so as to keep up, takes the time from the stamp to its callback. The first second
 is left out, in which everybody is still waking up.
-
-With --tool it is the contact wrench of `stream --tool`, from topics of sensor, twist and gravity, and
-its numbers are held against those that `apply --tool` writes for the same record.
 """
 
 from __future__ import annotations
@@ -38,19 +34,7 @@ DEPTH = 5000  # messages kept: nobody's queue is what is measured
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--duration", type=float, default=60.0, help="of the stream [s]")
-    parser.add_argument("--rate", type=float, default=1000.0, help="of its samples [Hz]")
-    parser.add_argument("--tool", action="store_true", help="the contact wrench beyond a tool")
-    parser.add_argument("--folder", type=Path, help="--tool: of a role's files")
-    parser.add_argument("--role", choices=["publish", "echo", "measure"], help="of a process of its own")
-    parser.add_argument("--count", type=int, default=0, help="messages that the role is about")
-    arguments = parser.parse_args()
-    if arguments.folder is not None:
-        import live_tool
-
-        live_tool.role(arguments.role, arguments.folder, arguments.count, arguments.rate)
-        return
+    arguments = asked(__doc__).parse_args()
     if arguments.role is not None:
         if arguments.role == "publish":
             publish(arguments.count, arguments.rate)
@@ -59,18 +43,27 @@ def main() -> None:
         else:
             measure(arguments.count)
         return
+    graph_of_its_own()
+    table(round(arguments.duration * arguments.rate), arguments.rate)
+
+
+def asked(description: str | None) -> argparse.ArgumentParser:
+    """What a user may ask for, and the roles of processes."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--duration", type=float, default=60.0, help="of the stream [s]")
+    parser.add_argument("--rate", type=float, default=1000.0, help="of its samples [Hz]")
+    parser.add_argument("--role", choices=["publish", "echo", "measure"], help="of a process of its own")
+    parser.add_argument("--count", type=int, default=0, help="messages that the role is about")
+    return parser
+
+
+def graph_of_its_own() -> None:
+    """On loopback, for this process and those that it starts."""
     os.environ.update(
         RMW_IMPLEMENTATION="rmw_fastrtps_cpp",
         ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
         ROS_DOMAIN_ID=str(random.randint(1, 99)),
     )
-    count = round(arguments.duration * arguments.rate)
-    if arguments.tool:
-        import live_tool
-
-        live_tool.table(count, arguments.rate)
-    else:
-        table(count, arguments.rate)
 
 
 def table(count: int, rate: float) -> None:
@@ -105,8 +98,10 @@ def row(name: str, lost: int, latency: Any) -> str:
     return f"| {name} | {lost} | {median:.0f} µs | {high:.0f} µs | {latency.max():.0f} µs |"
 
 
-def role(name: str, count: int = 0, rate: float = 0.0, *more: str) -> subprocess.Popen[str]:
-    command = [sys.executable, __file__, "--role", name, "--count", str(count), "--rate", str(rate), *more]
+def role(
+    name: str, count: int = 0, rate: float = 0.0, *more: str, script: str = __file__
+) -> subprocess.Popen[str]:
+    command = [sys.executable, script, "--role", name, "--count", str(count), "--rate", str(rate), *more]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 

@@ -1,5 +1,9 @@
-"""The contact wrench of `truewrench stream --tool --ros2` for `live.py --tool`: lost, latency, numbers.
+"""The contact wrench of `truewrench stream --tool --ros2` in a real ROS 2 graph: lost, latency, numbers.
 
+    python benchmarks/live_tool.py
+    python benchmarks/live_tool.py --duration 10 --rate 500
+
+Topics of sensor, twist and gravity; processes as in live.py.
 A tool of 2 kg is swung about one axis; nothing touches it. Its publisher keeps what it sent, stamps
 included, as a log, which `truewrench apply --tool` reads afterwards.
 """
@@ -11,6 +15,7 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -47,10 +52,19 @@ AMPLITUDE, RATE = 0.8, 2.0  # of the swing [rad, rad/s]
 COLUMNS = ["vx", "vy", "vz", "wx", "wy", "wz", "gx", "gy", "gz"]
 
 
+def main() -> None:
+    parser = live.asked(__doc__)
+    parser.add_argument("--folder", type=Path, help="of a role's files")
+    arguments = parser.parse_args()
+    if arguments.role is not None:
+        role(arguments.role, arguments.folder, arguments.count, arguments.rate)
+        return
+    live.graph_of_its_own()
+    table(round(arguments.duration * arguments.rate), arguments.rate)
+
+
 def table(count: int, rate: float) -> None:
     """Run everything, and print."""
-    import tempfile
-
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         (folder / "rig.yaml").write_text(yaml.safe_dump(RIG))
@@ -61,7 +75,9 @@ def table(count: int, rate: float) -> None:
         streaming = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         echoing = live.role("echo")
         more = ("--folder", scratch)
-        measuring, publishing = (live.role(name, count, rate, *more) for name in ("measure", "publish"))
+        measuring, publishing = (
+            live.role(name, count, rate, *more, script=__file__) for name in ("measure", "publish")
+        )
         measuring.wait()
         for process in (streaming, echoing):
             process.send_signal(signal.SIGINT)
@@ -219,3 +235,7 @@ def read(message: bytes) -> tuple[int, tuple[float, ...]]:
     sec, nanosec, length = struct.unpack_from("<iII", message, 4)
     begin = 4 + -(-(12 + length) // 8) * 8
     return sec * 1_000_000_000 + nanosec, struct.unpack_from("<6d", message, begin)
+
+
+if __name__ == "__main__":
+    main()

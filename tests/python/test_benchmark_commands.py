@@ -24,6 +24,7 @@ SMALLEST: dict[str, str] = {
     "imperfect.py": "--runs 2",
     "imperfect_tools.py": "--runs 2",
     "live.py": "--duration 3 --rate 200",
+    "live_tool.py": "--duration 3 --rate 200",
     "plans.py": "",
     "rates.py": "--runs 1",
     "recordings.py": "--duration 3 --repeat 1 --size 0.02",

@@ -247,7 +247,7 @@ def test_a_record_of_a_few_rows_is_no_tool(rows: int) -> None:
 def test_a_reading_far_beyond_the_range_is_bad_input() -> None:
     log, _ = pose_log(RIG, MASS, CENTER)
     log.raw[3, 2] *= 1e100
-    with pytest.raises(InputError, match=r"times its range, expected a reading within its range: units of the log"):
+    with pytest.raises(InputError, match=r"times its range, expected .* within its range: units"):
         tw.identify_tool(RIG, log)
 
 
