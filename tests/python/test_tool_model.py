@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from truewrench.tool.parameters import (
     symmetric,
     tilted,
 )
+from truewrench.tool.words import correlations
 
 
 def same(a: Any, b: Any) -> bool:
@@ -168,3 +170,13 @@ def test_gains_about_the_centre_of_mass_show_the_same_wrench_and_have_their_deri
     steps = 1e-6 * np.eye(y.size)
     by = [(about_center(y + e, 8)[0] - about_center(y - e, 8)[0]) / 2e-6 for e in steps]
     np.testing.assert_allclose(J, np.column_stack(by), atol=1e-8)
+
+
+def test_what_stands_and_falls_together_is_said_in_words() -> None:
+    tool = a_tool()
+    layout = tool.layout
+    covariance = np.diag(np.full(layout.size, 1e-4))
+    mass, fz = layout.log_mass, layout.gain.start + 6 * 2 + 2
+    covariance[mass, fz] = covariance[fz, mass] = -0.9e-4
+    (said,) = correlations(replace(tool, covariance=covariance))
+    assert said == "A larger mass goes with a smaller gain of channel fz by fz (-0.90)."

@@ -90,8 +90,8 @@ def _table(tool: Tool) -> str:
         rows.append((f"inertia {name} [kg m²]", tool.inertia[k], tool.inertia_std[k], known["inertia"][k]))
     for k, name in enumerate(("roll", "pitch", "yaw")):
         rows.append((f"mounting {name} [rad]", tool.mounting[k], tool.mounting_std[k], True))
-    for k in range(tool.n):
-        rows.append((f"offset {k} [raw]", tool.offset[k], tool.offset_std[k], True))
+    for k, channel in enumerate(tool.rig.sensor.channels):
+        rows.append((f"offset of {escape(channel)} [raw]", tool.offset[k], tool.offset_std[k], True))
     cells = "".join(
         f"<tr><td>{name}</td><td>{value:.5g}</td><td>{std:.2g}</td></tr>"
         if told

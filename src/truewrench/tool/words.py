@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from truewrench.model.calibration import AXES
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS
 
@@ -54,16 +55,28 @@ def _lines(tool: Tool) -> Iterator[str]:
 
 
 def correlations(tool: Tool) -> list[str]:
-    """Which quantities of the tool stand and fall with which of the sensor, strongest first."""
+    """Which quantities of the tool stand and fall with which of the sensor, strongest first, in words."""
     layout = tool.layout
-    names = layout.names
     std = np.sqrt(np.maximum(np.diag(tool.covariance), 1e-300))
     rho = tool.covariance / np.outer(std, std)
     body = range(layout.body.start, layout.body.start + 4)
-    others = [*range(6 * tool.n), *range(layout.offset.start, layout.size)]
-    pairs = sorted(((abs(rho[i, j]), i, j) for i in body for j in others), reverse=True)
+    of_sensor = _of_sensor(tool)
+    pairs = sorted(((abs(rho[i, j]), i, j) for i in body for j in of_sensor), reverse=True)
+    more = ("A larger mass", *(f"A centre of mass further along {axis}" for axis in "xyz"))
     return [
-        f"{names[i].replace('_', ' ')} and {names[j].replace('_', ' ')}: {rho[i, j]:+.2f}"
+        f"{more[i - body.start]} goes with a {'larger' if rho[i, j] > 0.0 else 'smaller'} {of_sensor[j]} "
+        f"({rho[i, j]:+.2f})."
         for size, i, j in pairs[:8]
         if size > _STRONG
     ]
+
+
+def _of_sensor(tool: Tool) -> dict[int, str]:
+    """What the parameters that are not the body's are called."""
+    layout, channels = tool.layout, tool.rig.sensor.channels
+    names = [f"gain of channel {channel} by {axis}" for channel in channels for axis in AXES]
+    out = dict(enumerate(names, layout.gain.start))
+    out |= dict(enumerate((f"offset of {channel}" for channel in channels), layout.offset.start))
+    turns = ("roll", "pitch", "yaw")
+    out |= dict(enumerate((f"mounting {turn}" for turn in turns), layout.mounting.start))
+    return out | dict(enumerate(("first tilt of gravity", "second tilt of gravity"), layout.tilt.start))
