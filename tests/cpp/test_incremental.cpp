@@ -141,7 +141,7 @@ TEST(Incremental, CorrectsInTheMiddleOfWhatAPayloadLeaves) {
       mean += (out.wrench[k] - 0.2 * loop.rig.range[k]) / out.std[k] / (6 * seeds);
     }
   }
-  EXPECT_LT(std::abs(mean), 0.6) << mean;  // of masses of 12 records and moments of inertia, a sigma of some 0.2
+  EXPECT_LT(std::abs(mean), 0.6);  // of 12 masses and moments of inertia, a sigma of some 0.2
 }
 
 TEST(Incremental, TellsNothingOfARecordThatIsTooShort) {
