@@ -95,14 +95,9 @@ def of_pose(
     if tared:
         run.tare()
     w, P = found([*parts, run.finish()])
-    left, own, A = plain.contact(raw, still, still, turns.inv().apply(rig.gravity_array))
-    if tared:
-        noise = own[0] - A[0] @ plain.P @ A[0].T
-        return (w[-1:], P[-1:]), (
-            left[1:] - left[:1],
-            ((A[1] - A[0]) @ plain.P @ (A[1] - A[0]).T + 2.0 * noise)[None],
-        )
-    return (w[-1:], P[-1:]), (left[1:], own[1:])
+    of_recipe = plain.tared if tared else plain.contact
+    left, own = of_recipe(raw, still, still, turns.inv().apply(rig.gravity_array))
+    return (w[-1:], P[-1:]), (left[-1:], own[-1:])
 
 
 def of_motion(
@@ -117,7 +112,7 @@ def of_motion(
     run = ContactRun(tool, None)
     w, P = found([run.feed(stamps, raw, columns(rig, turns, noisy)), run.finish()])
     rows = np.linspace(0, len(w) - 1, ROWS).astype(int)
-    left, own, _ = plain.contact_of(log_of(rig, turns, PAUSE + t, raw, noisy, tool.offset_time_ns))
+    left, own = plain.contact_of(log_of(rig, turns, PAUSE + t, raw, noisy, tool.offset_time_ns))
     other = np.linspace(0, len(left) - 1, ROWS).astype(int)
     return (w[rows], P[rows]), (left[other], own[other])
 

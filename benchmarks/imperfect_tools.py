@@ -170,7 +170,7 @@ def by_recipe(rig: Rig, before: Log, after: Log, tool: tw.Tool, theta: Array) ->
     mass = float(np.exp(theta[LAYOUT.log_mass]))
     true = np.concatenate([[mass], theta[LAYOUT.center_of_mass], inertia_of(mass, theta[LAYOUT.S])])
     told = np.append(np.ones(4, dtype=bool), tool.determined["inertia"])
-    wrench, P, _ = plain.contact_of(after)
+    wrench, P = plain.contact_of(after)
     z = wrench / np.sqrt(np.diagonal(P, axis1=1, axis2=2))
     return {
         "recipe body": float(np.mean(np.abs((x[:10] - true) / sigma[:10])[told] < WITHIN)),

@@ -32,21 +32,31 @@ class Fitted:
     x: Array
     P: Array
 
-    def contact(self, raw: Array, nu: Array, a: Array, gravity: Array) -> tuple[Array, Array, Array]:
-        """Wrench (N, 6) that the tool does not account for, its covariance (N, 6, 6), and derivative by x."""
-        back, sensor = np.linalg.pinv(self.rig.sensor.nominal_gain_array), self.rig.sensor
-        A = np.concatenate([regressor(nu, a, gravity), np.tile(np.eye(6), (len(raw), 1, 1))], axis=2)
-        left = sensor.sign * raw @ back.T - A @ self.x
-        noise = (back * sensor.noise_array**2) @ back.T
-        return sensor.sign * left, A @ self.P @ A.transpose(0, 2, 1) + noise, A
+    def contact(self, raw: Array, nu: Array, a: Array, gravity: Array) -> tuple[Array, Array]:
+        """Wrench (N, 6) that the tool does not account for, and its covariance (N, 6, 6)."""
+        left, A = self._left(raw, nu, a, gravity)
+        return left, A @ self.P @ A.transpose(0, 2, 1) + self._noise()
 
-    def contact_of(self, log: Log) -> tuple[Array, Array, Array]:
-        """The same of the rows of a log, and which they are; velocities are differentiated."""
-        parts = [
-            (self.contact(log.raw[rows], nu, a, g)[:2], rows) for rows, nu, a, g in _measured(self.rig, log)
-        ]
-        wrench, P = (np.concatenate([part[0][k] for part in parts]) for k in range(2))
-        return wrench, P, np.concatenate([rows for _, rows in parts])
+    def tared(self, raw: Array, nu: Array, a: Array, gravity: Array) -> tuple[Array, Array]:
+        """The same of all rows but the first, less that of the first."""
+        left, A = self._left(raw, nu, a, gravity)
+        by = A[1:] - A[:1]
+        return left[1:] - left[:1], by @ self.P @ by.transpose(0, 2, 1) + 2.0 * self._noise()
+
+    def _left(self, raw: Array, nu: Array, a: Array, gravity: Array) -> tuple[Array, Array]:
+        back, sign = np.linalg.pinv(self.rig.sensor.nominal_gain_array), self.rig.sensor.sign
+        A = np.concatenate([regressor(nu, a, gravity), np.tile(np.eye(6), (len(raw), 1, 1))], axis=2)
+        return sign * (sign * raw @ back.T - A @ self.x), A
+
+    def _noise(self) -> Array:
+        back = np.linalg.pinv(self.rig.sensor.nominal_gain_array)
+        return np.asarray((back * self.rig.sensor.noise_array**2) @ back.T)
+
+    def contact_of(self, log: Log) -> tuple[Array, Array]:
+        """`contact` of the rows of a log whose motion is known; velocities are differentiated."""
+        parts = [self.contact(log.raw[rows], nu, a, g) for rows, nu, a, g in _measured(self.rig, log)]
+        wrenches, covariances = zip(*parts, strict=True)
+        return np.concatenate(wrenches), np.concatenate(covariances)
 
     def body(self) -> tuple[Array, Array]:
         """Mass, centre of mass, inertia about it, offset (16,), and their 1 sigma."""

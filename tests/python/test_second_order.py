@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 P0 = 0.2  # 1 sigma of a gain
 MASS, CENTER = 3.0, np.array([0.02, -0.03, 0.08])
 INERTIA = np.array([0.02, 0.03, 0.012, 0.002, -0.001, 0.003])
-STD = np.concatenate([[0.04], np.full(3, 0.002), 0.04 * np.sqrt(np.outer(*2 * [INERTIA[:3]])).ravel()[:6]])
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+STD = np.array([0.04, *[0.002] * 3, *(0.04 * np.sqrt(INERTIA[i] * INERTIA[j]) for i, j in PAIRS)])
 SPAN = np.array([40.0, 40.0, 40.0, 4.0, 4.0, 4.0])
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tool_cases import Array, a_rig, apart, pose_log, swing_log, tour_log
+from tool_cases import Array, a_rig, apart, as_imu, pose_log, swing_log, tour_log
 
 import truewrench as tw
 from truewrench.model.log import Log
@@ -130,3 +130,22 @@ def test_topics_with_stamps_of_their_own_say_the_same(kind: str) -> None:
     body = plain.layout.body
     std = np.sqrt(np.diag(plain.covariance)[body])
     assert np.abs((found.theta - plain.theta)[body] / std).max() < 0.2
+
+
+@pytest.mark.parametrize("data", ["poses", "motion", "both"])
+def test_an_imu_tells_attitude_and_motion(data: str) -> None:
+    motion = {"source": "imu", "noise": [1e-3] * 3, "acceleration_noise": [1e-2] * 3}
+    rig = tool_rig(a_rig(motion=motion, sensor={"discrepancy": 0, "time_offset_prior": 0}))
+    squares: list[float] = []
+    for seed in range(6):
+        log, _ = pose_log(rig, MASS, CENTER, seed=seed)
+        still = np.zeros((len(log.raw), 6))
+        logs = {
+            "poses": as_imu(log, still, still, np.random.default_rng(seed)),
+            "motion": swing_log(rig, MASS, CENTER, INERTIA, seed=seed),
+        }
+        tool = tw.identify_tool(rig, [log for name, log in logs.items() if data in (name, "both")])
+        assert tool.verdict.usable
+        squares += [*((tool.center_of_mass - CENTER) / tool.center_of_mass_std) ** 2]
+        squares.append(((tool.mass - MASS) / tool.mass_std) ** 2)
+    assert sum(squares) < chi2.ppf(1.0 - 1e-4, len(squares))

@@ -198,7 +198,10 @@ def tour_log(
 def swing_log(
     rig: Rig, mass: float, center: Array, inertia: Array, *, seconds: float = 8.0, seed: int = 0
 ) -> Log:
-    """A tool swung at four frequencies an axis, 100 Hz; R_root_sensor integrated in small steps."""
+    """A tool swung at four frequencies an axis, 100 Hz; R_root_sensor integrated in small steps.
+
+    With `motion.source: imu` it holds what an IMU reads in place of twist and attitude.
+    """
     rng = np.random.default_rng(seed)
     time = np.arange(round(100 * seconds)) / 100.0
     f, phase = rng.uniform(0.2, 0.9, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
@@ -219,10 +222,27 @@ def swing_log(
     fall = turns.inv().apply(rig.gravity_array)
     raw = rig.sensor.sign * newton_euler(mass, center, inertia, nu, a, fall)
     raw += rng.normal(size=raw.shape) * rig.sensor.noise_array + rng.normal(size=6) * 0.5
+    stamps = (time * 1e9).astype(np.int64) + 10**12
+    if rig.motion.source == "imu":
+        return as_imu(Log(None, "tool", "", stamps, raw, gravity=fall), nu, a, rng)
     nu += rng.normal(size=nu.shape) * rig.motion.noise_array
     quaternion = turns.as_quat()[:, [3, 0, 1, 2]]
-    stamps = (time * 1e9).astype(np.int64) + 10**12
     return Log(None, "tool", "", stamps, raw, twist=nu, gravity=fall, attitude=quaternion)
+
+
+def as_imu(log: Log, nu: Array, a: Array, rng: np.random.Generator) -> Log:
+    """The log with what an IMU reads, constant errors within, in place of twist, gravity and attitude."""
+    force = a[:, :3] + np.cross(nu[:, 3:], nu[:, :3]) - log.gravity
+    read = np.column_stack([force, nu[:, 3:]]) + rng.normal(size=6) * np.repeat([0.02, 0.002], 3)
+    read += rng.normal(size=read.shape) * np.repeat([1e-2, 1e-3], 3)
+    return replace(
+        log,
+        twist=None,
+        gravity=None,
+        attitude=None,
+        specific_force=read[:, :3],
+        angular_velocity=read[:, 3:],
+    )
 
 
 def write_log(path: Path, log: Log) -> Path:

@@ -8,8 +8,8 @@
 namespace truewrench {
 
 // Configures a corrector with gain, offset, and all that is uncertain in them, in the units of the raw channels: fractions of
-// range times `channel_scale` (n), R_i = |nominal_i| @ range (METHOD 10.1); in the middle of their posterior. Before the estimate is ready: not_configured. Allocates;
-// a loop keeps two, and changes them over.
+// range times `channel_scale` (n), R_i = |nominal_i| @ range (METHOD 10.1); in the middle of their posterior. Before the estimate
+// is ready: not_configured. Allocates; a loop keeps two, and changes them over.
 template <int N>
 Status configure(Corrector<N>& corrector, Incremental& online, const Eigen::VectorXd& channel_scale) {
   const Lag& lag = online.lag();

@@ -90,8 +90,8 @@ def _plain(rig: Rig, logs: Sequence[Log]) -> _Plain | None:
             return None
         variance = np.nanvar(np.concatenate([log.raw for log in logs]), axis=0)
         left = float(np.median(found.chi_square * rig.sensor.noise_array**2 / variance))
-    scatter = np.repeat(np.sqrt(np.maximum(found.chi_square, 1.0)), 6)
-    P = found.covariance[: 6 * n, : 6 * n] * np.outer(scatter, scatter)
+        scatter = np.repeat(np.sqrt(np.maximum(found.chi_square, 1.0)), 6)
+        P = found.covariance[: 6 * n, : 6 * n] * np.outer(scatter, scatter)
     return _Plain(found.gain, P, left, float(np.median(found.chi_square))) if np.isfinite(left) else None
 
 

@@ -31,7 +31,7 @@ MOST_REPEATABILITY = 10.0  # times that: a pose that scatters more is no pose of
 MOST_WALK = 500.0
 _SPREAD = 2.0  # 1 sigma of the logarithm of either about its start: data overrule it
 _STEPS, _HALVINGS = 20, 8
-_MIDDLE = 4  # steps at most
+_MIDDLE = 4  # steps at most, to 0.01 sigma: tolerance
 _GRID = np.linspace(-2.5, 2.5, 6)  # sigma of the logarithms
 
 
