@@ -1,6 +1,7 @@
 // Raw channels to the true wrench and its uncertainty, sample by sample ([A00] 1-4).
 #pragma once
 
+#include "truewrench/math/dense.hpp"
 #include "truewrench/sensor.hpp"
 #include "truewrench/types.hpp"
 
@@ -48,7 +49,7 @@ class Corrector {
     for (int k = 0; k < 6; ++k)
       for (Eigen::Index i = 0; i < n; ++i)
         for (int p = 0; p < 7; ++p) e(p < 6 ? 6 * i + p : 6 * n + i, 7 * k + p) = inverse(k, i);
-    const Eigen::MatrixXd moments = e.transpose() * covariance * e;
+    const Eigen::MatrixXd moments = dense::transposed_times(e, dense::transposed_times(covariance, e));
     Eigen::VectorXd variance = sensor.noise.cwiseAbs2();
     if (discrepancy.size() == n) variance += discrepancy.cwiseAbs2();
     const Matrix6 noise = inverse * variance.asDiagonal() * inverse.transpose();

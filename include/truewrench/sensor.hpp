@@ -14,6 +14,7 @@ inline constexpr int max_channels = 32;
 // Six or more channels. N is their number, or Eigen::Dynamic for up to max_channels without heap.
 template <int N = Eigen::Dynamic>
 struct SensorModel {
+  static_assert(N <= max_channels);
   static constexpr int storage = N == Eigen::Dynamic ? max_channels : N;
   using Gain = Eigen::Matrix<double, N, 6, Eigen::ColMajor, storage, 6>;
   using Inverse = Eigen::Matrix<double, 6, N, Eigen::ColMajor, 6, storage>;
@@ -36,27 +37,21 @@ Status check(const SensorModel<N>& s) {
   return Status::ok;
 }
 
-// G^+ = (G^T R^-1 G)^-1 G^T R^-1 with R = diag(noise^2): the inverse of smallest variance, by
-// orthogonal factorisation of the whitened gain. Its columns are scaled to length one first, so that
-// N beside N m does not pass for a missing rank.
-template <int N>
-Status generalised_inverse(const SensorModel<N>& s, typename SensorModel<N>::Inverse& inverse) {
-  if (const Status status = check(s); status != Status::ok) return status;
-  const typename SensorModel<N>::Channels weight = s.noise.cwiseInverse();
-  typename SensorModel<N>::Gain whitened = weight.asDiagonal() * s.gain;
-  const Vector6 length = whitened.colwise().norm().transpose();
-  if (length.minCoeff() <= 0.0) return Status::singular;
-  whitened = whitened * length.cwiseInverse().asDiagonal();
+// A of any number of channels: one factorisation for a compiler to translate, whatever N.
+using TallMatrix = SensorModel<>::Gain;
+using TallFactors = Eigen::ColPivHouseholderQR<TallMatrix>;
 
-  Eigen::ColPivHouseholderQR<typename SensorModel<N>::Gain> qr(whitened);
+// The Moore-Penrose inverse of a matrix with six columns of length one; singular where its rank is less.
+inline Status tall_inverse(const TallMatrix& A, SensorModel<>::Inverse& inverse) {
+  TallFactors qr(A);
   qr.setThreshold(1e-12);
   if (qr.rank() < 6) return Status::singular;
   // P R^-1 Q^T of each unit vector, in loops: Eigen's solver takes a compiler 200 MB here
-  const Eigen::Index n = s.gain.rows();
+  const Eigen::Index n = A.rows();
   const auto& QR = qr.matrixQR();
   inverse.resize(6, n);
   for (Eigen::Index c = 0; c < n; ++c) {
-    typename SensorModel<N>::Channels x = SensorModel<N>::Channels::Zero(n);
+    SensorModel<>::Channels x = SensorModel<>::Channels::Zero(n);
     x[c] = 1.0;
     for (Eigen::Index k = 0; k < 6; ++k) {  // the reflections I - t v v^T, v = (1, below the diagonal)
       double sum = x[k];
@@ -69,9 +64,33 @@ Status generalised_inverse(const SensorModel<N>& s, typename SensorModel<N>::Inv
       for (Eigen::Index j = k + 1; j < 6; ++j) x[k] -= QR(k, j) * x[j];
       x[k] /= QR(k, k);
     }
-    inverse.col(c) = weight[c] * x.template head<6>();
+    for (Eigen::Index k = 0; k < 6; ++k) inverse(qr.colsPermutation().indices()[k], c) = x[k];
   }
-  inverse = length.cwiseInverse().asDiagonal() * (qr.colsPermutation() * inverse);
+  return Status::ok;
+}
+
+// Singular values, the largest first: of the triangle R of A = Q R P^T.
+inline Vector6 singular_values(const TallMatrix& A) {
+  const TallFactors qr(A);
+  Matrix6 R = Matrix6::Zero();
+  for (Eigen::Index j = 0; j < 6; ++j) R.col(j).head(j + 1) = qr.matrixQR().col(j).head(j + 1);
+  return Eigen::JacobiSVD<Matrix6>(R).singularValues();
+}
+
+// G^+ = (G^T R^-1 G)^-1 G^T R^-1 with R = diag(noise^2): the inverse of smallest variance, by
+// orthogonal factorisation of the whitened gain. Its columns are scaled to length one first, so that
+// N beside N m does not pass for a missing rank.
+template <int N>
+Status generalised_inverse(const SensorModel<N>& s, typename SensorModel<N>::Inverse& inverse) {
+  if (const Status status = check(s); status != Status::ok) return status;
+  const typename SensorModel<N>::Channels weight = s.noise.cwiseInverse();
+  TallMatrix whitened = weight.asDiagonal() * s.gain;
+  const Vector6 length = whitened.colwise().norm().transpose();
+  if (length.minCoeff() <= 0.0) return Status::singular;
+  whitened = whitened * length.cwiseInverse().asDiagonal();
+  SensorModel<>::Inverse white;
+  if (const Status status = tall_inverse(whitened, white); status != Status::ok) return status;
+  inverse = length.cwiseInverse().asDiagonal() * white * weight.asDiagonal();
   return inverse.allFinite() ? Status::ok : Status::singular;
 }
 
@@ -102,10 +121,9 @@ Status conditioning(const SensorModel<N>& s, const typename SensorModel<N>::Gain
   out.departure_norm = Eigen::JacobiSVD<Matrix6>(delta - Matrix6::Identity()).singularValues()(0);
 
   const typename SensorModel<N>::Channels scale = nominal.cwiseAbs() * range;
-  const typename SensorModel<N>::Gain normalised =
-      scale.cwiseInverse().asDiagonal() * s.gain * range.asDiagonal();
+  const TallMatrix normalised = scale.cwiseInverse().asDiagonal() * s.gain * range.asDiagonal();
   if (!normalised.allFinite()) return Status::singular;
-  const Vector6 values = Eigen::JacobiSVD<typename SensorModel<N>::Gain>(normalised).singularValues();
+  const Vector6 values = singular_values(normalised);
   out.condition_number = values(0) / values(5);
   return values(5) > 0.0 ? Status::ok : Status::singular;
 }

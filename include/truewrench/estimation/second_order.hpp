@@ -4,9 +4,8 @@
 // likeliest gain and body together are not the middle of what is left. Allocates.
 #pragma once
 
+#include "truewrench/math/dense.hpp"
 #include "truewrench/model/body.hpp"
-
-#include <Eigen/Eigenvalues>
 
 #include <algorithm>
 #include <array>
@@ -31,12 +30,16 @@ inline BodyChanges body_changes(const Payload& body, double inertia_std) {
   const double m = body.mass;
   const Matrix3 c = cross_matrix(body.center_of_mass), one = Matrix3::Identity();
   const double least = std::max({inertia_std, flat * body.inertia.cwiseAbs().maxCoeff(), 1e-150});
-  const Matrix3 squares = body.inertia * body.inertia + least * least * one;
   // M = X^-T diag(m, I) X^-1, X = [1 [c]; 0 1]
   Matrix6 X = Matrix6::Identity(), inner = Matrix6::Zero();
   X.topRightCorner<3, 3>() = c;
   inner.topLeftCorner<3, 3>() = one / m;
-  inner.bottomRightCorner<3, 3>() = squares.ldlt().solve(body.inertia);
+  const dense::Spectrum axes = dense::eigen(body.inertia);
+  for (int k = 0; k < 3; ++k) {
+    const Vector3 axis = axes.vectors.col(k);
+    const double moment = axes.values[k];
+    inner.bottomRightCorner<3, 3>() += moment / (moment * moment + least * least) * axis * axis.transpose();
+  }
   const Matrix6 inverse = X * inner * X.transpose();
   BodyChanges out;
   for (Matrix6& by : out) by.setZero();
@@ -65,12 +68,13 @@ inline BodyVector volume_slope(const BodyChanges& change, const Eigen::MatrixXd&
 
 // A^-1, directions below `relative` of the largest left out.
 inline Eigen::MatrixXd symmetric_inverse(const Eigen::MatrixXd& A, double relative) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(A);
-  const Eigen::VectorXd& value = eigen.eigenvalues();
-  Eigen::VectorXd inverse = Eigen::VectorXd::Zero(value.size());
-  for (Eigen::Index i = 0; i < value.size(); ++i)
-    if (value[i] > relative * value.maxCoeff()) inverse[i] = 1.0 / value[i];
-  return eigen.eigenvectors() * inverse.asDiagonal() * eigen.eigenvectors().transpose();
+  const dense::Spectrum spectrum = dense::eigen(A);
+  Eigen::MatrixXd rows = spectrum.vectors.transpose();  // each over the root of its eigenvalue
+  for (Eigen::Index i = 0; i < rows.rows(); ++i) {
+    const double value = spectrum.values[i];
+    rows.row(i) *= value > relative * spectrum.values.maxCoeff() ? 1.0 / std::sqrt(value) : 0.0;
+  }
+  return dense::transposed_times(rows, rows);
 }
 
 // How far from the likeliest parameters those lie with which the body is likeliest: -P slope.
@@ -95,20 +99,20 @@ inline Eigen::VectorXd to_the_middle(const Eigen::MatrixXd& P, const Eigen::Vect
   }
   if (at.empty()) return out;
   const auto count = static_cast<Eigen::Index>(at.size());
-  Eigen::MatrixXd inner(count, count), cross(gains, count);  // in units of sigma
+  Eigen::MatrixXd inner(count, count), cross(count, gains);  // in units of sigma
   for (Eigen::Index a = 0; a < count; ++a) {
     const int p = at[static_cast<std::size_t>(a)];
-    cross.col(a) = P.col(p).head(gains) / std::sqrt(P(p, p));
+    cross.row(a) = P.row(p).head(gains) / std::sqrt(P(p, p));
     for (Eigen::Index b = 0; b < count; ++b) {
       const int q = at[static_cast<std::size_t>(b)];
       inner(a, b) = P(p, q) / std::sqrt(P(p, p) * P(q, q));
     }
   }
   // 1 - P0^-1 P_gg|b = H P_gg|b
-  const Eigen::MatrixXd left = P.topLeftCorner(gains, gains) -
-                               cross * symmetric_inverse(inner, singular) * cross.transpose(),
-                        told = Eigen::MatrixXd::Identity(gains, gains) -
-                               prior.cwiseInverse().asDiagonal() * left;
+  const Eigen::MatrixXd taken =
+      dense::transposed_times(cross, dense::transposed_times(symmetric_inverse(inner, singular), cross));
+  Eigen::MatrixXd told = prior.cwiseInverse().asDiagonal() * (taken - P.topLeftCorner(gains, gains));
+  told.diagonal().array() += 1.0;
   const Matrix6 shares = symmetric_inverse(whole, singular);
   for (const Carried* one : tied) {
     double variance = 0.0;
