@@ -10,7 +10,9 @@ export PYTHON
 
 VENV := .venv
 BIN := $(abspath $(VENV))/bin
-# Modules are compiled as they are imported: most of what is installed never is.
+# Modules are compiled as they are imported: most of what is installed never is. And kept, whatever containers like to forbid:
+# without them every command takes three seconds more.
+unexport PYTHONDONTWRITEBYTECODE
 PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check --quiet install --no-compile
 
 HEADERS := $(wildcard include/truewrench/*.hpp)
