@@ -13,9 +13,10 @@ from truewrench._cpu import supports_x86_64_v3
 
 def _choose_variant(requested: str | None) -> str:
     """Names the variant to load; ``requested`` is the value of ``TRUEWRENCH_CORE``."""
-    available = ["baseline"]
-    if supports_x86_64_v3() and find_spec("truewrench._core_avx2") is not None:
-        available.append("avx2")
+    runs = {"baseline": True, "avx2": supports_x86_64_v3()}
+    available = [name for name in runs if runs[name] and find_spec(f"truewrench._core_{name}") is not None]
+    if not available:
+        raise ImportError("TrueWrench was built for another processor; build it again on this one")
     if requested is None:
         return available[-1]
     if requested not in available:
