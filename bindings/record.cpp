@@ -1,32 +1,46 @@
 // What the estimator reads: include/truewrench/model/record.hpp.
 #include "bindings.hpp"
 
+#include "truewrench/model/chain.hpp"
 #include "truewrench/model/record.hpp"
 
 #include <nanobind/eigen/dense.h>
-#include <nanobind/stl/function.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <memory>
+#include <optional>
 #include <tuple>
+#include <utility>
 
 namespace truewrench::python {
 namespace {
 
-using Mapped = std::tuple<RowMatrix, RowMatrix, RowMatrix, RowMatrix>;  // nu, a, R_sensor_root, jacobian
+using Carried = std::tuple<RowMatrix, RowMatrix, RowMatrix>;  // of a Carrier
 
-// A Python function as the core's map; threads of the core wait for the interpreter.
-MotionMap wrapped(nb::callable function) {
-  const auto held = std::shared_ptr<nb::callable>(new nb::callable(std::move(function)), [](nb::callable* f) {
+// A chain as the core's map; what carries it by a Python function of the times, or None. Threads of the core wait for the
+// interpreter.
+MotionMap map_of(Chain chain, std::optional<nb::callable> carried, bool gravity) {
+  if (!carried)
+    return [chain = std::move(chain), gravity](const Eigen::VectorXd&, const RowMatrix& q,
+                                               const RowMatrix& qd, const RowMatrix& qdd, MappedMotion& out) {
+      chain_motion(chain, q, qd, qdd, {}, gravity, out);
+    };
+  const auto held = std::shared_ptr<nb::callable>(new nb::callable(std::move(*carried)), [](nb::callable* f) {
     const nb::gil_scoped_acquire locked;
     delete f;
   });
-  return [held](const Eigen::VectorXd& time, const RowMatrix& x, const RowMatrix& xd, const RowMatrix& xdd,
-                MappedMotion& out) {
-    const nb::gil_scoped_acquire locked;
-    std::tie(out.nu, out.a, out.R_sensor_root, out.jacobian) = nb::cast<Mapped>((*held)(time, x, xd, xdd));
+  return [chain = std::move(chain), held, gravity](const Eigen::VectorXd& time, const RowMatrix& q,
+                                                   const RowMatrix& qd, const RowMatrix& qdd,
+                                                   MappedMotion& out) {
+    Carrier carrier;
+    {
+      const nb::gil_scoped_acquire locked;
+      std::tie(carrier.twist, carrier.rate, carrier.R_inertial_root) = nb::cast<Carried>((*held)(time));
+    }
+    chain_motion(chain, q, qd, qdd, carrier, gravity, out);
   };
 }
 
@@ -64,8 +78,52 @@ void bind_record(nb::module_& m) {
       .def_rw("temperature", &RecordedLog::temperature)
       .def_rw("motion", &RecordedLog::motion)
       .def(
-          "set_map", [](RecordedLog& log, nb::callable function) { log.map = wrapped(std::move(function)); },
-          nb::sig("def set_map(self, function: collections.abc.Callable[..., object], /) -> None"));
+          "set_chain",
+          [](RecordedLog& log, const Chain& chain, std::optional<nb::callable> carried, bool gravity) {
+            log.map = map_of(chain, std::move(carried), gravity);
+          },
+          nb::arg("chain"), nb::arg("carried").none(), nb::arg("gravity"),
+          nb::sig("def set_chain(self, chain: Chain, carried: collections.abc.Callable[..., object] | None, "
+                  "gravity: bool) -> None"),
+          "The arm of a mapped motion; `carried`: of times (K,) what `Chain.motion` takes of its root, or "
+          "None.");
+  nb::class_<Chain>(m, "Chain", "The joints from the root to the sensor frame, as a product of exponentials.")
+      .def(
+          "__init__",
+          [](Chain* self, const RowMatrix& xi, const Matrix3& R, const Vector3& p) {
+            if (xi.cols() != 6) throw nb::value_error("xi: expected six columns");
+            new (self) Chain{{}, R, p};
+            for (Eigen::Index i = 0; i < xi.rows(); ++i) self->xi.emplace_back(xi.row(i).transpose());
+          },
+          nb::arg("xi"), nb::arg("R"), nb::arg("p"),
+          "xi: (M, 6) twists of unit joint speed at q = 0, of the root's origin, root axes; R (3, 3) and p "
+          "(3,): pose of the\n"
+          "sensor frame in the root, there.")
+      .def_prop_ro("joints", [](const Chain& c) { return c.xi.size(); })
+      .def(
+          "motion",
+          [](const Chain& chain, const RowMatrix& q, const RowMatrix& qd, const RowMatrix& qdd,
+             const RowMatrix& twist, const RowMatrix& rate, const RowMatrix& R_inertial_root) {
+            const auto M = static_cast<Eigen::Index>(chain.xi.size());
+            for (const RowMatrix* x : {&q, &qd, &qdd})
+              if (x->rows() != q.rows() || x->cols() != M)
+                throw nb::value_error("q, qd, qdd: expected (K, M)");
+            for (const auto& [x, columns] :
+                 {std::pair{&twist, 6}, std::pair{&rate, 6}, std::pair{&R_inertial_root, 9}})
+              if (x->rows() > 0 && (x->rows() != q.rows() || x->cols() != columns))
+                throw nb::value_error("root: expected a row a time, or none");
+            MappedMotion out;
+            chain_motion(chain, q, qd, qdd, {twist, rate, R_inertial_root}, true, out);
+            return std::tuple(out.nu, out.a, out.R_sensor_root, out.jacobian);
+          },
+          nb::arg("q"), nb::arg("qd"), nb::arg("qdd"), nb::arg("twist"), nb::arg("rate"),
+          nb::arg("R_inertial_root"),
+          "Motion of the sensor's origin, sensor axes.\n\n"
+          "twist, rate (K, 6): of the root's origin, root axes, and its derivative, or none: at rest. "
+          "R_inertial_root (K, 9)\n"
+          "row by row, or none. Returns nu (K, 6), a (K, 6), R_sensor_inertial (K, 9) row by row, and the "
+          "Jacobian\n"
+          "(K, 12 * 3M), row by row, of [nu; a] by (q, qd, qdd).");
   nb::class_<Statement>(m, "Statement", "What a rig states, normalised.")
       .def(nb::init<>())
       .def_rw("range", &Statement::range)

@@ -592,7 +592,33 @@ class RecordedLog:
     @motion.setter
     def motion(self, arg: Sequence[MotionStream], /) -> None: ...
 
-    def set_map(self, function: Callable[..., object], /) -> None: ...
+    def set_chain(self, chain: Chain, carried: Callable[..., object] | None, gravity: bool) -> None:
+        """
+        The arm of a mapped motion; `carried`: of times (K,) what `Chain.motion` takes of its root, or None.
+        """
+
+class Chain:
+    """
+    The joints from the root to the sensor frame, as a product of exponentials.
+    """
+
+    def __init__(self, xi: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], p: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]) -> None:
+        """
+        xi: (M, 6) twists of unit joint speed at q = 0, of the root's origin, root axes; R (3, 3) and p (3,): pose of the
+        sensor frame in the root, there.
+        """
+
+    @property
+    def joints(self) -> int: ...
+
+    def motion(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], qd: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], qdd: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], twist: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], rate: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], R_inertial_root: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+        """
+        Motion of the sensor's origin, sensor axes.
+
+        twist, rate (K, 6): of the root's origin, root axes, and its derivative, or none: at rest. R_inertial_root (K, 9)
+        row by row, or none. Returns nu (K, 6), a (K, 6), R_sensor_inertial (K, 9) row by row, and the Jacobian
+        (K, 12 * 3M), row by row, of [nu; a] by (q, qd, qdd).
+        """
 
 class Statement:
     """What a rig states, normalised."""

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 import truewrench as tw
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions
-from truewrench.estimation.joint_map import joint_map
+from truewrench.estimation.base_path import BasePath, carried_by
 from truewrench.estimation.record import recorded, recorded_logs
 from truewrench.model.log import Log
 from truewrench.robot.arm import BaseMotion, Robot, robot_of
-from truewrench.robot.screws import Screws
+from truewrench.robot.chain import chain_of
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.free_body import wrench_on_sensor
 from truewrench.simulation.truth import Truth, stated
@@ -33,19 +33,26 @@ def base_of(rows: int, moves: bool) -> BaseMotion | None:
     return BaseMotion(*rng.normal(size=(2, rows, 6))) if moves else None
 
 
+def root_of(base: BaseMotion | None) -> tuple[Array, Array, Array]:
+    """What a chain takes of its root."""
+    if base is None:
+        return np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 9))
+    return base.twist, base.acceleration, np.empty((0, 9))
+
+
 @pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("arm", ["panda_ground", "ssrms"])
-def test_screws_move_the_sensor_as_pinocchio_does(arm_rig: RigOf, arm: str, moves: bool) -> None:
+def test_chain_moves_the_sensor_as_pinocchio_does(arm_rig: RigOf, arm: str, moves: bool) -> None:
     robot = robot_of(arm_rig(arm))
-    q, qd, qdd = states(robot, 1500, 0)  # more than are done at once
+    q, qd, qdd = states(robot, 1500, 0)
     base = base_of(1500, moves)
     pinocchio = robot.motion(q, qd, qdd, base)
-    carried = () if base is None else (base.twist, base.acceleration)
-    found = Screws.of(robot).motion(q, qd, qdd, *carried)
+    nu, a, R_sensor_root, _ = chain_of(robot).motion(q, qd, qdd, *root_of(base))
     size = np.abs(pinocchio.acceleration).max()
-    np.testing.assert_allclose(found.twist, pinocchio.twist, atol=1e-13 * size)
-    np.testing.assert_allclose(found.acceleration, pinocchio.acceleration, atol=1e-13 * size)
-    np.testing.assert_allclose(found.R_root_sensor, pinocchio.R_root_sensor, atol=1e-14)
+    np.testing.assert_allclose(nu, pinocchio.twist, atol=1e-13 * size)
+    np.testing.assert_allclose(a, pinocchio.acceleration, atol=1e-13 * size)
+    expected = pinocchio.R_root_sensor.transpose(0, 2, 1).reshape(-1, 9)
+    np.testing.assert_allclose(R_sensor_root, expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("moves", [False, True])
@@ -53,8 +60,7 @@ def test_screws_move_the_sensor_as_pinocchio_does(arm_rig: RigOf, arm: str, move
 def test_jacobian_is_what_differences_of_pinocchios_motion_are(arm_rig: RigOf, arm: str, moves: bool) -> None:
     robot = robot_of(arm_rig(arm))
     state, base = states(robot, 5, 1), base_of(5, moves)
-    carried = () if base is None else (base.twist, base.acceleration)
-    jacobian = Screws.of(robot).motion(*state, *carried).jacobian
+    jacobian = chain_of(robot).motion(*state, *root_of(base))[3].reshape(5, 12, -1)
     step = 1e-6
 
     def moved(order: int, joint: int, by: float) -> Array:
@@ -70,14 +76,14 @@ def test_jacobian_is_what_differences_of_pinocchios_motion_are(arm_rig: RigOf, a
             np.testing.assert_allclose(column, slope, atol=1e-8 * np.abs(jacobian).max())
 
 
-def test_map_tells_gravity_in_the_inertial_frame(arm_rig: RigOf) -> None:
+def test_what_carries_the_arm_turns_its_attitude(arm_rig: RigOf) -> None:
     rig = arm_rig("panda_ground")
     robot = robot_of(rig)
     time = np.arange(0.0, 2.0, 0.01)
-    log = base_log(rig, time, robot.n)
     at, (q, qd, qdd) = np.array([0.512, 1.3]), states(robot, 2, 3)
-    nu, a, R_sensor_inertial, jacobian = joint_map(rig, log)(at, q, qd, qdd)
-    assert jacobian.shape == (2, 12 * 3 * robot.n)
+    carried = carried_by(BasePath.of(rig, base_log(rig, time, robot.n)))
+    assert carried is not None
+    nu, a, R_sensor_inertial, _ = chain_of(robot).motion(q, qd, qdd, *carried(at))
     base = BaseMotion(
         np.column_stack([0.3 * np.cos(0.9 * at + k) for k in range(6)]),
         np.column_stack([-0.27 * np.sin(0.9 * at + k) for k in range(6)]),
@@ -90,11 +96,18 @@ def test_map_tells_gravity_in_the_inertial_frame(arm_rig: RigOf) -> None:
     np.testing.assert_allclose(R_sensor_inertial.reshape(-1, 3, 3), expected, atol=1e-8)
 
 
-def test_map_without_gravity_tells_no_attitude(arm_rig: RigOf) -> None:
+def test_nothing_carries_an_arm_on_the_floor(arm_rig: RigOf) -> None:
     rig = arm_rig("panda")
-    robot = robot_of(rig)
-    log = Log(None, "default", "", np.arange(3), np.zeros((3, 6)), position=np.zeros((3, robot.n)))
-    assert joint_map(rig, log)(np.zeros(2), *states(robot, 2, 0))[2].shape == (0, 9)
+    joints = np.zeros((3, robot_of(rig).n))
+    log = Log(None, "default", "", np.arange(3), np.zeros((3, 6)), position=joints)
+    assert carried_by(BasePath.of(rig, log)) is None
+
+
+def test_chain_refuses_joints_that_it_does_not_have(arm_rig: RigOf) -> None:
+    robot = robot_of(arm_rig("panda"))
+    short = np.zeros((4, robot.n - 1))
+    with pytest.raises(ValueError, match=r"expected \(K, M\)"):
+        chain_of(robot).motion(short, short, short, *root_of(None))
 
 
 @pytest.mark.parametrize(("arm", "without"), [("panda_ground", None), ("panda", "noise"), ("ssrms", None)])

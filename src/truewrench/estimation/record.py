@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from truewrench import _core
 from truewrench.estimation.accelerometer import at_sensor, noise_at_sensor, told_acceleration
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
-from truewrench.estimation.joint_map import JointMap, joint_map
+from truewrench.estimation.base_path import BasePath, carried_by
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -24,7 +24,9 @@ from truewrench.model.rig import Rig
 from truewrench.model.rig.motion import ACCELEROMETER_BIAS_PRIOR
 from truewrench.model.temperature import temperature_at
 from truewrench.motion.smooth import segments
+from truewrench.robot.arm import robot_of
 from truewrench.robot.attitude import attitude_of
+from truewrench.robot.chain import chain_of
 from truewrench.robot.track import measured_twists
 
 __all__ = ["Recorded", "recorded", "recorded_logs"]
@@ -117,11 +119,11 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = Fal
         out.motion = _imu_streams(assumptions, log)
     else:
         out.source = _core.Source.mapped
-        mapped = joint_map(rig, log)
-        out.motion = _joint_streams(rig, assumptions, log, mapped, notes)
-        known = mapped.base.covers(log.time)
+        chain, base = chain_of(robot_of(rig)), BasePath.of(rig, log)
+        out.motion = _joint_streams(rig, assumptions, log, chain.joints, notes)
+        known = base.covers(log.time)
         _leave_out(notes, log, known, "base_*", "the motion of the base is not known then")
-        out.set_map(mapped)
+        out.set_chain(chain, carried_by(base), rig.in_gravity)
     out.time = log.time
     out.raw = np.where(known[:, None], log.raw / assumptions.channel_scale, np.nan)
     warm = temperature_at(log, log.time_ns) if assumptions.slope_prior > 0.0 else None
@@ -235,10 +237,9 @@ def _of_axes(
 
 
 def _joint_streams(
-    rig: Rig, assumptions: Assumptions, log: Log, mapped: JointMap, notes: list[str]
+    rig: Rig, assumptions: Assumptions, log: Log, joints: int, notes: list[str]
 ) -> list[_core.MotionStream]:
     """Encoders and tachometers as they are, each with its own clock; velocities alone from a known start."""
-    joints = len(mapped.screws.xi)
     for name, values in (("q_*", log.position), ("dq_*", log.velocity)):
         if values is not None and values.shape[1] != joints:
             raise InputError.at(log.path, name, f"{values.shape[1]} joints", f"{joints}")

@@ -1,11 +1,8 @@
-"""What joint positions and their derivatives mean for the sensor: the map that the estimator linearises.
-
-The base is a known input: its twist and attitude are splines through the rows that tell them, on the log's
-time. METHOD 10.6.
-"""
+"""What carries an arm: a known input, splines through the rows that tell them (METHOD 10.6)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +13,9 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
-from truewrench.robot.arm import robot_of, rotation_of
-from truewrench.robot.screws import Screws
+from truewrench.robot.arm import rotation_of
 
-__all__ = ["BasePath", "JointMap", "joint_map"]
+__all__ = ["BasePath", "carried_by"]
 
 Array = NDArray[np.float64]
 
@@ -68,51 +64,20 @@ class BasePath:
         return known
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointMap:
-    """From (K,) times and (K, M) q, qd, qdd to the motion of the sensor's origin, sensor axes.
+def carried_by(base: BasePath) -> Callable[[Array], tuple[Array, Array, Array]] | None:
+    """What `_core.Chain.motion` takes of the root at times (K,): twist, its derivative, attitude; or None."""
+    if base.twist is None and base.attitude is None:
+        return None
 
-    Attributes:
-        screws: the chain.
-        base: what carries it.
-        gravity: whether anything asks for the attitude.
-    """
+    def at(time: Array) -> tuple[Array, Array, Array]:
+        twist, rate, R_inertial_root = np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 9))
+        if base.twist is not None:
+            twist, rate = np.asarray(base.twist(time)), np.asarray(base.twist(time, 1))
+        if base.attitude is not None:
+            R_inertial_root = rotation_of(np.asarray(base.attitude(time))).reshape(-1, 9)
+        return twist, rate, R_inertial_root
 
-    screws: Screws
-    base: BasePath
-    gravity: bool
-
-    def __call__(self, time: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array, Array]:
-        """The row of `_core.MappedMotion` at each time.
-
-        Returns:
-            nu (K, 6) and a (K, 6), R_sensor_inertial (K, 9) row by row (empty without gravity), and the
-            Jacobian (K, 12 * 3M) of [nu; a] by (q, qd, qdd), row by row.
-        """
-        base = self.base.twist
-        carried = () if base is None else (np.asarray(base(time)), np.asarray(base(time, 1)))
-        moving = self.screws.motion(q, qd, qdd, *carried)
-        R_sensor_inertial = np.empty((0, 9))
-        if self.gravity:
-            R = moving.R_root_sensor
-            if self.base.attitude is not None:
-                R = rotation_of(np.asarray(self.base.attitude(time))) @ R
-            R_sensor_inertial = np.ascontiguousarray(R.transpose(0, 2, 1)).reshape(-1, 9)
-        return (
-            moving.twist,
-            moving.acceleration,
-            R_sensor_inertial,
-            moving.jacobian.reshape(len(time), -1),
-        )
-
-
-def joint_map(rig: Rig, log: Log) -> JointMap:
-    """The map of a log of joints.
-
-    Raises:
-        InputError: as `robot_of`, and `BasePath.of`.
-    """
-    return JointMap(Screws.of(robot_of(rig)), BasePath.of(rig, log), rig.in_gravity)
+    return at
 
 
 def _spline(time: Array, values: Array | None) -> CubicSpline | None:
