@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 import truewrench as tw
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions
-from truewrench.estimation.base_path import BasePath, carried_by
 from truewrench.estimation.record import recorded, recorded_logs
 from truewrench.model.log import Log
 from truewrench.robot.arm import BaseMotion, Robot, robot_of
-from truewrench.robot.chain import chain_of
+from truewrench.robot.base_path import BasePath
+from truewrench.robot.chain import chain_of, sensor_motion
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.free_body import wrench_on_sensor
 from truewrench.simulation.truth import Truth, stated
@@ -81,9 +81,8 @@ def test_what_carries_the_arm_turns_its_attitude(arm_rig: RigOf) -> None:
     robot = robot_of(rig)
     time = np.arange(0.0, 2.0, 0.01)
     at, (q, qd, qdd) = np.array([0.512, 1.3]), states(robot, 2, 3)
-    carried = carried_by(BasePath.of(rig, base_log(rig, time, robot.n)))
-    assert carried is not None
-    nu, a, R_sensor_inertial, _ = chain_of(robot).motion(q, qd, qdd, *carried(at))
+    path = BasePath.of(rig, base_log(rig, time, robot.n))
+    nu, a, R_sensor_inertial, _ = chain_of(robot).motion(q, qd, qdd, *path.carried(at))
     base = BaseMotion(
         np.column_stack([0.3 * np.cos(0.9 * at + k) for k in range(6)]),
         np.column_stack([-0.27 * np.sin(0.9 * at + k) for k in range(6)]),
@@ -96,11 +95,18 @@ def test_what_carries_the_arm_turns_its_attitude(arm_rig: RigOf) -> None:
     np.testing.assert_allclose(R_sensor_inertial.reshape(-1, 3, 3), expected, atol=1e-8)
 
 
-def test_nothing_carries_an_arm_on_the_floor(arm_rig: RigOf) -> None:
-    rig = arm_rig("panda")
-    joints = np.zeros((3, robot_of(rig).n))
-    log = Log(None, "default", "", np.arange(3), np.zeros((3, 6)), position=joints)
-    assert carried_by(BasePath.of(rig, log)) is None
+@pytest.mark.parametrize("arm", ["panda_ground", "ssrms"])
+def test_jacobian_and_its_rate_are_pinocchios(arm_rig: RigOf, arm: str) -> None:
+    rig = arm_rig(arm)
+    robot = robot_of(rig)
+    q, qd, _ = states(robot, 5000, 4)  # more than are done at once
+    log = Log(None, "default", "", np.arange(5000), np.zeros((5000, 6)), position=q)
+    rest = BasePath.of(rig, log)
+    assert rest.rests
+    found = sensor_motion(chain_of(robot), rest, log.time, q, qd)
+    np.testing.assert_allclose(found.jacobian, robot.jacobian(q), atol=1e-12)
+    rate = robot.jacobian_rate(q, qd)
+    np.testing.assert_allclose(found.jacobian_rate, rate, atol=1e-12 * np.abs(rate).max())
 
 
 def test_chain_refuses_joints_that_it_does_not_have(arm_rig: RigOf) -> None:

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from truewrench import _core
 from truewrench.estimation.accelerometer import at_sensor, noise_at_sensor, told_acceleration
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
-from truewrench.estimation.base_path import BasePath, carried_by
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -26,6 +25,7 @@ from truewrench.model.temperature import temperature_at
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import robot_of
 from truewrench.robot.attitude import attitude_of
+from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import chain_of
 from truewrench.robot.track import measured_twists
 
@@ -123,7 +123,7 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = Fal
         out.motion = _joint_streams(rig, assumptions, log, chain.joints, notes)
         known = base.covers(log.time)
         _leave_out(notes, log, known, "base_*", "the motion of the base is not known then")
-        out.set_chain(chain, carried_by(base), rig.in_gravity)
+        out.set_chain(chain, None if base.rests else base.carried, rig.in_gravity)
     out.time = log.time
     out.raw = np.where(known[:, None], log.raw / assumptions.channel_scale, np.nan)
     warm = temperature_at(log, log.time_ns) if assumptions.slope_prior > 0.0 else None

@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, make_interp_spline
 
+from truewrench import _core
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log, Reference, Tracking
 from truewrench.model.rig import Rig
 from truewrench.motion.joint_spline import JointSpline, fit_joints
 from truewrench.motion.smooth import segments
-from truewrench.robot.arm import BaseMotion, Robot, robot_of, rotation_of
+from truewrench.robot.arm import Robot, robot_of
+from truewrench.robot.base_path import BasePath
+from truewrench.robot.chain import SensorMotion, chain_of, sensor_motion
 from truewrench.robot.parts import together, unwrapped
 
 __all__ = ["TrackedStream", "measured_twists", "track", "tracked", "tracked_streams"]
@@ -77,9 +80,9 @@ def track(rig: Rig, log: Log, *, exact_positions: bool = False) -> Log:
             expected = f"{robot.n}: {', '.join(robot.joints)}"
             raise InputError.at(log.path, name, f"{values.shape[1]} joints", expected)
     log = unwrapped(rig, log)
-    base = _Base(rig, log)
-    position, of_positions = together(log.time, base.within(log.position), robot.joints, "positions")
-    velocity, of_velocities = together(log.time, base.within(log.velocity), robot.joints, "velocities")
+    base = BasePath.of(rig, log)
+    position, of_positions = together(log.time, base.within(log, log.position), robot.joints, "positions")
+    velocity, of_velocities = together(log.time, base.within(log, log.velocity), robot.joints, "velocities")
     within = replace(
         log, position=position, velocity=velocity, notes=(*log.notes, *of_positions, *of_velocities)
     )
@@ -107,7 +110,7 @@ def measured_twists(rig: Rig, log: Log) -> Log:
     return track(rig, log, exact_positions=True)
 
 
-def _encoders(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
+def _encoders(rig: Rig, robot: Robot, base: BasePath, log: Log) -> Log:
     positions, velocities = _rows(log, log.position, "q_*"), None
     if log.velocity is not None and rig.motion.noise is not None:
         velocities = _rows(log, log.velocity, "dq_*")
@@ -127,7 +130,7 @@ def _encoders(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     return _about(rig, robot, base, log, fit, moved, velocities)
 
 
-def _integrated(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
+def _integrated(rig: Rig, robot: Robot, base: BasePath, log: Log) -> Log:
     """Velocities alone: positions are their integral, and walk away from the truth with their noise.
 
     What is known of a position after a time t is sigma sqrt(t dt). Its error is one for the whole log: a few
@@ -159,34 +162,37 @@ def _integrated(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
 def _about(
     rig: Rig,
     robot: Robot,
-    base: _Base,
+    base: BasePath,
     log: Log,
     fit: JointSpline,
     moved: Array,
     velocities: NDArray[np.int64] | None,
 ) -> Log:
     """The log about a reference, from which positions depart by `moved` (N, n)."""
-    reference = _reference(rig, robot, base, log, fit)
+    chain = chain_of(robot)
+    reference = _reference(rig, chain, base, log, fit)
     rows = np.flatnonzero(np.isfinite(moved).all(axis=1))
     if velocities is not None:
         rows = np.union1d(rows, velocities)
     time = log.time[rows]
     at, rate = fit.position(time), fit.velocity(time)
-    q = at + np.nan_to_num(moved[rows])
-    twist = _on_rows(log, rows, reference.motion(time)[0])
-    faster = None
+    q, qd = at + np.nan_to_num(moved[rows]), rate.copy()
+    about = sensor_motion(chain, base, time, at, rate)
+    twist, faster = _on_rows(log, rows, about.twist), None
     if velocities is not None:
-        qd, chosen = _of(log.velocity, velocities), np.searchsorted(rows, velocities)
-        faster = _on_rows(log, velocities, qd - fit.velocity(log.time[velocities]))
-        twist = _on_rows(log, velocities, _twist(robot, base, q[chosen], qd, log.time[velocities]))
-    fall = _gravity(rig, robot, base, q, time)
+        chosen = np.searchsorted(rows, velocities)
+        qd[chosen] = _of(log.velocity, velocities)
+        faster = _on_rows(log, velocities, qd[chosen] - rate[chosen])
+    measured = sensor_motion(chain, base, time, q, qd)
+    if velocities is not None:
+        twist = _on_rows(log, velocities, measured.twist[chosen])
     return replace(
         log,
         twist=twist,
-        gravity=None if fall is None else _on_rows(log, rows, fall),
+        gravity=None if not rig.in_gravity else _on_rows(log, rows, _fall(rig, measured)),
         tracking=Tracking(
-            jacobian=_on_rows(log, rows, robot.jacobian(at)),
-            jacobian_rate=_on_rows(log, rows, robot.jacobian_rate(at, rate)),
+            jacobian=_on_rows(log, rows, about.jacobian),
+            jacobian_rate=_on_rows(log, rows, about.jacobian_rate),
             position_departure=moved,
             velocity_departure=faster,
             reference=reference,
@@ -194,7 +200,7 @@ def _about(
     )
 
 
-def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
+def _exact_positions(rig: Rig, robot: Robot, base: BasePath, log: Log) -> Log:
     """Positions are exact, and velocities alone are measurements."""
     if log.velocity is None:
         expected = "joint velocities, where position_noise is not given"
@@ -204,92 +210,41 @@ def _exact_positions(rig: Rig, robot: Robot, base: _Base, log: Log) -> Log:
     time, q = log.time[rows], _of(log.position, rows)
     if not np.isin(rows, known).all():
         q = np.asarray(CubicSpline(log.time[known], _of(log.position, known), axis=0)(time))
-    fall = _gravity(rig, robot, base, q, time)
+    moving = sensor_motion(chain_of(robot), base, time, q, _of(log.velocity, rows))
     return replace(
         log,
-        twist=_on_rows(log, rows, _twist(robot, base, q, _of(log.velocity, rows), time)),
-        gravity=None if fall is None else _on_rows(log, rows, fall),
-        tracking=Tracking(jacobian=_on_rows(log, rows, robot.jacobian(q))),
+        twist=_on_rows(log, rows, moving.twist),
+        gravity=None if not rig.in_gravity else _on_rows(log, rows, _fall(rig, moving)),
+        tracking=Tracking(jacobian=_on_rows(log, rows, moving.jacobian)),
     )
 
 
-def _reference(rig: Rig, robot: Robot, base: _Base, log: Log, fit: JointSpline) -> Reference:
+def _reference(rig: Rig, chain: _core.Chain, base: BasePath, log: Log, fit: JointSpline) -> Reference:
     count = max(1, int(np.ceil((fit.end - fit.begin) / fit.spacing * _WIDER * _SITES)))
     breakpoints = np.linspace(fit.begin, fit.end, count + 1)
     knots = np.concatenate([np.full(5, fit.begin), breakpoints, np.full(5, fit.end)])
     sites = np.array([knots[k + 1 : k + 6].mean() for k in range(count + 5)])  # Greville's
     sites[[0, -1]] = fit.begin, fit.end
-    q = fit.position(sites)
-    moving = robot.motion(q, fit.velocity(sites), fit.acceleration(sites), base.motion(sites))
+    moving = sensor_motion(
+        chain, base, sites, fit.position(sites), fit.velocity(sites), fit.acceleration(sites)
+    )
     time = np.linspace(fit.begin, fit.end, _FALLS * count + 1)
+    fall = None
+    if rig.in_gravity:
+        fall = _fall(rig, sensor_motion(chain, base, time, fit.position(time), fit.velocity(time)))
     return Reference(
         origin_ns=int(log.time_ns[0]),
         breakpoints=breakpoints,
         twist=np.ascontiguousarray(make_interp_spline(sites, moving.twist, k=5, t=knots).c),
         spacing=fit.spacing,
         gravity_time=time,
-        gravity=_gravity(rig, robot, base, fit.position(time), time),
+        gravity=fall,
     )
 
 
-def _twist(robot: Robot, base: _Base, q: Array, qd: Array, time: Array) -> Array:
-    """(N, 6) of the sensor's origin, sensor axes."""
-    return robot.motion(q, qd, np.zeros_like(q), base.motion(time)).twist
-
-
-def _gravity(rig: Rig, robot: Robot, base: _Base, q: Array, time: Array) -> Array | None:
-    """Free fall (N, 3) in sensor axes; None on orbit."""
-    if not rig.in_gravity:
-        return None
-    in_root = np.einsum("kji,j->ki", base.attitude(time), rig.gravity_array)
-    R_root_sensor, _ = robot.pose(q)
-    return np.asarray(np.einsum("kji,kj->ki", R_root_sensor, in_root))
-
-
-class _Base:
-    """The motion of the robot's root, exact, between the rows that tell it; at rest where none does."""
-
-    def __init__(self, rig: Rig, log: Log) -> None:
-        if log.base_twist is not None and log.base_attitude is None and rig.in_gravity:
-            expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
-            raise InputError.at(log.path, "", "`base_vx` ... `base_wz`, a base that moves", expected)
-        self._covered = np.ones(len(log.time_ns), dtype=np.bool_)
-        self._twist = self._spline(log, log.base_twist, "base_v*, base_w*")
-        self._attitude = self._spline(log, _continuous(log.base_attitude), "base_q*")
-
-    def within(self, joints: Array | None) -> Array | None:
-        """Joints (N, n) of the rows at which the motion of the base is known, NaN elsewhere."""
-        return None if joints is None else np.where(self._covered[:, None], joints, np.nan)
-
-    def motion(self, time: Array) -> BaseMotion | None:
-        """Twist and its derivative at times (N,) of the log, None at rest."""
-        return None if self._twist is None else BaseMotion(self._twist(time), self._twist(time, 1))
-
-    def attitude(self, time: Array) -> Array:
-        """R_inertial_root (N, 3, 3)."""
-        if self._attitude is None:
-            return np.tile(np.eye(3), (len(time), 1, 1))
-        return rotation_of(np.asarray(self._attitude(time)))
-
-    def _spline(self, log: Log, values: Array | None, columns: str) -> CubicSpline | None:
-        if values is None:
-            return None
-        rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-        if rows.size < 4:
-            raise InputError.at(log.path, columns, f"{rows.size} complete rows", "at least 4")
-        self._covered &= _covered(log.time[rows], log.time)
-        return CubicSpline(log.time[rows], values[rows], axis=0)
-
-
-def _continuous(attitude: Array | None) -> Array | None:
-    """Quaternions (N, 4) of one sign: q and -q are the same attitude, and are not interpolated between."""
-    if attitude is None:
-        return None
-    rows = np.flatnonzero(np.isfinite(attitude).all(axis=1))
-    out: Array = attitude.copy()
-    signs = np.cumprod(np.where(np.sum(attitude[rows][1:] * attitude[rows][:-1], axis=1) < 0.0, -1.0, 1.0))
-    out[rows[1:]] *= signs[:, None]
-    return out
+def _fall(rig: Rig, moving: SensorMotion) -> Array:
+    """Free fall (N, 3) in sensor axes."""
+    return np.asarray(moving.R_sensor_inertial @ rig.gravity_array)
 
 
 def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:

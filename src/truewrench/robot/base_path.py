@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import rotation_of
 
-__all__ = ["BasePath", "carried_by"]
+__all__ = ["BasePath"]
 
 Array = NDArray[np.float64]
 
@@ -63,21 +62,23 @@ class BasePath:
             known &= np.any([(time >= begin) & (time <= end) for begin, end in stream], axis=0)
         return known
 
+    def within(self, log: Log, joints: Array | None) -> Array | None:
+        """Joints (N, n) of the rows at which the motion of the base is known, NaN elsewhere."""
+        return None if joints is None else np.where(self.covers(log.time)[:, None], joints, np.nan)
 
-def carried_by(base: BasePath) -> Callable[[Array], tuple[Array, Array, Array]] | None:
-    """What `_core.Chain.motion` takes of the root at times (K,): twist, its derivative, attitude; or None."""
-    if base.twist is None and base.attitude is None:
-        return None
-
-    def at(time: Array) -> tuple[Array, Array, Array]:
+    def carried(self, time: Array) -> tuple[Array, Array, Array]:
+        """What `_core.Chain.motion` takes of the root at times (K,): twist, its derivative, attitude."""
         twist, rate, R_inertial_root = np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 9))
-        if base.twist is not None:
-            twist, rate = np.asarray(base.twist(time)), np.asarray(base.twist(time, 1))
-        if base.attitude is not None:
-            R_inertial_root = rotation_of(np.asarray(base.attitude(time))).reshape(-1, 9)
+        if self.twist is not None:
+            twist, rate = np.asarray(self.twist(time)), np.asarray(self.twist(time, 1))
+        if self.attitude is not None:
+            R_inertial_root = rotation_of(np.asarray(self.attitude(time))).reshape(-1, 9)
         return twist, rate, R_inertial_root
 
-    return at
+    @property
+    def rests(self) -> bool:
+        """Whether nothing of it was told."""
+        return self.twist is None and self.attitude is None
 
 
 def _spline(time: Array, values: Array | None) -> CubicSpline | None:
