@@ -26,7 +26,7 @@ from truewrench.report.findings import helps
 from truewrench.report.found import found_table
 from truewrench.report.series import Record, Series
 from truewrench.report.series import record_of as series_of
-from truewrench.report.statistics import envelope, histogram, spectrum
+from truewrench.report.statistics import _powers, envelope, histogram, spectrum
 from truewrench.simulation.free_body import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -234,6 +234,16 @@ def test_white_noise_of_the_stated_size_lies_along_one() -> None:
     counts = histogram(record_of(residual, sigma=0.3))
     np.testing.assert_allclose(counts.within, 0.95, atol=0.005)
     np.testing.assert_allclose(counts.size, 1.0, atol=0.01)
+
+
+@pytest.mark.parametrize("size", [2048, 301])
+def test_powers_are_welchs(size: int) -> None:
+    from scipy.signal import welch
+
+    u = np.cumsum(np.random.default_rng(8).normal(size=(5000, 6)), axis=0)
+    _, density = welch(u, 1.0, nperseg=size, detrend="constant", axis=0)
+    inner = slice(1, size // 2)  # the ends stand for one side only
+    np.testing.assert_allclose(_powers(u, size).mean(axis=0)[inner], density[inner] / 2.0, rtol=1e-9)
 
 
 def test_peaks_survive_decimation() -> None:
