@@ -123,6 +123,34 @@ WRONG = {
 }
 
 
+def test_offset_follows_the_latest_temperature(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slope = np.array([0.3, -0.2, 0.1, 0.02, 0.01, -0.03])
+    warm = replace(calibration, offset_temperature=slope)
+    reference = calibration.rig.temperature.reference
+    text = line(1) + line(2, temperature=31.0) + line(3, temperature=None)
+    text += b'{"time_ns": 4, "temperature": 22.5}\n' + line(5) + line(6, temperature="hot")
+    text += b'{"time_ns": 7}\n'
+    source, sink = os.pipe()
+    os.write(sink, text)
+    os.close(sink)
+    told: list[str] = []
+    with Stop() as stop:
+        correct_lines(warm, Output(), stop, told.append, source)
+    os.close(source)
+    found = [json.loads(one) for one in capsys.readouterr().out.splitlines()]
+    for k, celsius in ((0, reference), (1, 31.0), (2, 31.0), (4, 22.5)):
+        raw = SAMPLE - calibration.offset - slope * (celsius - reference)
+        expected = np.linalg.solve(calibration.gain, raw)
+        np.testing.assert_allclose([found[k][axis] for axis in AXES], expected, rtol=1e-9)
+    assert found[3]["time_ns"] == 4
+    assert all(found[3][axis] is None for axis in AXES)
+    assert "`temperature`: found the text 'hot'" in found[5]["error"]
+    assert "no channel" in found[6]["error"]
+    assert told[0].endswith(f"it is taken for that of {reference:g} degC until one arrives")
+
+
 def test_wrong_line_gets_an_error_in_its_place_and_no_wrench(correct: Any) -> None:
     done = correct(line(1) + b"".join(bad + b"\n" for bad in WRONG) + line(9))
     assert "fx" in done.lines[0]

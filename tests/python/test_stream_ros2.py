@@ -23,7 +23,14 @@ from truewrench.calibrating.pipeline import calibrate
 from truewrench.correction.apply import corrector
 from truewrench.live.ros2 import Topics, calibrate_topics, correct_topic
 from truewrench.live.ros2_node import Node, configuration, domain_id, ros_type, taken
-from truewrench.live.ros2_types import TYPE_HASHES, Float64MultiArray, Header, Time, WrenchStamped
+from truewrench.live.ros2_types import (
+    TYPE_HASHES,
+    Float64MultiArray,
+    Header,
+    Temperature,
+    Time,
+    WrenchStamped,
+)
 from truewrench.live.session import LiveCalibration
 from truewrench.live.stop import Stop
 from truewrench.model.calibration import Calibration, Verdict, load_calibration
@@ -289,6 +296,39 @@ def test_silence_is_told_with_its_cause(calibration: Calibration, monkeypatch: p
         assert cause in complaints[0]
 
 
+def test_offset_follows_the_thermometer(calibration: Calibration) -> None:
+    slope = np.array([0.3, -0.2, 0.1, 0.02, 0.01, -0.03])
+    warm = replace(calibration, offset_temperature=slope)
+    node, ended = Node(), threading.Event()
+    wrench, celsius = node.writer("/ft/raw", WrenchStamped), node.writer("/warm", Temperature)
+    heard = node.reader("/truewrench/wrench", WrenchStamped, False)
+    found: list[float] = []
+
+    def publish() -> None:
+        stamp = time.time_ns()
+        while not ended.is_set():
+            stamp += 1_000_000
+            header = Header(Time.of(stamp))
+            celsius.write(Temperature(header, 31.0))
+            wrench.write(WrenchStamped.of(header, [1.5, -2.0, 30.0, 0.25, -0.5, 0.125]))
+            found.extend(message.wrench.force.x for message, _ in taken(heard))
+            time.sleep(0.01)
+
+    peer = threading.Thread(target=publish)
+    peer.start()
+    told: list[str] = []
+    with Stop() as stop:
+        counts = correct_topic(warm, Topics(), stop, told.append, 3.0)
+    ended.set()
+    peer.join()
+    assert counts.used > 10
+    raw = np.array([1.5, -2.0, 30.0, 0.25, -0.5, 0.125]) - calibration.offset
+    expected = np.linalg.solve(calibration.gain, raw - slope * (31.0 - calibration.rig.temperature.reference))
+    assert found[-1] == pytest.approx(expected[0], rel=1e-9)
+    assert any("until one arrives" in words for words in told)
+    assert not any(words.startswith("temperature:") for words in told)
+
+
 def test_several_topics_of_a_type_are_listed(calibration: Calibration) -> None:
     other = Node()
     _kept = [other.writer(topic, WrenchStamped) for topic in ("/left/ft", "/right/ft")]
@@ -383,7 +423,11 @@ def test_calibrates_from_a_twist_in_gravity_and_corrects_as_soon_as_it_may(
     )
     assert wrenches
     for stamp, wrench in wrenches.items():
-        by_each = [np.linalg.solve(found.gain, raw[stamp] - found.offset) for found in used]
+        by_each = []
+        for found in used:
+            assert found.offset_temperature is not None
+            offset = found.offset + found.offset_temperature * (20.0 - rig.temperature.reference)
+            by_each.append(np.linalg.solve(found.gain, raw[stamp] - offset))
         assert min(np.abs(wrench - one).max() for one in by_each) < 1e-9
     assert stds.keys() <= wrenches.keys()
     assert all((std > 0.0).all() for std in stds.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from truewrench import _core
+from truewrench.correction.warmth import Warmth
 from truewrench.io.cells import numbers
 from truewrench.io.csv_table import CsvTable
 from truewrench.io.output import is_parquet, write_batches, write_lines
@@ -20,7 +21,7 @@ from truewrench.io.tables import TimeReader, named_payload, open_table, raw_colu
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.model.errors import InputError
 
-__all__ = ["Applied", "Run", "apply", "corrector", "used_in_part", "without_temperature", "without_weight"]
+__all__ = ["Applied", "Run", "apply", "corrector", "used_in_part", "without_weight"]
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
@@ -101,7 +102,9 @@ class Run:
         self._withheld = np.tile(calibration.withheld, 2)
         self._raw = raw_columns(self.table, calibration.n)
         self._time = TimeReader(self.table)
-        self._warmth = _Warmth(calibration, self.table.names)
+        self._warmth = Warmth(calibration, np.nan)
+        told = self._warmth.follows and "temperature" in self.table.names
+        self._celsius = ("temperature",) if told else ()
         self._weighed = without_weight(calibration)
         self._in_part = used_in_part(calibration)
         self._progress = progress
@@ -109,12 +112,13 @@ class Run:
     @property
     def applied(self) -> Applied:
         """What has been done so far."""
-        notes = (*self.table.notes, *self._warmth.notes, *self._weighed, *self._in_part)
+        untold = () if self._celsius else self._warmth.note
+        notes = (*self.table.notes, *untold, *self._weighed, *self._in_part)
         return Applied(self._rows, self._corrected, notes)
 
     @property
     def _read(self) -> list[str]:
-        return [self._time.name, *self._raw, *self._warmth.columns]
+        return [self._time.name, *self._raw, *self._celsius]
 
     def samples(self) -> Iterator[tuple[npt.NDArray[np.int64], FloatArray, FloatArray]]:
         """Stamps (N,), raw (N, n), wrenches and their sigma (N, 12), where all channels have a sample."""
@@ -147,7 +151,9 @@ class Run:
         time = self._time.read(chunk)
         raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
         new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
-        compensated = self._warmth.without(chunk, raw)
+        compensated = raw
+        if self._celsius:
+            compensated = self._warmth.without(raw, numbers(chunk.column("temperature"))[0])
         complete = ~np.isnan(compensated).any(axis=1)
         new[complete] = np.hstack(self._corrector.correct(compensated[complete]))
         new[:, self._withheld] = np.nan
@@ -160,36 +166,6 @@ class Run:
     def _check_rows(self) -> None:
         if self._rows == 0:
             raise InputError.at(self.table.path, "", "no row", "at least one row below the header")
-
-
-class _Warmth:
-    """What of the offset follows the temperature, over consecutive chunks of a log."""
-
-    def __init__(self, calibration: Calibration, names: Sequence[str]) -> None:
-        slope = calibration.offset_temperature
-        self._slope = np.zeros(calibration.n) if slope is None else slope
-        self._reference = calibration.rig.temperature.reference
-        self._latest = np.nan
-        self.columns = ("temperature",) if self._slope.any() and "temperature" in names else ()
-        self.notes = () if self.columns else without_temperature(calibration)
-
-    def without(self, chunk: Chunk, raw: FloatArray) -> FloatArray:
-        """The channels (rows, n) of a chunk at the reference temperature; NaN before the first reading."""
-        if not self.columns:
-            return raw
-        readings = np.append(self._latest, numbers(chunk.column("temperature"))[0])
-        latest = np.maximum.accumulate(np.where(np.isnan(readings), 0, np.arange(readings.size)))
-        held = readings[latest]
-        self._latest = float(held[-1])
-        return raw - np.outer(held[1:] - self._reference, self._slope)
-
-
-def without_temperature(calibration: Calibration) -> tuple[str, ...]:
-    """What is worth saying where samples are corrected of which no temperature is known."""
-    if calibration.offset_temperature is None or not calibration.offset_temperature.any():
-        return ()
-    reference = f"{calibration.rig.temperature.reference:g} degC"
-    return (f"no `temperature`, which the offset follows: it is taken for that of {reference}",)
 
 
 def used_in_part(calibration: Calibration) -> tuple[str, ...]:

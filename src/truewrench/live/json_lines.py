@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truewrench.correction.apply import corrector, used_in_part, without_temperature, without_weight
-from truewrench.live.json_rows import LineError, Row, motion_of, read_row
+from truewrench.correction.apply import corrector, used_in_part, without_weight
+from truewrench.correction.warmth import Warmth
+from truewrench.live.json_rows import LineError, Row, motion_of, read_row, temperature_of
 from truewrench.live.lines import Output, batches
 from truewrench.live.progress import Progress
 from truewrench.live.stop import Stop
@@ -71,18 +72,16 @@ def correct_lines(
     """Write the true wrench and its 1 sigma for every line, until the input ends or `stop`.
 
     A line that is wrong gives `{"line": ..., "error": ...}` in its place, and never a wrench. One whose
-    channels are null, which have no sample, gives nulls.
+    channels are null, which have no sample, gives nulls; so does one that tells a `temperature` alone, the
+    latest of which counts where the offset follows it.
 
     Raises:
         InputError: the gain of the calibration cannot be inverted.
     """
     correct = corrector(calibration, INPUT).correct
     withheld = [*calibration.withheld, *calibration.withheld]
-    for note in (
-        *without_temperature(calibration),
-        *without_weight(calibration),
-        *used_in_part(calibration),
-    ):
+    warmth = Warmth(calibration)
+    for note in (*warmth.note_until, *without_weight(calibration), *used_in_part(calibration)):
         complain(note)
     n = calibration.n
     sample = np.empty((1, n))
@@ -91,17 +90,20 @@ def correct_lines(
     def use(line: bytes) -> None:
         nonlocal last
         row = read_row(line, n)
-        if row.raw is None:
+        celsius = temperature_of(row) if warmth.follows else math.nan
+        if row.raw is None and math.isnan(celsius):
             raise LineError(f"found no channel, expected `raw`, or raw_0 to raw_{n - 1}")
         if row.time_ns <= last:
             raise LineError(
                 f"`{row.stamp[0]}`: {row.time_ns} ns after {last} ns, expected time that increases"
             )
-        sample[0] = row.raw
-        if math.isnan(sum(row.raw)):
+        if not math.isnan(celsius):
+            warmth.latest = celsius
+        if row.raw is None or math.isnan(sum(row.raw)):
             values: list[float] = [math.nan] * len(_KEYS)
         else:
-            wrench, std = correct(sample)
+            sample[0] = row.raw
+            wrench, std = correct(sample - warmth.shift if warmth.follows else sample)
             values = [*wrench[0].tolist(), *std[0].tolist()]
             if not all(map(math.isfinite, values)):
                 raise LineError("found channels of such a size that no wrench can be told")

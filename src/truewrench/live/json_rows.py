@@ -14,7 +14,7 @@ from truewrench.io.table import ACCELERATION, ATTITUDE, GRAVITY, REFERENCE, SPEC
 from truewrench.live.lines import LONGEST
 from truewrench.model.rig.strict import shown
 
-__all__ = ["LineError", "Row", "motion_of", "read_row", "tare_of"]
+__all__ = ["LineError", "Row", "motion_of", "read_row", "tare_of", "temperature_of"]
 
 _COLUMNS = frozenset(
     [*TWIST, *GRAVITY, *ATTITUDE, *ACCELERATION, *SPECIFIC_FORCE, *REFERENCE]
@@ -65,6 +65,15 @@ def motion_of(row: Row) -> dict[str, float]:
     return {
         key: _number(key, value) for key, value in row.data.items() if key in _COLUMNS or _JOINT.match(key)
     }
+
+
+def temperature_of(row: Row) -> float:
+    """The temperature that a row tells [degC]; NaN where it tells none.
+
+    Raises:
+        LineError: it is no number.
+    """
+    return _number("temperature", row.data["temperature"]) if "temperature" in row.data else math.nan
 
 
 def tare_of(line: bytes) -> bool:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truewrench import _core
-from truewrench.correction.apply import corrector, used_in_part, without_temperature, without_weight
+from truewrench.correction.apply import corrector, used_in_part, without_weight
+from truewrench.correction.warmth import Warmth
 from truewrench.io.recordings.choice import KEYS
 from truewrench.live.progress import Progress
 from truewrench.live.ros2_node import Node, finish, lost, ros_type, taken, unreliable
@@ -23,6 +24,7 @@ from truewrench.live.ros2_types import (
     DiagnosticStatus,
     Header,
     KeyValue,
+    Temperature,
     Time,
     WrenchStamped,
 )
@@ -32,6 +34,8 @@ from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 
 if TYPE_CHECKING:  # all that an estimate needs takes a second to import
+    from cyclonedds.sub import DataReader
+
     from truewrench.live.session import LiveCalibration
 
 __all__ = ["OUTPUT", "Counts", "Topics", "calibrate_topics", "correct_topic"]
@@ -102,6 +106,7 @@ class _Wrenches:
         self._std = node.writer(topic + STD, WrenchStamped)
         self._raw = np.empty((1, n))
         self.withheld = np.zeros(6, dtype=np.bool_)  # axes that are NaN in every message
+        self.warmth: Warmth | None = None
 
     def write(
         self, correct: _core.Corrector, header: Header, channels: Sequence[float], with_std: bool
@@ -112,6 +117,8 @@ class _Wrenches:
             InputError: there is none.
         """
         self._raw[0] = channels
+        if self.warmth is not None and self.warmth.follows:
+            self._raw -= self.warmth.shift
         wrench, std = correct.correct(self._raw)
         values = wrench[0].tolist()
         if not math.isfinite(sum(values)):
@@ -143,23 +150,25 @@ def correct_topic(
         InputError: no topic is found, or the gain cannot be inverted.
     """
     correct = corrector(calibration, "ROS 2")  # before a topic is waited for
-    for note in (
-        *without_temperature(calibration),
-        *without_weight(calibration),
-        *used_in_part(calibration),
-    ):
+    warmth = Warmth(calibration)
+    for note in (*warmth.note_until, *without_weight(calibration), *used_in_part(calibration)):
         complain(note)
     sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
     node = Node()
     name = _sensor_topic(node, sensor, topics, stop)
     wrenches = _Wrenches(node, topics.output, calibration.n)
-    wrenches.withheld = calibration.withheld
+    wrenches.withheld, wrenches.warmth = calibration.withheld, warmth
     reader = node.reader(name, sensor.kind, topics.reliable)
+    thermometer = _thermometer(node, calibration.rig, complain) if warmth.follows else None
     begun = time.monotonic()
     silent = True
     while not stop.requested and time.monotonic() - begun < seconds:
         node.wait(_WAIT)
         with_std = wrenches.std_wanted
+        if thermometer is not None:
+            for reading, _ in taken(thermometer):
+                if math.isfinite(reading.temperature):
+                    warmth.latest = reading.temperature
         for message, info in taken(reader):
             counts.received += 1
             try:
@@ -183,6 +192,19 @@ def _sensor_topic(node: Node, sensor: SensorSource, topics: Topics, stop: Stop) 
     if name.strip("/") in {topic.strip("/") for topic in own}:
         raise InputError.at(None, "--output-topic", f"`{name}`", "another topic than the sensor's own")
     return name
+
+
+def _thermometer(node: Node, rig: Rig, complain: Complain) -> DataReader[Temperature] | None:
+    """The topic that the rig names, else the only one of its type, else none: then the reference stands."""
+    kind = ros_type(Temperature)
+    name = getattr(rig.recording, KEYS["temperature"])
+    published = sorted(topic for topic, kinds in node.topics().items() if kind in kinds)
+    if name is None and len(published) != 1:
+        found = ", ".join(published) or "none"
+        expected = f"one topic of {kind}, or `recording.temperature_topic`"
+        complain(f"temperature: found {found}, expected {expected}")
+        return None
+    return node.reader(name or published[0], Temperature, False)
 
 
 def _told_silence(
@@ -237,6 +259,7 @@ def calibrate_topics(
     writer = node.writer(DIAGNOSTICS, DiagnosticArray)
     wrenches = _Wrenches(node, topics.output, rig.sensor.n)
     correct: _core.Corrector | None = None  # of the latest estimate that may be used
+    celsius: float | None = None  # the latest reading
     readers = [
         (name, source, node.reader(name, source.kind, topics.reliable))
         for name, source in zip(names, [sensor, *others], strict=True)
@@ -254,6 +277,10 @@ def calibrate_topics(
                     if columns:
                         session.record.add(columns, stamp, values)
                         counts.used += 1
+                    if columns == ("temperature",) and math.isfinite(values[0]):
+                        celsius = float(values[0])
+                    if wrenches.warmth is not None and celsius is not None:
+                        wrenches.warmth.latest = celsius
                     if correct is not None and source is sensor:
                         wrenches.write(correct, sensor.header(message, info), values, with_std)
                 except InputError as error:
@@ -263,6 +290,7 @@ def calibrate_topics(
         if found is not None and found.calibration is not None and found.usable:
             correct = corrector(found.calibration, "ROS 2")
             wrenches.withheld = found.calibration.withheld
+            wrenches.warmth = Warmth(found.calibration, celsius)
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress
             writer.write(_diagnostics(rig, progress))

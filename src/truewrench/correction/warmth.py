@@ -1,0 +1,58 @@
+"""What of a sensor's offset follows its temperature, while samples and readings arrive."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.model.calibration import Calibration
+
+__all__ = ["Warmth"]
+
+FloatArray = NDArray[np.float64]
+
+
+class Warmth:
+    """The offset by the latest reading.
+
+    Args:
+        calibration: its `offset_temperature`.
+        first: what stands for a reading before there is one [degC]; by default the reference.
+
+    Attributes:
+        latest: reading [degC].
+        follows: whether the offset follows the temperature at all.
+    """
+
+    def __init__(self, calibration: Calibration, first: float | None = None) -> None:
+        slope = calibration.offset_temperature
+        self._slope: FloatArray = np.zeros(calibration.n) if slope is None else slope
+        self._reference = calibration.rig.temperature.reference
+        self.latest = self._reference if first is None else first
+        self.follows = bool(self._slope.any())
+
+    @property
+    def shift(self) -> FloatArray:
+        """(n,) what the offset is beyond that at the reference, by the latest reading."""
+        return np.asarray((self.latest - self._reference) * self._slope)
+
+    @property
+    def note(self) -> tuple[str, ...]:
+        """What is worth saying where no temperature is known."""
+        if not self.follows:
+            return ()
+        reference = f"{self._reference:g} degC"
+        return (f"no `temperature`, which the offset follows: it is taken for that of {reference}",)
+
+    @property
+    def note_until(self) -> tuple[str, ...]:
+        """What is worth saying before the first reading, where one may come."""
+        return tuple(f"{words} until one arrives" for words in self.note)
+
+    def without(self, raw: FloatArray, readings: FloatArray) -> FloatArray:
+        """Channels (N, n) at the reference temperature; readings (N,) [degC], NaN where there is none."""
+        known = np.append(self.latest, readings)
+        last = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(known.size)))
+        held = known[last]
+        self.latest = float(held[-1])
+        return np.asarray(raw - np.outer(held[1:] - self._reference, self._slope))
