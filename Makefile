@@ -15,10 +15,10 @@ BIN := $(abspath $(VENV))/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check --quiet install --no-compile
 
-HEADERS := $(wildcard include/truewrench/*.hpp)
+HEADERS := $(wildcard include/truewrench/*.hpp include/truewrench/*/*.hpp)
 # What the compiled modules are made of.
 CORE_SOURCES := pyproject.toml CMakeLists.txt $(wildcard cmake/*) \
-  $(HEADERS) $(wildcard include/truewrench/*/*.hpp) $(wildcard bindings/*)
+  $(HEADERS) $(wildcard bindings/*)
 CXX_FILES = $(shell git ls-files -co --exclude-standard '*.hpp' '*.cpp')
 
 .PHONY: help demo test test-cpp test-python test-benchmarks bench campaigns docs lint lint-python lint-cpp tidy format stubs lock figures clean
@@ -110,7 +110,7 @@ lint-python: $(VENV)/.built $(VENV)/.dev
 lint-cpp: $(VENV)/.dev
 	mkdir -p build
 	$(BIN)/clang-format --dry-run --Werror $(CXX_FILES)
-	printf '#include "truewrench/%s"\n' $(notdir $(HEADERS)) > build/headers.cpp
+	printf '#include "%s"\n' $(patsubst include/%,%,$(HEADERS)) > build/headers.cpp
 	$(BIN)/clang-tidy --quiet build/headers.cpp -- -std=c++20 -Iinclude \
 	  -isystem $$($(BIN)/python -m cmeel cmake)/include/eigen3
 

@@ -165,7 +165,16 @@ TEST_P(SweepOf, DenseAlgebra) {
   const Information found = sweep.forward(c.stretch, c.columns(), c.theta, c.lagged, c.sizes);
   EXPECT_NEAR(found.logdet, 2.0 * Eigen::MatrixXd(Hxx.llt().matrixL()).diagonal().array().log().sum(), 1e-4);
   Sweep alone;
-  EXPECT_EQ(alone.forward(c.stretch, c.columns(), c.theta, c.lagged, c.sizes, true).logdet, found.logdet);
+  const auto determinant = [&](Sweep& of, const Sizes& sizes, Sweep::Extent extent) {
+    return of.forward(c.stretch, c.columns(), c.theta, c.lagged, sizes, extent).logdet;
+  };
+  EXPECT_EQ(determinant(alone, c.sizes, Sweep::Extent::determinant), found.logdet);
+  Sizes rougher = c.sizes;
+  rougher.q *= 3.0;
+  Sweep fresh;
+  const double expected = determinant(fresh, rougher, Sweep::Extent::determinant);
+  EXPECT_EQ(determinant(alone, rougher, Sweep::Extent::determinant_again), expected);
+  EXPECT_NE(expected, found.logdet);
   const Eigen::VectorXd scale = H.diagonal().tail(nt).cwiseMax(1e-12).cwiseSqrt();
   const Eigen::MatrixXd off =
       scale.cwiseInverse().asDiagonal() * (found.S - S) * scale.cwiseInverse().asDiagonal();

@@ -110,9 +110,14 @@ inline double Fit::bend_of_determinant(std::size_t l, Eigen::VectorXd* pull) {
     Sweep& sweep = log.sweeps[i];
     s.predict(columns, at, lagged, log.sizes.form != Form::none);
     Sizes sizes = log.sizes;
+    // raw rows know of the clocks by gravity alone (10.5): without it those of the last call, which asked for `pull`
+    auto extent = pull || columns.gamma >= 0 ? Sweep::Extent::determinant : Sweep::Extent::determinant_again;
     for (const double c : {1.0 - e, 1.0 + e, 1.0}) {
       sizes.q = log.sizes.q / c;
-      const Information found = sweep.forward(s, columns, at, lagged, sizes, c != 1.0 || !pull);
+      const bool whole = pull && c == 1.0;
+      const Information found =
+          sweep.forward(s, columns, at, lagged, sizes, whole ? Sweep::Extent::whole : extent);
+      extent = Sweep::Extent::determinant_again;
       bend[i] += (c == 1.0 ? -2.0 : 1.0) * found.logdet / (e * e);
       pulls[i] = found.g;
     }

@@ -57,18 +57,18 @@ inline constexpr double noise_told =
 namespace truewrench {
 
 // w_t of METHOD 10.3 for the chi^2 of so many channels, and the chi^2 from which on it masks.
-inline constexpr double robust_weight(int channels, double chi2) {
+constexpr double robust_weight(int channels, double chi2) {
   return (constants::freedom + channels) / (constants::freedom + chi2);
 }
 // From how much information of the data alone a parameter is told.
-inline constexpr double told(double prior) {
+constexpr double told(double prior) {
   return 1.0 / (constants::undetermined * prior * constants::undetermined * prior);
 }
 // h of (10.2) at its coarsest, for this period of the motion [s].
-inline constexpr double coarsest_spacing(double period) {
+constexpr double coarsest_spacing(double period) {
   return std::max(constants::knot_spacing, constants::periods_per_knot * period);
 }
-inline constexpr double masked_chi2(int channels) {
+constexpr double masked_chi2(int channels) {
   return (constants::freedom + channels) / constants::mask_weight - constants::freedom;
 }
 

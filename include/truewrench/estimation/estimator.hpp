@@ -141,6 +141,7 @@ class Estimator {
   std::shared_ptr<Fit> together(const std::vector<std::shared_ptr<Fit>>& alone, Estimate& out) const {
     if (alone.size() == 1) return alone.front();
     std::vector<LogFit> logs;
+    logs.reserve(alone.size());
     for (const auto& fit : alone) logs.push_back(std::move(bare(*fit)[0]));
     auto pooled = std::make_shared<Fit>(rig_, std::move(logs), std::vector<std::vector<double>>(alone.size()),
                                         settings_.threads);
@@ -161,7 +162,7 @@ class Estimator {
   // ROBUST of one log at the h that is best for it (10.2).
   std::shared_ptr<Fit> choose_spacing(std::size_t l, Estimate& out) {
     SpacingSearch whole = search_of(l, pieces_[l], 1.0);
-    const std::shared_ptr<Fit> coarsest = whole.fit(0);
+    std::shared_ptr<Fit> coarsest = whole.fit(0);
     std::size_t found = 0;
     // a motion that the coarsest knots do not follow leaves residuals faster than 2 h, the shortest tau of (10.9)
     if (coarsest) out.unexplained[l] = unexplained_by(*coarsest);
@@ -178,7 +179,7 @@ class Estimator {
     out.fits += whole.fits();
     rungs_[l] = found;
     out.unresolved[l] = finest(l) ? 1 : 0;
-    const std::shared_ptr<Fit> best = whole.fit(found);
+    std::shared_ptr<Fit> best = whole.fit(found);
     if (out.unresolved[l] != 0 && gathered_[l] && best)
       if (const auto finer = choose_by_samples(l, *best, out)) return finer;
     return best;
@@ -334,8 +335,10 @@ class Estimator {
     for (int round = 0; round < 3; ++round) {
       std::size_t l = 0;
       std::optional<double> t;
-      for (; l < steps.size(); ++l)
-        if ((t = best_step(*best.fit, l))) break;
+      for (; l < steps.size(); ++l) {
+        t = best_step(*best.fit, l);
+        if (t) break;
+      }
       if (t && !best.found) {  // d must be in V before a step is sought
         best = fit_rows(*best.fit, steps, out, Slow::always);
         t = best_step(*best.fit, l);

@@ -32,6 +32,7 @@ class Fit {
       const std::vector<std::vector<double>>& steps, int threads)
       : rig_(std::move(rig)), logs_(std::move(logs)), steps_(steps), threads_(threads) {
     std::vector<const RecordedLog*> recorded;
+    recorded.reserve(logs_.size());
     for (const LogFit& l : logs_) recorded.push_back(l.log);
     layout_ = Layout(*rig_, recorded, steps_);
     theta = layout_.mean();

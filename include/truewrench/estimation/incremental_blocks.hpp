@@ -67,7 +67,8 @@ inline void Incremental::abandon(Status status) noexcept {
 // eliminated behind the others; theta from all.
 inline Status Incremental::arrive(bool last) noexcept {
   Status status = Status::ok;
-  if (lag_.end() - lag_.first() >= 2 * lag_blocks(h_) && (status = hop()) != Status::ok) {
+  if (lag_.end() - lag_.first() >= 2 * lag_blocks(h_)) status = hop();
+  if (status != Status::ok) {
     abandon(status);  // a lag that cannot leave must not grow: its memory is fixed
     return status_ = status;
   }
@@ -102,8 +103,9 @@ inline Status Incremental::arrive(bool last) noexcept {
   const bool ok = lag_.eliminate(present_, g, last);
   lag_.grow();
   ++blocks_;
-  if (!ok || !std::isfinite(logdet_x_ = lag_.terminal(present_, Z_)) || !solve(false))
-    return status_ = Status::not_factorizable;
+  if (!ok) return status_ = Status::not_factorizable;
+  logdet_x_ = lag_.terminal(present_, Z_);
+  if (!std::isfinite(logdet_x_) || !solve(false)) return status_ = Status::not_factorizable;
   lag_.back(std::max(lag_.first(), g - 3));
   return status;
 }
@@ -324,8 +326,8 @@ inline void Incremental::set_mask(long leaving) {
     const bool lasting = end - begin + period_ >= constants::mask_shortest - 1e-9;
     const double margin = (lasting ? constants::mask_margin : 0.0) + 1e-9, from = begin - margin,
                  until = end + margin;
-    for (std::size_t k = to; k-- > 0 && entries_[k].end >= from;)
-      if (entries_[k].begin <= until) entries_[k].masked = true;
+    for (std::size_t k = to; k > 0 && entries_[k - 1].end >= from; --k)
+      if (entries_[k - 1].begin <= until) entries_[k - 1].masked = true;
     for (std::size_t k = to; k < entries_.size() && entries_[k].begin <= until; ++k)
       entries_[k].masked = true;
   };

@@ -368,7 +368,7 @@ inline void Lag::sum_rows(Front& f, Interval& v, int same, bool keep, const Plac
   }
   add_theta(f, information);
   if (!keep) return;
-  v.m = m;
+  v.m = std::move(m);
   std::copy_n(JC, 12 * n_, v.J.begin());
   v.v = information;
 }

@@ -28,6 +28,7 @@ class Scattered {
     if (rows.size() < 20) return;
     std::sort(rows.begin(), rows.end(), [](const Row& a, const Row& b) { return a.G > b.G; });
     std::vector<double> found;
+    found.reserve(rows.size() / 2);
     for (std::size_t k = 0; k < rows.size() / 2; ++k) found.push_back(rows[k].p2 / kMedian - 1.0 / rows[k].G);
     const auto middle = found.begin() + static_cast<std::ptrdiff_t>(found.size() / 2);
     std::nth_element(found.begin(), middle, found.end());

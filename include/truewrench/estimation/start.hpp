@@ -31,6 +31,7 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
   };
   std::vector<Work> work(log.stretches.size());
   std::vector<Eigen::VectorXd> count;
+  count.reserve(streams);
   for (std::size_t i = 0; i < streams; ++i)
     count.push_back(Eigen::VectorXd::Zero(log.sizes.motion_factor[i].size()));
   double held_deviance = 0.0;  // what of (10.7) no size changes

@@ -28,16 +28,20 @@ struct Traces {
 };
 
 inline constexpr int kPairs = kLocal * (kLocal + 1) / 2;  // k <= l of an interval's knots
-inline constexpr int knot_pair(int k, int l) { return k * kLocal - k * (k - 1) / 2 + l - k; }
+constexpr int knot_pair(int k, int l) { return k * kLocal - k * (k - 1) / 2 + l - k; }
 
 // A block's rows hold [R, its knots ; R^-T H, the next block's knots ; R^-T [H_xt, gradient]], R^T R its pivot: the first
 // upper triangular, the second zero where a knot of the next block lies more than five after (METHOD 9).
 class Sweep {
  public:
-  // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction; `alone`: for log |H_xx| and nothing else.
+  // How much of a sweep is asked for: all; log |H_xx| and nothing else; or that with the sums over the sensor's samples as they
+  // stand, where only the smoothness and the motion's clocks differ.
+  enum class Extent { whole, determinant, determinant_again };
+
+  // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction.
   Information forward(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta,
-                      const RowMatrix& lagged, const Sizes& sizes, bool alone = false) {
-    setup(s, columns, theta, lagged, sizes, alone);
+                      const RowMatrix& lagged, const Sizes& sizes, Extent extent = Extent::whole) {
+    setup(s, columns, theta, lagged, sizes, extent);
     Information out;
     const int last = blocks() - 1;
     for (int g = 0; g <= last; ++g) {
@@ -123,7 +127,7 @@ class Sweep {
  private:
   Intervals sums_;
   int M_ = 6, n_ = 6, nt_ = 0, m_ = 6, W_ = 30, Wp_ = 32, ldt_ = 64, ld_ = 128, nc_ = 2, blocks_ = 0;
-  bool d_ = false, alone_ = false;
+  bool d_ = false, alone_ = false, again_ = false;
   std::vector<double> panels_, htt_;  // (W, ld) a block; (nt + 1, ldt) upper triangle
   std::vector<RawSums> pool_;
   std::vector<std::size_t> first_;                // by interval
@@ -173,7 +177,9 @@ class Sweep {
   }
 
   void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
-             const Sizes& sizes, bool alone) {
+             const Sizes& sizes, Extent extent) {
+    const bool alone = extent != Extent::whole;
+    again_ = extent == Extent::determinant_again;
     sums_.setup(s, columns, theta, lagged, sizes, alone);
     M_ = s.components();
     n_ = s.channels();
@@ -189,7 +195,7 @@ class Sweep {
     panels_.assign(static_cast<std::size_t>(blocks_ * W_ * ld_ + 8), 0.0);
     htt_.assign(static_cast<std::size_t>((nt_ + 1) * ldt_ + 8), 0.0);
     const auto intervals = static_cast<std::size_t>(s.spline.intervals());
-    first_.assign(intervals + 1, 0);
+    if (!again_) first_.assign(intervals + 1, 0);
     T_.resize(static_cast<std::size_t>(9 * M_ * M_));
     work_.resize(static_cast<std::size_t>(std::max(M_, n_) * sums_.ldx + kPairs * M_ + 3 * M_ * n_ + 8));
     smoothness_.resize(static_cast<std::size_t>(kLocal * kLocal * M_));
@@ -242,8 +248,7 @@ class Sweep {
       for (int l = k; l < kLocal; ++l)
         for (int j = 0; j < M_; ++j)
           at.row[k][j * ld_ + at.column[k][l] + j] += band[knot_pair(k, l) * M_ + j];
-    std::size_t used = first_[static_cast<std::size_t>(interval)];
-    sums_.raw(s, columns, theta, interval, pool_, used, [&](const RawSums& sums) {
+    const auto take = [&](const RawSums& sums) {
       if (M_ == 6)
         add_band<6>(sums, at);
       else
@@ -255,7 +260,13 @@ class Sweep {
       else
         add_cross<0>(columns, sums, at);
       add_theta(columns, sums);
-    });
+    };
+    if (again_) {
+      for (auto [k, end] = of_interval(interval); k < end; ++k) take(pool_[k]);
+      return;
+    }
+    std::size_t used = first_[static_cast<std::size_t>(interval)];
+    sums_.raw(s, columns, theta, interval, pool_, used, take);
     first_[static_cast<std::size_t>(interval) + 1] = used;
   }
 
