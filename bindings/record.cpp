@@ -26,7 +26,7 @@ MotionMap map_of(Chain chain, std::optional<nb::callable> carried, bool gravity)
   if (!carried)
     return [chain = std::move(chain), gravity](const Eigen::VectorXd&, const RowMatrix& q,
                                                const RowMatrix& qd, const RowMatrix& qdd, MappedMotion& out) {
-      chain_motion(chain, q, qd, qdd, {}, gravity, out);
+      require(chain_motion(chain, q, qd, qdd, {}, gravity, out), "joints");
     };
   const auto held = std::shared_ptr<nb::callable>(new nb::callable(std::move(*carried)), [](nb::callable* f) {
     const nb::gil_scoped_acquire locked;
@@ -40,7 +40,7 @@ MotionMap map_of(Chain chain, std::optional<nb::callable> carried, bool gravity)
       const nb::gil_scoped_acquire locked;
       std::tie(carrier.twist, carrier.rate, carrier.R_inertial_root) = nb::cast<Carried>((*held)(time));
     }
-    chain_motion(chain, q, qd, qdd, carrier, gravity, out);
+    require(chain_motion(chain, q, qd, qdd, carrier, gravity, out), "joints, or what carries them");
   };
 }
 
@@ -104,16 +104,9 @@ void bind_record(nb::module_& m) {
           "motion",
           [](const Chain& chain, const RowMatrix& q, const RowMatrix& qd, const RowMatrix& qdd,
              const RowMatrix& twist, const RowMatrix& rate, const RowMatrix& R_inertial_root) {
-            const auto M = static_cast<Eigen::Index>(chain.xi.size());
-            for (const RowMatrix* x : {&q, &qd, &qdd})
-              if (x->rows() != q.rows() || x->cols() != M)
-                throw nb::value_error("q, qd, qdd: expected (K, M)");
-            for (const auto& [x, columns] :
-                 {std::pair{&twist, 6}, std::pair{&rate, 6}, std::pair{&R_inertial_root, 9}})
-              if (x->rows() > 0 && (x->rows() != q.rows() || x->cols() != columns))
-                throw nb::value_error("root: expected a row a time, or none");
             MappedMotion out;
-            chain_motion(chain, q, qd, qdd, {twist, rate, R_inertial_root}, true, out);
+            require(chain_motion(chain, q, qd, qdd, {twist, rate, R_inertial_root}, true, out),
+                    "joints (K, M), or what carries them");
             return std::tuple(out.nu, out.a, out.R_sensor_root, out.jacobian);
           },
           nb::arg("q"), nb::arg("qd"), nb::arg("qdd"), nb::arg("twist"), nb::arg("rate"),

@@ -109,11 +109,21 @@ def test_jacobian_and_its_rate_are_pinocchios(arm_rig: RigOf, arm: str) -> None:
     np.testing.assert_allclose(found.jacobian_rate, rate, atol=1e-12 * np.abs(rate).max())
 
 
-def test_chain_refuses_joints_that_it_does_not_have(arm_rig: RigOf) -> None:
+def test_chain_refuses_what_does_not_fit_together(arm_rig: RigOf) -> None:
     robot = robot_of(arm_rig("panda"))
-    short = np.zeros((4, robot.n - 1))
-    with pytest.raises(ValueError, match=r"expected \(K, M\)"):
-        chain_of(robot).motion(short, short, short, *root_of(None))
+    chain, full, rest = chain_of(robot), np.zeros((4, robot.n)), root_of(None)
+    still, turn = np.zeros((4, 6)), np.empty((0, 9))
+    for joints, root in (
+        ([full[:, 1:]] * 3, rest),
+        ([full, full, full[1:]], rest),
+        ([full] * 3, (still, still[:0], turn)),  # no derivative
+        ([full] * 3, (still[1:], still[1:], turn)),
+        ([full] * 3, (still[:, 1:], still[:, 1:], turn)),
+        ([full] * 3, (still, still, np.zeros((4, 6)))),
+    ):
+        with pytest.raises(ValueError, match=r"joints \(K, M\), or what carries them: array lengths"):
+            chain.motion(*joints, *root)
+    assert chain.motion(*[full] * 3, still, still, np.zeros((4, 9)))[0].shape == (4, 6)
 
 
 @pytest.mark.parametrize(("arm", "without"), [("panda_ground", None), ("panda", "noise"), ("ssrms", None)])

@@ -100,11 +100,19 @@ struct Joint {
 }  // namespace chain
 
 // Motion of the sensor's origin, sensor axes, and its Jacobian, at (K, M) q, qd, qdd; the attitude where `gravity` asks for it.
-inline void chain_motion(const Chain& of, const RowMatrix& q, const RowMatrix& qd, const RowMatrix& qdd,
-                         const Carrier& carrier, bool gravity, MappedMotion& out) {
+inline Status chain_motion(const Chain& of, const RowMatrix& q, const RowMatrix& qd, const RowMatrix& qdd,
+                           const Carrier& carrier, bool gravity, MappedMotion& out) {
   using chain::Twist;
   const Eigen::Index K = q.rows();
   const int M = static_cast<int>(of.xi.size());
+  for (const RowMatrix* x : {&q, &qd, &qdd})
+    if (x->rows() != K || x->cols() != M) return Status::wrong_size;
+  const auto told = [K](const RowMatrix& x, Eigen::Index columns) {
+    return x.rows() == 0 || (x.rows() == K && x.cols() == columns);
+  };
+  if (carrier.twist.rows() != carrier.rate.rows() || !told(carrier.twist, 6) || !told(carrier.rate, 6) ||
+      !told(carrier.R_inertial_root, 9))
+    return Status::wrong_size;
   std::vector<chain::Joint> joints(of.xi.begin(), of.xi.end());
   std::vector<Twist> J(joints.size()), before(joints.size() + 1), faster(before), turn(J);
   for (RowMatrix* m : {&out.nu, &out.a}) m->resize(K, 6);
@@ -152,6 +160,7 @@ inline void chain_motion(const Chain& of, const RowMatrix& q, const RowMatrix& q
     }
     std::copy_n(R.data(), 9, out.R_sensor_root.data() + 9 * k);  // by columns: the rows of its inverse
   }
+  return Status::ok;
 }
 
 }  // namespace truewrench
