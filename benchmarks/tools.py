@@ -58,7 +58,7 @@ class Result:
 def data_folder() -> Path:
     """The external data set."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("TRUEWRENCH_EXTERNAL_DATA", beside)) / "utias"
+    folder = Path(os.environ.get("TRUEWRENCH_EXTERNAL_DATA") or beside) / "utias"
     if not folder.is_dir():
         raise SystemExit(f"no folder {folder}: set TRUEWRENCH_EXTERNAL_DATA to the folder that holds utias/")
     return folder

@@ -144,7 +144,7 @@ def csv_of(tmp_path: Path) -> Callable[..., Path]:
 def external_data() -> Path:
     """Recorded data that is not part of the repository."""
     default = Path(__file__).parents[2].parent / "shared" / "data"
-    path = Path(os.environ.get("TRUEWRENCH_EXTERNAL_DATA", default))
+    path = Path(os.environ.get("TRUEWRENCH_EXTERNAL_DATA") or default)
     if not path.is_dir():
         pytest.skip(f"no external data at {path} (set TRUEWRENCH_EXTERNAL_DATA)")
     return path
