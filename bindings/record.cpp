@@ -23,20 +23,17 @@ using Carried = std::tuple<RowMatrix, RowMatrix, RowMatrix>;  // of a Carrier
 // A chain as the core's map; what carries it by a Python function of the times, or None. Threads of the core wait for the
 // interpreter.
 MotionMap map_of(Chain chain, std::optional<nb::callable> carried, bool gravity) {
-  if (!carried)
-    return [chain = std::move(chain), gravity](const Eigen::VectorXd&, const RowMatrix& q,
-                                               const RowMatrix& qd, const RowMatrix& qdd, MappedMotion& out) {
-      require(chain_motion(chain, q, qd, qdd, {}, gravity, out), "joints");
-    };
-  const auto held = std::shared_ptr<nb::callable>(new nb::callable(std::move(*carried)), [](nb::callable* f) {
-    const nb::gil_scoped_acquire locked;
-    delete f;
-  });
+  std::shared_ptr<nb::callable> held;
+  if (carried)
+    held = {new nb::callable(std::move(*carried)), [](nb::callable* f) {
+              const nb::gil_scoped_acquire locked;
+              delete f;
+            }};
   return [chain = std::move(chain), held, gravity](const Eigen::VectorXd& time, const RowMatrix& q,
                                                    const RowMatrix& qd, const RowMatrix& qdd,
                                                    MappedMotion& out) {
     Carrier carrier;
-    {
+    if (held) {
       const nb::gil_scoped_acquire locked;
       std::tie(carrier.twist, carrier.rate, carrier.R_inertial_root) = nb::cast<Carried>((*held)(time));
     }

@@ -12,8 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.robot.arm import BaseMotion, Robot, load_robot, rotation_of
+from truewrench.robot.base_path import BasePath
+from truewrench.robot.chain import chain_of, sensor_motion
 
 Array = NDArray[np.float64]
+
+REST = BasePath(None, None, ())
 
 ARM = """<robot name="arm">
   <link name="base"/>
@@ -119,7 +123,7 @@ def test_jacobian_rate_is_the_derivative_of_every_component(arm: Robot) -> None:
     q, qd, qdd = states(arm)
     h = 1e-5
     difference = (arm.jacobian(q + h * qd) - arm.jacobian(q - h * qd)) / (2 * h)
-    rate = arm.jacobian_rate(q, qd)
+    rate = sensor_motion(chain_of(arm), REST, np.zeros(len(q)), q, qd).jacobian_rate
     np.testing.assert_allclose(rate, difference, atol=1e-9)
     acceleration = np.einsum("kij,kj->ki", arm.jacobian(q), qdd) + np.einsum("kij,kj->ki", rate, qd)
     np.testing.assert_allclose(arm.motion(q, qd, qdd).acceleration, acceleration, atol=1e-13)

@@ -102,7 +102,7 @@ class Run:
         self._withheld = np.tile(calibration.withheld, 2)
         self._raw = raw_columns(self.table, calibration.n)
         self._time = TimeReader(self.table)
-        self._warmth = Warmth(calibration, np.nan)
+        self._warmth = Warmth.of(calibration, np.nan)
         told = self._warmth.follows and "temperature" in self.table.names
         self._celsius = ("temperature",) if told else ()
         self._weighed = without_weight(calibration)

@@ -16,7 +16,8 @@ class Warmth:
     """The offset by the latest reading.
 
     Args:
-        calibration: its `offset_temperature`.
+        slope: (n,) of the offset [per K]; None where it follows no temperature.
+        reference: the temperature at which the offset is the calibration's [degC].
         first: what stands for a reading before there is one [degC]; by default the reference.
 
     Attributes:
@@ -24,12 +25,16 @@ class Warmth:
         follows: whether the offset follows the temperature at all.
     """
 
-    def __init__(self, calibration: Calibration, first: float | None = None) -> None:
-        slope = calibration.offset_temperature
-        self._slope: FloatArray = np.zeros(calibration.n) if slope is None else slope
-        self._reference = calibration.rig.temperature.reference
-        self.latest = self._reference if first is None else first
+    def __init__(self, slope: FloatArray | None, reference: float, first: float | None = None) -> None:
+        self._slope: FloatArray = np.zeros(0) if slope is None else slope
+        self._reference = reference
+        self.latest = reference if first is None else first
         self.follows = bool(self._slope.any())
+
+    @classmethod
+    def of(cls, calibration: Calibration, first: float | None = None) -> Warmth:
+        """That of a calibration."""
+        return cls(calibration.offset_temperature, calibration.rig.temperature.reference, first)
 
     @property
     def shift(self) -> FloatArray:
@@ -49,10 +54,14 @@ class Warmth:
         """What is worth saying before the first reading, where one may come."""
         return tuple(f"{words} until one arrives" for words in self.note)
 
-    def without(self, raw: FloatArray, readings: FloatArray) -> FloatArray:
-        """Channels (N, n) at the reference temperature; readings (N,) [degC], NaN where there is none."""
+    def held(self, readings: FloatArray) -> FloatArray:
+        """(N,) the latest of each row [degC], of readings (N,) with NaN where there is none."""
         known = np.append(self.latest, readings)
         last = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(known.size)))
         held = known[last]
         self.latest = float(held[-1])
-        return np.asarray(raw - np.outer(held[1:] - self._reference, self._slope))
+        return np.asarray(held[1:])
+
+    def without(self, raw: FloatArray, readings: FloatArray) -> FloatArray:
+        """Channels (N, n) at the reference temperature; readings (N,) [degC], NaN where there is none."""
+        return np.asarray(raw - np.outer(self.held(readings) - self._reference, self._slope))

@@ -80,7 +80,7 @@ def correct_lines(
     """
     correct = corrector(calibration, INPUT).correct
     withheld = [*calibration.withheld, *calibration.withheld]
-    warmth = Warmth(calibration)
+    warmth = Warmth.of(calibration)
     for note in (*warmth.note_until, *without_weight(calibration), *used_in_part(calibration)):
         complain(note)
     n = calibration.n

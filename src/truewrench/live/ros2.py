@@ -150,7 +150,7 @@ def correct_topic(
         InputError: no topic is found, or the gain cannot be inverted.
     """
     correct = corrector(calibration, "ROS 2")  # before a topic is waited for
-    warmth = Warmth(calibration)
+    warmth = Warmth.of(calibration)
     for note in (*warmth.note_until, *without_weight(calibration), *used_in_part(calibration)):
         complain(note)
     sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
@@ -279,8 +279,8 @@ def calibrate_topics(
                         counts.used += 1
                     if columns == ("temperature",) and math.isfinite(values[0]):
                         celsius = float(values[0])
-                    if wrenches.warmth is not None and celsius is not None:
-                        wrenches.warmth.latest = celsius
+                        if wrenches.warmth is not None:
+                            wrenches.warmth.latest = celsius
                     if correct is not None and source is sensor:
                         wrenches.write(correct, sensor.header(message, info), values, with_std)
                 except InputError as error:
@@ -290,7 +290,7 @@ def calibrate_topics(
         if found is not None and found.calibration is not None and found.usable:
             correct = corrector(found.calibration, "ROS 2")
             wrenches.withheld = found.calibration.withheld
-            wrenches.warmth = Warmth(found.calibration, celsius)
+            wrenches.warmth = Warmth.of(found.calibration, celsius)
         if found is not None or time.monotonic() - told > _PERIOD:
             told, progress = time.monotonic(), found or progress
             writer.write(_diagnostics(rig, progress))

@@ -111,22 +111,6 @@ class Robot:
             J[k] = pin.computeFrameJacobian(self.model, data, position, self.frame_id, pin.LOCAL)
         return J
 
-    def jacobian_rate(self, q: Array, qd: Array) -> Array:
-        """Jdot (N, 6, n), the component-wise derivative by time of `jacobian`: a = J qdd + Jdot qd.
-
-        Args:
-            q: (N, n) joint positions [rad, m].
-            qd: (N, n) joint velocities [rad/s, m/s].
-        """
-        import pinocchio as pin
-
-        q, qd, data = _rows(q), _rows(qd), self.model.createData()
-        J_rate = np.empty((len(q), 6, self.n))
-        for k in range(len(q)):
-            pin.computeJointJacobiansTimeVariation(self.model, data, q[k], qd[k])
-            J_rate[k] = pin.getFrameJacobianTimeVariation(self.model, data, self.frame_id, pin.LOCAL)
-        return J_rate
-
     def motion(self, q: Array, qd: Array, qdd: Array, base: BaseMotion | None = None) -> ArmMotion:
         """Motion of the sensor frame, relative to {O} where the base moves and to the root otherwise.
 

@@ -176,19 +176,20 @@ def _about(
         rows = np.union1d(rows, velocities)
     time = log.time[rows]
     at, rate = fit.position(time), fit.velocity(time)
-    q, qd = at + np.nan_to_num(moved[rows]), rate.copy()
     about = sensor_motion(chain, base, time, at, rate)
-    twist, faster = _on_rows(log, rows, about.twist), None
+    twist, qd, faster = about.twist, rate, None
     if velocities is not None:
-        chosen = np.searchsorted(rows, velocities)
-        qd[chosen] = _of(log.velocity, velocities)
-        faster = _on_rows(log, velocities, qd[chosen] - rate[chosen])
-    measured = sensor_motion(chain, base, time, q, qd)
+        told = np.searchsorted(rows, velocities)
+        qd = rate.copy()
+        qd[told] = _of(log.velocity, velocities)
+        faster = _on_rows(log, velocities, qd[told] - rate[told])
+    measured = sensor_motion(chain, base, time, at + np.nan_to_num(moved[rows]), qd)
     if velocities is not None:
-        twist = _on_rows(log, velocities, measured.twist[chosen])
+        twist = np.full_like(twist, np.nan)
+        twist[told] = measured.twist[told]
     return replace(
         log,
-        twist=twist,
+        twist=_on_rows(log, rows, twist),
         gravity=None if not rig.in_gravity else _on_rows(log, rows, _fall(rig, measured)),
         tracking=Tracking(
             jacobian=_on_rows(log, rows, about.jacobian),

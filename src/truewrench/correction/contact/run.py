@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.correction.contact.motion import Columns, MotionColumns
+from truewrench.correction.warmth import Warmth
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
@@ -166,9 +167,10 @@ class ContactRun:
             expected = "joints, or the attitude qw qx qy qz: gravity alone leaves the turn about it open"
             raise InputError.at(place, "--axes", "`base` without an attitude", expected)
         settings = contact_settings(tool, calibration, self.motion)
-        self._slope = bool(np.any(settings.temperature_slope))
-        self._warm = self._slope and (names is None or "temperature" in names)
-        self._celsius = np.nan if self._warm and names is not None else tool.rig.temperature.reference
+        self._warmth = Warmth(np.asarray(settings.temperature_slope), tool.rig.temperature.reference)
+        self._warm = self._warmth.follows and (names is None or "temperature" in names)
+        if self._warm and names is not None:
+            self._warmth.latest = np.nan
         raw = tuple(f"raw_{i}" for i in range(tool.n))
         self.columns = (*raw, *self.motion.columns, *(("temperature",) if self._warm else ()))
         window = 2.0 * delay or NEWEST_WINDOW
@@ -180,10 +182,7 @@ class ContactRun:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is worth saying of all rows."""
-        if not self._slope or self._warm:
-            return ()
-        reference = f"{self._rig.temperature.reference:g} degC"
-        return (f"no `temperature`, which the offset follows: it is taken for that of {reference}",)
+        return () if self._warm else self._warmth.note
 
     @property
     def lag(self) -> int:
@@ -205,7 +204,8 @@ class ContactRun:
         """
         motion = self.motion.read(time_ns, columns)
         raw = self._with_weight(raw, motion.fall)
-        celsius = self._temperatures(columns, len(time_ns))
+        untold = np.full(len(time_ns), np.nan)
+        celsius = self._warmth.held(columns.get("temperature", untold) if self._warm else untold)
         args = (raw, motion.twist, motion.fall, motion.turn, celsius, motion.noise)
         stamps = np.ascontiguousarray(time_ns, dtype=np.int64)
         return self._seen(self._rows.feed(stamps, *map(np.ascontiguousarray, args)))
@@ -233,15 +233,6 @@ class ContactRun:
             wrench = np.einsum("kij,kj->ki", X, wrench)
             covariance = X @ covariance @ X.transpose(0, 2, 1)
         return Contacts(rows.astype(np.int64), time_ns.astype(np.int64), wrench, covariance, chi2)
-
-    def _temperatures(self, columns: Mapping[str, Array], count: int) -> Array:
-        if not self._warm:
-            return np.full(count, self._celsius)
-        readings = np.append(self._celsius, columns.get("temperature", np.full(count, np.nan)))
-        latest = np.maximum.accumulate(np.where(np.isnan(readings), 0, np.arange(readings.size)))
-        held: Array = readings[latest]
-        self._celsius = float(held[-1])
-        return held[1:]
 
     def _with_weight(self, raw: Array, fall: Array) -> Array:
         """The channels with the weight that the driver has subtracted."""
