@@ -85,7 +85,9 @@ class Estimator {
       hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
     if (hopeful) seek_steps(robust, steps, out);
     set_mask(*robust);
-    Rows best = fit_rows(*robust, steps, out, hopeful ? Slow::asked : Slow::never);
+    std::shared_ptr<Fit> plain = plain_fit(*robust, steps, out);
+    plain = with_masked(plain, *robust, steps, out);
+    Rows best = with_slow(plain, steps, out, hopeful ? Slow::asked : Slow::never);
     if (hopeful) repair(best, steps, out);
     finish(best, out);
     if (hopeful) refine(best, steps, out);
@@ -149,6 +151,7 @@ class Estimator {
     pooled->robust = true;
     regress(*pooled, true);
     pooled->run();
+    pooled->release();
     ++out.fits;
     return pooled;
   }
@@ -225,15 +228,14 @@ class Estimator {
     return unexplained(masked, 0, moments(masked, 0));
   }
 
-  static void clear_mask(std::vector<LogFit>& logs) {
-    for (LogFit& log : logs)
-      for (Stretch& s : log.stretches) std::fill(s.raw.masked.begin(), s.raw.masked.end(), char{0});
+  static void clear_mask(LogFit& log) {
+    for (Stretch& s : log.stretches) std::fill(s.raw.masked.begin(), s.raw.masked.end(), char{0});
   }
 
   std::shared_ptr<Fit> robust_from(const Fit& like, const std::vector<std::vector<double>>& steps,
                                    Estimate& out) const {
     std::vector<LogFit> logs = bare(like);
-    clear_mask(logs);
+    for (LogFit& log : logs) clear_mask(log);
     auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
     fit->robust = true;
     fit->start_from(like).run();
@@ -283,13 +285,47 @@ class Estimator {
 
   enum class Slow { never, asked, always };  // whether d is tried: by (10.9)
 
-  // FIT on the unmasked rows: without d, then in both forms of d.
-  Rows fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out,
-                Slow slow) const {
+  // FIT on the unmasked rows without d.
+  std::shared_ptr<Fit> plain_fit(const Fit& like, const std::vector<std::vector<double>>& steps,
+                                 Estimate& out) const {
     auto plain = std::make_shared<Fit>(rig_, bare(like), steps, settings_.threads);
     bridge_walks(*plain);
     plain->start_from(like).run();
     ++out.fits;
+    return plain;
+  }
+
+  // FIT of the masked samples, too, where the noise that it finds is hardly larger; else the one without them. Bursts of jerk that
+  // the knots follow in part look like contacts, and without them the motion seems smoother than it is.
+  std::shared_ptr<Fit> with_masked(const std::shared_ptr<Fit>& plain, const Fit& robust,
+                                   const std::vector<std::vector<double>>& steps, Estimate& out) const {
+    Fit all = robust;
+    bool any = false;
+    for (std::size_t l = 0; l < plain->logs().size() && !plain->failed; ++l) {
+      const double added = masked_variance(*plain, l);
+      if (added == 0.0 || added > 1.0) continue;  // not worth a fit: tolerance
+      clear_mask(all.logs()[l]);
+      any = true;
+    }
+    if (!any) return plain;
+    auto trial = plain_fit(all, steps, out);
+    if (trial->failed) return plain;
+    for (std::size_t l = 0; l < plain->logs().size(); ++l) {
+      const Eigen::ArrayXd factor =
+          trial->logs()[l].sizes.raw_factor.array() / plain->logs()[l].sizes.raw_factor.array();
+      if (factor.square().maxCoeff() > constants::mask_worth) return plain;
+    }
+    return trial;
+  }
+
+  // FIT: without d, then in both forms of d.
+  Rows fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out,
+                Slow slow) const {
+    return with_slow(plain_fit(like, steps, out), steps, out, slow);
+  }
+
+  Rows with_slow(const std::shared_ptr<Fit>& plain, const std::vector<std::vector<double>>& steps,
+                 Estimate& out, Slow slow) const {
     Rows rows{plain, {}, {}, 0.0, false};
     const int n = plain->channels();
     if (plain->failed) return rows;

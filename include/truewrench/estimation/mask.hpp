@@ -120,6 +120,18 @@ inline void set_mask(Fit& fit) {
   }
 }
 
+// How much the masked samples of a log, left in, would add to the variance of the noise.
+inline double masked_variance(const Fit& fit, std::size_t l) {
+  double added = 0.0, all = 0.0;
+  for (const Stretch& s : fit.logs()[l].stretches)
+    for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
+      all += s.raw.size[k];
+      if (s.raw.masked[static_cast<std::size_t>(k)] != 0 && s.raw.channels[k] > 0)
+        added += s.raw.size[k] * fit.chi2(l, s, k) / s.raw.channels[k];
+    }
+  return added / std::max(all, 1.0);
+}
+
 inline double masked_share(const Fit& fit, std::size_t l) {
   double masked = 0.0, all = 0.0;
   for (const Stretch& s : fit.logs()[l].stretches) {
