@@ -75,7 +75,7 @@ def test_a_smooth_motion_keeps_the_coarsest(slow: HarmonicTwist) -> None:
 
 @dataclass(frozen=True)
 class Moves:
-    """From rest to rest and on: bells of minimum jerk, whose jerk is a step at both ends, each with a rest before it."""
+    """Rests, and moves between them: bells of minimum jerk, whose jerk is a step at both ends."""
 
     starts: Array  # (moves,) [s]
     lengths: Array  # (moves,) [s]
