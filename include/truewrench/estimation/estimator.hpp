@@ -2,10 +2,9 @@
 // returns the estimate, what it left out, the sizes it found and the findings that a judgement needs; it decides nothing.
 #pragma once
 
+#include "truewrench/estimation/estimate.hpp"
 #include "truewrench/estimation/gather.hpp"
-#include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/mask.hpp"
-#include "truewrench/estimation/score.hpp"
 #include "truewrench/estimation/spacing.hpp"
 
 #include <cmath>
@@ -14,28 +13,6 @@
 #include <vector>
 
 namespace truewrench {
-
-struct Settings {
-  int threads = 1;
-  double discrepancy = -1.0;  // stated: -1 auto, 0 none, else at least so much [fraction of range]
-};
-
-struct Estimate {
-  std::shared_ptr<Fit> fit;
-  Status status = Status::ok;
-  std::vector<std::vector<Moment>> moments;  // by log and group
-  Eigen::MatrixXd covariance;                // of theta, held parameters with their prior's width
-  Eigen::MatrixXd added;                     // (10.9) (6n, 6n), 0 where d is in the fit
-  Eigen::MatrixXd gain_covariance;           // of C: with (10.9) and (10.10)
-  Eigen::VectorXd discrepancy2;              // (n) delta_i^2 for (10.10)
-  PoseShare pose;
-  Agreement halves, quarters;
-  std::vector<char> unresolved;  // by log: (10.7) still falls at one knot a sample
-  std::vector<double>
-      unexplained;  // by log: share of the raw output that no motion explains; 0 where its noise is as stated
-  std::vector<int> dropped;  // by log: stretches too short
-  int fits = 0;
-};
 
 class Estimator {
  public:
@@ -87,23 +64,14 @@ class Estimator {
     set_mask(*robust);
     std::shared_ptr<Fit> plain = plain_fit(*robust, steps, out);
     plain = with_masked(plain, *robust, steps, out);
-    Rows best = with_slow(plain, steps, out, hopeful ? Slow::asked : Slow::never);
+    Candidate best = with_slow(plain, steps, out, hopeful ? Slow::asked : Slow::never);
     if (hopeful) repair(best, steps, out);
-    finish(best, out);
+    finish(best, settings_, out);
     if (hopeful) refine(best, steps, out);
     return out;
   }
 
  private:
-  // A fit of the masked rows, with (10.9).
-  struct Rows {
-    std::shared_ptr<Fit> fit;
-    std::vector<std::vector<Moment>> moments;
-    Eigen::MatrixXd added;
-    double share = 0.0;  // largest ratio of (10.9) to a gain's variance
-    bool found = false;  // d is in the fit, its size found
-  };
-
   std::shared_ptr<const Statement> rig_;
   std::vector<const RecordedLog*> whole_, recorded_;  // as given; as fitted
   std::vector<std::shared_ptr<const RecordedLog>> gathered_;
@@ -319,14 +287,14 @@ class Estimator {
   }
 
   // FIT: without d, then in both forms of d.
-  Rows fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out,
-                Slow slow) const {
+  Candidate fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out,
+                     Slow slow) const {
     return with_slow(plain_fit(like, steps, out), steps, out, slow);
   }
 
-  Rows with_slow(const std::shared_ptr<Fit>& plain, const std::vector<std::vector<double>>& steps,
-                 Estimate& out, Slow slow) const {
-    Rows rows{plain, {}, {}, 0.0, false};
+  Candidate with_slow(const std::shared_ptr<Fit>& plain, const std::vector<std::vector<double>>& steps,
+                      Estimate& out, Slow slow) const {
+    Candidate rows{plain, {}, {}, 0.0, false};
     const int n = plain->channels();
     if (plain->failed) return rows;
     for (std::size_t l = 0; l < plain->logs().size(); ++l) rows.moments.push_back(moments(*plain, l));
@@ -367,7 +335,7 @@ class Estimator {
   }
 
   // At most three times: where the scan finds something with d in V, its best suffix becomes a step.
-  void repair(Rows& best, std::vector<std::vector<double>>& steps, Estimate& out) const {
+  void repair(Candidate& best, std::vector<std::vector<double>>& steps, Estimate& out) const {
     for (int round = 0; round < 3; ++round) {
       std::size_t l = 0;
       std::optional<double> t;
@@ -386,8 +354,8 @@ class Estimator {
       auto robust = robust_from(*best.fit, trial_steps, out);
       if (robust->failed) return;
       set_mask(*robust);
-      const Rows trial = fit_rows(*robust, trial_steps, out, Slow::asked);
-      const Rows bare_ = fit_rows(*robust, steps, out, Slow::always);
+      const Candidate trial = fit_rows(*robust, trial_steps, out, Slow::asked);
+      const Candidate bare_ = fit_rows(*robust, steps, out, Slow::always);
       double blocks = 0.0;
       for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
       if (trial.fit->failed || !(trial.fit->deviance <= bare_.fit->deviance - 2.0 * std::log(blocks))) return;
@@ -396,14 +364,10 @@ class Estimator {
     }
   }
 
-  static bool agree(const Estimate& e) {
-    return e.halves.p >= 0.5 * constants::doubt && e.quarters.p >= 0.5 * constants::doubt;
-  }
-
   // Where the parts of the record disagree and residuals show nothing slow, its knots halved once more, if they then agree: too
   // coarse in places for the gain, by too little for (10.7). Needless refusals of clean records 7 -> 5 of 374; of 16 imperfect
   // ones that disagree it let none pass.
-  void refine(const Rows& best, const std::vector<std::vector<double>>& steps, Estimate& out) const {
+  void refine(const Candidate& best, const std::vector<std::vector<double>>& steps, Estimate& out) const {
     if (out.status != Status::ok || agree(out) || best.share > 1.0) return;
     std::vector<std::shared_ptr<Fit>> alone;
     for (std::size_t l = 0; l < pieces_.size(); ++l) {
@@ -418,62 +382,10 @@ class Estimator {
     if (robust->failed) return;
     set_mask(*robust);
     Estimate finer = out;
-    Rows rows = fit_rows(*robust, steps, finer, Slow::never);
-    finish(rows, finer);
+    Candidate rows = fit_rows(*robust, steps, finer, Slow::never);
+    finish(rows, settings_, finer);
     out.fits = finer.fits;
     if (finer.status == Status::ok && agree(finer)) out = std::move(finer);
-  }
-
-  void finish(Rows& best, Estimate& out) const {
-    Fit& fit = *best.fit;
-    out.fit = best.fit;
-    out.moments = best.moments;
-    if (fit.failed || !fit.linearise() || !fit.solve()) {
-      out.status = Status::not_factorizable;
-      return;
-    }
-    const int n = fit.channels();
-    out.covariance = fit.covariance();
-    out.added = best.added;
-    out.pose = pose_share(fit);
-    // delta_i^2 for (10.10): found, or its moment and 1 sd where d stayed out; of a walk over one period of the motion
-    out.discrepancy2 = Eigen::VectorXd::Zero(n);
-    double total = 0.0;
-    for (std::size_t l = 0; l < fit.logs().size(); ++l) {
-      double rows = 0.0;
-      for (const Stretch& s : fit.logs()[l].stretches) rows += s.raw.size.sum();
-      const Sizes& z = fit.logs()[l].sizes;
-      for (int i = 0; i < n; ++i) {
-        const int r = raw_group(i, n);
-        const Moment& m = best.moments[l][static_cast<std::size_t>(r)];
-        double f2 = best.found ? z.delta[r] * z.delta[r] : m.delta2 + m.sd;
-        if (z.form == Form::walk) f2 *= 2.0 * (1.0 - std::exp(-z.k * out.pose.period));
-        out.discrepancy2[i] += rows * f2;
-      }
-      total += rows;
-    }
-    out.discrepancy2 /= total;
-    out.gain_covariance = out.covariance.topLeftCorner(6 * n, 6 * n) + out.added;
-    if (settings_.discrepancy != 0.0) {
-      Eigen::VectorXd f2 = out.discrepancy2;
-      if (settings_.discrepancy > 0.0) f2 = f2.cwiseMax(settings_.discrepancy * settings_.discrepancy);
-      out.gain_covariance = add_pose(out.gain_covariance, fit.prior.head(6 * n), f2, out.pose);
-    }
-    // the parts of the record
-    const std::vector<std::vector<Moment>> found =
-        best.found ? std::vector<std::vector<Moment>>{} : best.moments;
-    const auto place = [&fit](std::size_t l, std::size_t s, Eigen::Index k) {  // 0 ... 1 within the log
-      const auto& stretches = fit.logs()[l].stretches;
-      const double begin = stretches.front().spline.begin(), end = stretches.back().spline.end();
-      return (stretches[s].raw.time[k] - begin) / (end - begin);
-    };
-    out.halves = agreement(
-        fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) { return place(l, s, k) < 0.5; });
-    out.quarters = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
-      return static_cast<int>(std::floor(4.0 * place(l, s, k))) % 2 == 0;
-    });
-    fit.linearise();
-    fit.solve(true);
   }
 };
 

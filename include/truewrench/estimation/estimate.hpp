@@ -1,0 +1,101 @@
+// What the loop of METHOD 10.3 returns: the estimate, the sizes found, and the findings that a judgement needs.
+#pragma once
+
+#include "truewrench/estimation/hyperparameters.hpp"
+#include "truewrench/estimation/score.hpp"
+
+#include <cmath>
+#include <memory>
+#include <vector>
+
+namespace truewrench {
+
+struct Settings {
+  int threads = 1;
+  double discrepancy = -1.0;  // stated: -1 auto, 0 none, else at least so much [fraction of range]
+};
+
+struct Estimate {
+  std::shared_ptr<Fit> fit;
+  Status status = Status::ok;
+  std::vector<std::vector<Moment>> moments;  // by log and group
+  Eigen::MatrixXd covariance;                // of theta, held parameters with their prior's width
+  Eigen::MatrixXd added;                     // (10.9) (6n, 6n), 0 where d is in the fit
+  Eigen::MatrixXd gain_covariance;           // of C: with (10.9) and (10.10)
+  Eigen::VectorXd discrepancy2;              // (n) delta_i^2 for (10.10)
+  PoseShare pose;
+  Agreement halves, quarters;
+  std::vector<char> unresolved;  // by log: (10.7) still falls at one knot a sample
+  std::vector<double>
+      unexplained;  // by log: share of the raw output that no motion explains; 0 where its noise is as stated
+  std::vector<int> dropped;  // by log: stretches too short
+  int fits = 0;
+};
+
+// FIT, which may stand, with (10.9).
+struct Candidate {
+  std::shared_ptr<Fit> fit;
+  std::vector<std::vector<Moment>> moments;
+  Eigen::MatrixXd added;
+  double share = 0.0;  // largest ratio of (10.9) to a gain's variance
+  bool found = false;  // d is in the fit, its size found
+};
+
+inline bool agree(const Estimate& e) {
+  return e.halves.p >= 0.5 * constants::doubt && e.quarters.p >= 0.5 * constants::doubt;
+}
+
+// Covariances, (10.10) and (10.11) of the fit that stands.
+inline void finish(const Candidate& best, const Settings& settings, Estimate& out) {
+  Fit& fit = *best.fit;
+  out.fit = best.fit;
+  out.moments = best.moments;
+  if (fit.failed || !fit.linearise() || !fit.solve()) {
+    out.status = Status::not_factorizable;
+    return;
+  }
+  const int n = fit.channels();
+  out.covariance = fit.covariance();
+  out.added = best.added;
+  out.pose = pose_share(fit);
+  // delta_i^2 for (10.10): found, or its moment and 1 sd where d stayed out; of a walk over one period of the motion
+  out.discrepancy2 = Eigen::VectorXd::Zero(n);
+  double total = 0.0;
+  for (std::size_t l = 0; l < fit.logs().size(); ++l) {
+    double rows = 0.0;
+    for (const Stretch& s : fit.logs()[l].stretches) rows += s.raw.size.sum();
+    const Sizes& z = fit.logs()[l].sizes;
+    for (int i = 0; i < n; ++i) {
+      const int r = raw_group(i, n);
+      const Moment& m = best.moments[l][static_cast<std::size_t>(r)];
+      double f2 = best.found ? z.delta[r] * z.delta[r] : m.delta2 + m.sd;
+      if (z.form == Form::walk) f2 *= 2.0 * (1.0 - std::exp(-z.k * out.pose.period));
+      out.discrepancy2[i] += rows * f2;
+    }
+    total += rows;
+  }
+  out.discrepancy2 /= total;
+  out.gain_covariance = out.covariance.topLeftCorner(6 * n, 6 * n) + out.added;
+  if (settings.discrepancy != 0.0) {
+    Eigen::VectorXd f2 = out.discrepancy2;
+    if (settings.discrepancy > 0.0) f2 = f2.cwiseMax(settings.discrepancy * settings.discrepancy);
+    out.gain_covariance = add_pose(out.gain_covariance, fit.prior.head(6 * n), f2, out.pose);
+  }
+  // the parts of the record
+  const std::vector<std::vector<Moment>> found =
+      best.found ? std::vector<std::vector<Moment>>{} : best.moments;
+  const auto place = [&fit](std::size_t l, std::size_t s, Eigen::Index k) {  // 0 ... 1 within the log
+    const auto& stretches = fit.logs()[l].stretches;
+    const double begin = stretches.front().spline.begin(), end = stretches.back().spline.end();
+    return (stretches[s].raw.time[k] - begin) / (end - begin);
+  };
+  out.halves = agreement(fit, found,
+                         [&](std::size_t l, std::size_t s, Eigen::Index k) { return place(l, s, k) < 0.5; });
+  out.quarters = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
+    return static_cast<int>(std::floor(4.0 * place(l, s, k))) % 2 == 0;
+  });
+  fit.linearise();
+  fit.solve(true);
+}
+
+}  // namespace truewrench
