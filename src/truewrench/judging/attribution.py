@@ -32,8 +32,8 @@ CROWDED = 0.8  # regressors per independent value, from which on they explain an
 WALK = 30.0  # chi-square for drift where a random walk fits best: it is first in 6 of 6 walks, 0 of 6 cables
 FAST = 10.0  # [Hz] vibration is sought above
 PEAK = 5.0  # half of chi-square above the largest of white noise: 1 record in 150
-# Medians of a squared residual at which it is bounded: bursts of jerk are large in a few rows. Jitter is then said of 2
-# of 30 records that stop and go (10 without the bound), and of 32 (33) of 40 with jitter.
+# Medians of a squared residual at which it is bounded, as bursts of jerk are large in a few rows. Jitter is
+# then said of 2 of 30 records that stop and go (10 without the bound), and of 32 (33) of 40 with jitter.
 FAR = 2.0
 GROWS = 4.0  # sigma beyond which noise is said to grow with a rate: none of 96 records without jitter
 STEPS = 3.0  # sigma: a motion that is logged in larger steps is coarse
