@@ -259,6 +259,7 @@ class Estimator {
     auto plain = std::make_shared<Fit>(rig_, bare(like), steps, settings_.threads);
     bridge_walks(*plain);
     plain->start_from(like).run();
+    plain->release();
     ++out.fits;
     return plain;
   }
@@ -299,7 +300,6 @@ class Estimator {
     if (plain->failed) return rows;
     for (std::size_t l = 0; l < plain->logs().size(); ++l) rows.moments.push_back(moments(*plain, l));
     rows.added = spread(*plain, rows.moments, unmasked(*plain));
-    plain->release();
     const Eigen::MatrixXd P = plain->covariance();
     for (int i = 0; i < 6 * n; ++i) rows.share = std::max(rows.share, rows.added(i, i) / P(i, i));
     if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;

@@ -7,7 +7,7 @@ how much chi-square falls beyond what as many regressors take of chance. It chan
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -78,41 +78,39 @@ def _binned(
         t, w = rows.time[at], rows.wrench[at] / span
         if t.size < FEWEST or not np.isfinite(w).all():
             continue
+        y = rows.residual[at] + rows.discrepancy[at]
+        y[rows.masked[at]] = np.nan
+        use = np.flatnonzero(np.isfinite(y).all(axis=1))
+        bins = ((t[use] - t[0]) / BIN).astype(np.int64)
+        begins = np.flatnonzero(np.diff(bins, prepend=-1))
+        if begins.size < FEWEST:
+            continue
+        mean = partial(_mean, use=use, begins=begins)
         felt = w @ normalised.T
         rate = np.gradient(felt, t, axis=0)
         pose = np.concatenate([np.zeros((1, 6)), np.cumsum(_steps(t, rows.twist[at]), axis=0)])
         pose -= pose.mean(axis=0)
         x = np.pi * (t - t[0]) / max(t[-1] - t[0], 1e-9)
         columns = {
-            "drift": np.cos(np.outer(x, np.arange(1, COSINES + 1))),
-            "cable": pose,
-            "cable, bent": np.concatenate([pose, _products(pose)], axis=1),
-            "nonlinearity": _products(w),
-            "hysteresis": np.stack([np.sign(rate), _friction(felt)], axis=2),
-            "filter": np.stack([rate, np.gradient(rate, t, axis=0)], axis=2),
+            "drift": mean(np.cos(np.outer(x, np.arange(1, COSINES + 1)))),
+            "cable": mean(pose),
+            "cable, bent": np.concatenate([mean(pose), _products(pose, mean)], axis=1),
+            "nonlinearity": _products(w, mean),
+            "hysteresis": np.stack([mean(np.sign(rate)), mean(_friction(felt))], axis=2),
+            "filter": np.stack([mean(rate), mean(np.gradient(rate, t, axis=0))], axis=2),
         }
         if log.gravity is not None:
             g = log.gravity[rows.rows[at]]
             if np.isfinite(g).all():
-                columns["gravity"] = np.concatenate([g, np.cross(rows.twist[at, 3:], g)], axis=1)
-        y = rows.residual[at] + rows.discrepancy[at]
-        y[rows.masked[at]] = np.nan
-        use = np.asarray(np.isfinite(y).all(axis=1))
-        if use.sum() < FEWEST:
-            continue
-        _, index = np.unique(((t[use] - t[0]) / BIN).astype(np.int64), return_inverse=True)
-        count = np.bincount(index)
-        mean = partial(_mean, index=index, use=use)
-        if count.size >= FEWEST:
-            known = np.column_stack([mean(w), np.ones(count.size)])
-            yield mean(y), known, {kind: mean(x) for kind, x in columns.items()}
+                turned = np.cross(rows.twist[at, 3:], g)
+                columns["gravity"] = np.concatenate([mean(g), mean(turned)], axis=1)
+        yield mean(y), np.column_stack([mean(w), np.ones(begins.size)]), columns
 
 
-def _mean(values: Array, index: NDArray[np.int64], use: NDArray[np.bool_]) -> Array:
-    """Rows of values (K, ...) averaged over the bins that index (of those used) names."""
-    count = np.bincount(index)
-    total = np.zeros((count.size, *values.shape[1:]))
-    np.add.at(total, index, values[use])
+def _mean(values: Array, use: NDArray[np.int64], begins: NDArray[np.int64]) -> Array:
+    """Used rows of values (K, ...) averaged over bins that begin at these of them."""
+    count = np.diff(begins, append=use.size)
+    total = np.add.reduceat(values[use], begins, axis=0)
     return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
 
 
@@ -155,8 +153,9 @@ def _basis(columns: Array, least: float = 1e-10) -> Array:
     return np.asarray(left[:, size > least * max(float(size.max(initial=0.0)), 1e-300)])
 
 
-def _products(x: Array) -> Array:
-    return np.stack([x[:, i] * x[:, j] for i in range(x.shape[1]) for j in range(i, x.shape[1])], axis=1)
+def _products(x: Array, mean: Callable[[Array], Array]) -> Array:
+    pairs = [(i, j) for i in range(x.shape[1]) for j in range(i, x.shape[1])]
+    return np.stack([mean(x[:, i] * x[:, j]) for i, j in pairs], axis=1)
 
 
 def _steps(t: Array, values: Array) -> Array:
@@ -164,11 +163,20 @@ def _steps(t: Array, values: Array) -> Array:
 
 
 def _friction(felt: Array) -> Array:
-    """State (N, n) of Dahl's friction at unit size."""
-    out, step = np.zeros_like(felt), np.clip(np.diff(felt, axis=0) / FRICTION, -1.0, 1.0)
-    for k, dx in enumerate(step):
-        out[k + 1] = out[k] + dx - np.abs(dx) * out[k]
-    return out
+    """State (N, n) of Dahl's friction at unit size: z + dx - |dx| z, for many parts of the record at once."""
+    step = np.clip(np.diff(felt, axis=0, prepend=felt[:1]) / FRICTION, -1.0, 1.0)
+    length = int(np.ceil(len(felt) ** 0.5))
+    parts = -(-len(felt) // length)
+    dx: Array = np.zeros((parts, length, felt.shape[1]))
+    dx.reshape(-1, felt.shape[1])[: len(felt)] = step
+    state, left = np.zeros_like(dx), np.ones_like(dx)  # from rest; and what is left of a state before
+    z, kept = np.zeros_like(dx[:, 0]), np.ones_like(dx[:, 0])
+    for k in range(length):
+        z, kept = z + dx[:, k] - np.abs(dx[:, k]) * z, kept * (1.0 - np.abs(dx[:, k]))
+        state[:, k], left[:, k] = z, kept
+    for part in range(1, parts):
+        state[part] += left[part] * state[part - 1, -1]
+    return np.asarray(state.reshape(-1, felt.shape[1])[: len(felt)])
 
 
 def fast_looks(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Looks, ...]:
@@ -219,7 +227,8 @@ def _jitter(rows: LogRows, estimate: Estimate, rig: Rig, log: Log, late: float) 
         pairs.append((r, np.gradient(felt, t[at], axis=0)))
         if log.twist is not None:
             a, later = rows.acceleration[at], t[at] + late
-            expected = CubicHermiteSpline(t[at], rows.twist[at], a)(later)
+            moves = zip(rows.twist[at].T, a.T, strict=True)
+            expected = np.column_stack([CubicHermiteSpline(t[at], v, dv)(later) for v, dv in moves])
             inside = (later >= t[at][0]) & (later <= t[at][-1])
             pairs.append((np.where(inside[:, None], log.twist[fit[at]] - expected, np.nan), a))
     z, slopes = 0.0, []
