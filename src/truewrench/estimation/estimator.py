@@ -126,7 +126,7 @@ def _solved(
         rows=rows,
         sources=_sources(columns, covariance, before, normalised, n),
         A=float(found.pose.A),
-        ww=np.asarray(found.pose.ww),
+        ww=np.array(found.pose.ww),  # a view would keep the whole fit
         p_halves=float(found.halves.p),
         p_quarters=float(found.quarters.p),
         converged=history is not None or bool(fit.converged),
