@@ -10,6 +10,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <memory>
+#include <utility>
 #include <vector>
 
 namespace truewrench::python {
@@ -42,19 +43,19 @@ nb::dict rows_of(const Fit& fit, std::size_t l) {
       if (log.sizes.form != Form::none) d.row(at) = s.value_at(k, 0, s.e);
     }
   });
-  nb::dict out;
-  out["source"] = source;
-  out["stretch"] = stretch;
-  out["time"] = time;
-  out["weight"] = weight;
-  out["masked"] = masked;
-  out["residual"] = residual;
-  out["w"] = w;
-  out["cw"] = cw;
-  out["nu"] = nu;
-  out["a"] = a;
-  out["g"] = g;
-  out["d"] = d;
+  nb::dict out;  // moved: a copy of all rows beside them is what a long record takes most for
+  out["source"] = nb::cast(std::move(source));
+  out["stretch"] = nb::cast(std::move(stretch));
+  out["time"] = nb::cast(std::move(time));
+  out["weight"] = nb::cast(std::move(weight));
+  out["masked"] = nb::cast(std::move(masked));
+  out["residual"] = nb::cast(std::move(residual));
+  out["w"] = nb::cast(std::move(w));
+  out["cw"] = nb::cast(std::move(cw));
+  out["nu"] = nb::cast(std::move(nu));
+  out["a"] = nb::cast(std::move(a));
+  out["g"] = nb::cast(std::move(g));
+  out["d"] = nb::cast(std::move(d));
   return out;
 }
 
