@@ -43,19 +43,21 @@ nb::dict rows_of(const Fit& fit, std::size_t l) {
       if (log.sizes.form != Form::none) d.row(at) = s.value_at(k, 0, s.e);
     }
   });
-  nb::dict out;  // moved: a copy of all rows beside them is what a long record takes most for
-  out["source"] = nb::cast(std::move(source));
-  out["stretch"] = nb::cast(std::move(stretch));
-  out["time"] = nb::cast(std::move(time));
-  out["weight"] = nb::cast(std::move(weight));
-  out["masked"] = nb::cast(std::move(masked));
-  out["residual"] = nb::cast(std::move(residual));
-  out["w"] = nb::cast(std::move(w));
-  out["cw"] = nb::cast(std::move(cw));
-  out["nu"] = nb::cast(std::move(nu));
-  out["a"] = nb::cast(std::move(a));
-  out["g"] = nb::cast(std::move(g));
-  out["d"] = nb::cast(std::move(d));
+  nb::dict out;
+  // a copy of all rows beside them is what a long record takes most for
+  const auto move_to = [&out](const char* name, auto& rows) { out[name] = nb::cast(std::move(rows)); };
+  move_to("source", source);
+  move_to("stretch", stretch);
+  move_to("time", time);
+  move_to("weight", weight);
+  move_to("masked", masked);
+  move_to("residual", residual);
+  move_to("w", w);
+  move_to("cw", cw);
+  move_to("nu", nu);
+  move_to("a", a);
+  move_to("g", g);
+  move_to("d", d);
   return out;
 }
 
