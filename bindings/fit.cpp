@@ -23,23 +23,19 @@ nb::dict rows_of(const Fit& fit, std::size_t l) {
   for (const Stretch& s : log.stretches) count += samples_of(fit, l, s);
   const int n = fit.channels();
   Eigen::VectorXi source(count), stretch(count);
-  Eigen::VectorXd time(count), weight(count), masked(count);
-  RowMatrix residual(count, n), w(count, 6), cw(count, n), nu(count, 6), a(count, 6), g(count, 3),
-      d = RowMatrix::Zero(count, n);
+  Eigen::VectorXd time(count), masked(count);
+  RowMatrix residual(count, n), w(count, 6), nu(count, 6), a(count, 6), d = RowMatrix::Zero(count, n);
   Eigen::Index at = 0;
   each_sample(fit, l, [&](const Stretch& s, std::size_t i) {
     for (Eigen::Index k = 0; k < s.raw.rows(); ++k, ++at) {
       source[at] = static_cast<int>(s.raw.source[static_cast<std::size_t>(k)]);
       stretch[at] = static_cast<int>(i);
       time[at] = s.raw.time[k];
-      weight[at] = s.raw.weight[k];
       masked[at] = s.raw.masked[static_cast<std::size_t>(k)];
       residual.row(at) = (s.raw.value.row(k).array().isFinite()).select(s.now.residual.row(k), std::nan(""));
       w.row(at) = s.now.w.row(k);
-      cw.row(at) = s.now.cw.row(k);
       nu.row(at) = s.now.nu.row(k);
       a.row(at) = s.now.a.row(k);
-      g.row(at) = s.now.g.row(k);
       if (log.sizes.form != Form::none) d.row(at) = s.value_at(k, 0, s.e);
     }
   });
@@ -49,14 +45,11 @@ nb::dict rows_of(const Fit& fit, std::size_t l) {
   move_to("source", source);
   move_to("stretch", stretch);
   move_to("time", time);
-  move_to("weight", weight);
   move_to("masked", masked);
   move_to("residual", residual);
   move_to("w", w);
-  move_to("cw", cw);
   move_to("nu", nu);
   move_to("a", a);
-  move_to("g", g);
   move_to("d", d);
   return out;
 }
