@@ -17,11 +17,15 @@ namespace truewrench {
 
 inline constexpr int kGathered = 4;        // rows of a window
 inline constexpr int kWorthGathering = 8;  // samples of one
+inline constexpr int kPacket = 64;         // samples at most that arrive together
 
+// Of the samples, in the median over so many: those that come in packets lie no closer than on average.
 inline double median_period(const Eigen::VectorXd& time) {
-  if (time.size() < 2) return 0.0;
-  std::vector<double> d(static_cast<std::size_t>(time.size() - 1));
-  for (Eigen::Index k = 0; k + 1 < time.size(); ++k) d[static_cast<std::size_t>(k)] = time[k + 1] - time[k];
+  const Eigen::Index span = std::min<Eigen::Index>(kPacket, time.size() - 1);
+  if (span < 1) return 0.0;
+  std::vector<double> d(static_cast<std::size_t>(time.size() - span));
+  for (Eigen::Index k = 0; k + span < time.size(); ++k)
+    d[static_cast<std::size_t>(k)] = (time[k + span] - time[k]) / static_cast<double>(span);
   const auto middle = d.begin() + static_cast<std::ptrdiff_t>(d.size() / 2);
   std::nth_element(d.begin(), middle, d.end());
   return *middle;

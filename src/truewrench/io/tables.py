@@ -18,6 +18,7 @@ from truewrench.io.joints import check_attitude, joint_groups
 from truewrench.io.output import write_batches
 from truewrench.io.parquet_table import ParquetTable
 from truewrench.io.recordings.reader import is_recording
+from truewrench.io.stamps import with_even_stamps
 from truewrench.io.table import (
     ACCELERATION,
     ANGULAR_VELOCITY,
@@ -185,20 +186,21 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     kept = ~np.isnan(values).all(axis=1)
     if kept.sum() < 2:
         raise InputError.at(path, "", "a measurement in one row only", "at least two rows with measurements")
+    time_ns, values, in_packets = with_even_stamps(time_ns[kept], columns, values[kept])
     arrays = {
-        group: np.ascontiguousarray(values[kept][:, [columns.index(name) for name in names]])
+        group: np.ascontiguousarray(values[:, [columns.index(name) for name in names]])
         for group, names in groups.items()
     }
     for group in ("attitude", "base_attitude"):
         if group in arrays:
-            check_attitude(arrays[group], groups[group], path, time_ns[kept])
+            check_attitude(arrays[group], groups[group], path, time_ns)
     if "attitude" in arrays and "gravity" not in arrays and rig.in_gravity:
         arrays["gravity"] = free_fall(rig, arrays["attitude"])
     log = Log(
         path=path,
         payload=payload,
         sha256=table.sha256(),
-        time_ns=time_ns[kept],
+        time_ns=time_ns,
         raw=arrays["raw"],
         twist=arrays.get("twist"),
         angular_velocity=arrays.get("angular_velocity"),
@@ -214,7 +216,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         base_attitude=arrays.get("base_attitude"),
         nan_counts={name: count for name, count in nan_counts.items() if count},
         dropped_rows=int((~kept).sum()),
-        notes=table.notes,
+        notes=(*table.notes, *in_packets),
     )
     return track(rig, log) if rig.motion.source == "joints" else log
 

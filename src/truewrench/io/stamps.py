@@ -1,0 +1,129 @@
+"""Stamps of receipt: samples that travel in packets have those of their packets, not their own.
+
+A serial adapter that waits 16 ms hands over sixteen samples of a sensor of 1 kHz at once. They were taken
+evenly all the same, the last of a packet when it left; what the transport takes is a constant delay, which
+the estimate finds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["in_packets", "with_even_stamps"]
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+APART = 250_000_000
+"""[ns] between packets at most: what is silent for longer is a gap."""
+
+CLOSE = 0.1
+"""Of the mean interval, below which two samples came together."""
+
+SHARE = 0.4
+"""Of the intervals that are so short, from which on samples come in packets, of two and more: stamps that
+scatter by the period itself have 0.1."""
+
+FEWEST = 8  # packets
+
+LOST = 0.5
+"""Of a packet's time, by which one and those after it come later than their samples say: another was lost."""
+
+
+def with_even_stamps(
+    time_ns: Stamps, columns: Sequence[str], values: Array
+) -> tuple[Stamps, Array, tuple[str, ...]]:
+    """A table in which the samples of each stream that comes in packets are spaced evenly.
+
+    Args:
+        time_ns: (N,) increasing [ns].
+        columns: their M names; those that share half of their rows are one stream.
+        values: (N, M), NaN where there is no sample.
+
+    Returns:
+        Stamps, values and what is said of it; the same ones where no stream comes in packets.
+    """
+    rows, of = _streams(values)
+    even = [in_packets(time_ns[at]) for at in rows]
+    if all(found is None for found in even):
+        return time_ns, values, ()
+    stamps = [time_ns[at] if found is None else found for at, found in zip(rows, even, strict=True)]
+    merged = np.unique(np.concatenate(stamps))
+    out = np.full((merged.size, len(columns)), np.nan)
+    for j, i in enumerate(of):
+        out[np.searchsorted(merged, stamps[i]), j] = values[rows[i], j]
+    notes = [_said(i, columns, of, found) for i, found in enumerate(even) if found is not None]
+    return merged, out, tuple(notes)
+
+
+def _said(stream: int, columns: Sequence[str], of: Sequence[int], even: Stamps) -> str:
+    names = [name for name, i in zip(columns, of, strict=True) if i == stream]
+    told = ", ".join(names if len(names) < 3 else [names[0], "...", names[-1]])
+    period = 1e-6 * float(np.median(np.diff(even)))
+    return f"{told}: samples come in packets, stamped on receipt; taken as {period:.3g} ms apart, evenly"
+
+
+def in_packets(time_ns: Stamps) -> Stamps | None:
+    """Even stamps (N,) of samples that came in packets; None where they did not, or hardly."""
+    out, found = time_ns.copy(), False
+    cuts = np.flatnonzero(np.diff(time_ns) > APART) + 1
+    for piece in np.split(np.arange(time_ns.size), cuts):
+        if piece.size > FEWEST and (even := _even(time_ns[piece])) is not None:
+            out[piece], found = even, True
+    return out if found and (np.diff(out) > 0).all() else None
+
+
+def _even(time_ns: Stamps) -> Stamps | None:
+    """Of samples without a gap: a line from one place where a packet was lost to the next."""
+    steps = np.diff(time_ns)
+    together = steps < CLOSE * (time_ns[-1] - time_ns[0]) / steps.size
+    last = np.append(np.flatnonzero(~together), time_ns.size - 1)  # of each packet
+    if np.mean(together) < SHARE or last.size < FEWEST:
+        return None
+    time = (time_ns - time_ns[0]).astype(np.float64)
+    size, lasted = np.diff(last), np.diff(time[last])
+    period, packet = float(np.median(lasted / size)), float(np.median(lasted))
+    late = time[last] - period * last
+    suspected = np.flatnonzero(lasted - period * size > LOST * packet) + 1
+    lost = [
+        k
+        for k in suspected
+        if np.median(late[k : k + FEWEST]) - np.median(late[max(k - FEWEST, 0) : k]) > LOST * packet
+    ]
+    parts = np.split(last, lost)
+    begins = [0, *(int(part[-1]) + 1 for part in parts[:-1])]
+    even = [_line(time, begin, part, period, packet) for begin, part in zip(begins, parts, strict=True)]
+    return np.asarray(time_ns[0] + np.rint(np.concatenate(even)).astype(np.int64))
+
+
+def _line(time: Array, begin: int, last: NDArray[np.intp], period: float, packet: float) -> Array:
+    """Times of the samples from `begin` to the last: on the line through the last ones of their packets.
+
+    Where these lie on none, as the clock was set or few packets are left: packet by packet.
+    """
+    index = np.arange(begin, last[-1] + 1)
+    if last.size >= FEWEST:
+        slope, start = np.polyfit(last, time[last], 1)
+        if np.quantile(np.abs(start + slope * last - time[last]), 0.9) < LOST * packet:
+            return np.asarray(start + slope * index)
+    last = np.append(begin - 1, last)
+    ends = np.append(time[last[1]] - period * (last[1] - last[0]), time[last[1:]])
+    return np.asarray(np.interp(index, last, ends))
+
+
+def _streams(values: Array) -> tuple[list[NDArray[np.intp]], list[int]]:
+    """Rows of every stream, and which one each column is of."""
+    known: list[NDArray[np.bool_]] = []
+    of = []
+    for column in values.T:
+        here = np.isfinite(column)
+        shared = (i for i, rows in enumerate(known) if 2 * np.sum(here & rows) >= np.sum(here))
+        stream = next(shared, len(known))
+        if stream == len(known):
+            known.append(here)
+        known[stream] |= here
+        of.append(stream)
+    return [np.flatnonzero(rows) for rows in known], of
