@@ -102,7 +102,7 @@ inline double Fit::bend_of_determinant(std::size_t l, Eigen::VectorXd* pull) {
   LogFit& log = logs_[l];
   const Columns& columns = layout_.log(l);
   const Eigen::VectorXd at = local(l);
-  const double e = constants::slope_share;
+  const double e = constants::slope_step;
   std::vector<double> bend(log.stretches.size());
   std::vector<Eigen::VectorXd> pulls(log.stretches.size());
   parallel_for(bend.size(), threads_, [&](std::size_t i) {

@@ -14,7 +14,7 @@ inline constexpr double pilot =
     5.0;  // [s] on which finer knots are tried first, of records twice as long: RMS of 200 disturbed ones as without it
 inline constexpr double masked_told = 0.01;  // share of the samples that, masked, calls for finer knots
 inline constexpr double gather_window =
-    0.02;  // [s] of four rows, where it holds eight samples: gains at 1 kHz moved by 0.00 sigma, up to 40 Hz
+    0.02;  // [s] of four rows, where it holds eight samples: gains at 1 kHz moved by 0.00 sigma, up to 40 Hz; a mask has one each side
 inline constexpr double jacobian_spread =
     1e-3;  // of the motion's information in an interval, that a shared Jacobian may leave out: of 168 clean records of wrench motions and
            // tumbling wrong 2 -> 0, NEES 1.32 -> 0.99; 0.01 left 1
@@ -23,7 +23,6 @@ inline constexpr double smoothness_least = 1e-12;  // q's, by the rows of R agai
 inline constexpr double freedom = 4.0;             // of the Student-t weights: 1 % of spikes at NEES 1.03
 inline constexpr double mask_weight = 0.3;         // share of clean samples masked: 0.0003 of six channels
 inline constexpr double mask_shortest = 0.030;  // [s] of a contact, which is widened; shorter gaps are closed
-inline constexpr double mask_margin = 0.020;    // [s] each side
 inline constexpr double mask_worth =
     1.2;  // factor on the variance of the noise found, up to which masked samples are left in: of motions that stop and go NEES
 // 1.11 -> 0.99, worst of 50 4.4 -> 1.6; contacts and spikes have 1.26 and more, 224 disturbed records ended as before
@@ -31,8 +30,8 @@ inline constexpr double most_lost =
     0.2;  // share of the samples that are masked, or of the raw output that no motion explains, beyond which a result is
 // refused: 9 of 476 imperfect records; explained by none at most 0.05 in 150 of them, with a foreign motion 0.26 to 1
 inline constexpr double filter_prior = 0.5;  // 1 sigma of kappa and gamma
-inline constexpr double slope_step = 0.05;   // of kappa, for what x adds to its score: tolerance
-inline constexpr double slope_share = 0.2;   // of the smoothness, likewise: tolerance
+inline constexpr double slope_step =
+    0.05;  // of kappa and of the smoothness, for what x adds to kappa's score: tolerance
 inline constexpr double undetermined =
     0.5;  // of the prior's sigma, from which on nothing was told: words (METHOD 6); kappa and gamma are held: NEES 27 -> 1.1
 inline constexpr double delay_left =
@@ -44,7 +43,6 @@ inline constexpr double departure_floor = 1e-4;  // likewise: tolerance
 inline constexpr double move =
     0.05;  // converged: of sigma of theta (RMS), and of the sizes as standard deviations: tolerance
 inline constexpr int most_iterations = 25;         // tolerance
-inline constexpr int most_halvings = 5;            // of a step: tolerance
 inline constexpr double taus[] = {0.1, 0.3, 1.0};  // [s] of (10.9): d entered in 1 of 8 clean records
 inline constexpr double discrepancy_cap =
     3.0;  // sigma of the fit without d: without it d explains the wrench itself

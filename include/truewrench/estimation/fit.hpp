@@ -250,7 +250,7 @@ class Fit {
       de = RowMatrix::Zero(e.rows(), e.cols());
       sweep.back(pick(step_, layout_.log(l)), dc, de);
     });
-    for (int halving = 0; halving <= constants::most_halvings; ++halving, share *= 0.5) {
+    for (; share > 0.5 * constants::move; share *= 0.5) {  // less is no move
       theta = from + share * step_;
       for (std::size_t l = 0; l < logs_.size(); ++l)
         for (std::size_t i = 0; i < x[l].size(); ++i) {

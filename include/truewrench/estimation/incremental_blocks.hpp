@@ -154,11 +154,10 @@ inline bool Incremental::run(int most, bool last) {
     lag_.back(first);
     theta1_ = lag_.theta;
     coefficients(x1_);
-    double share = 1.0;
-    for (int halving = 0; halving <= constants::most_halvings; ++halving, share *= 0.5) {
-      for (int i = 0; halving > 0 && i < nt; ++i)
+    for (double share = 1.0; share > 0.5 * constants::move; share *= 0.5) {  // less is no move
+      for (int i = 0; share < 1.0 && i < nt; ++i)
         lag_.theta[i] = theta0_[i] + share * (theta1_[i] - theta0_[i]);
-      for (long g = first; halving > 0 && g <= end; ++g)
+      for (long g = first; share < 1.0 && g <= end; ++g)
         for (int k = 0; k < kWidth; ++k) {
           const auto at = static_cast<std::size_t>(kWidth * (g - first) + k);
           lag_.block(g).x[k] = x0_[at] + share * (x1_[at] - x0_[at]);
@@ -302,7 +301,7 @@ inline void Incremental::count(long from, long to) {
 // not left.
 inline void Incremental::set_mask(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
-  const double ahead = lag_.start_of(stay) + 2.0 * constants::mask_shortest + constants::mask_margin;
+  const double ahead = lag_.start_of(stay) + 2.0 * constants::mask_shortest + constants::gather_window;
   entries_.clear();
   for (long g = first; g < lag_.end() && lag_.start_of(g) <= ahead; ++g)
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
@@ -324,7 +323,7 @@ inline void Incremental::set_mask(long leaving) {
   std::size_t next = 0;  // first entry after the run
   const auto widen = [&](std::size_t to) {
     const bool lasting = end - begin + period_ >= constants::mask_shortest - 1e-9;
-    const double margin = (lasting ? constants::mask_margin : 0.0) + 1e-9, from = begin - margin,
+    const double margin = (lasting ? constants::gather_window : 0.0) + 1e-9, from = begin - margin,
                  until = end + margin;
     for (std::size_t k = to; k > 0 && entries_[k - 1].end >= from; --k)
       if (entries_[k - 1].begin <= until) entries_[k - 1].masked = true;

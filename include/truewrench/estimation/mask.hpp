@@ -110,8 +110,8 @@ inline void set_mask(Fit& fit) {
         while (b < n && low[static_cast<std::size_t>(b)] != 0) ++b;
         if (s.raw.time[b - 1] - s.raw.time[a] + log.period >= constants::mask_shortest - 1e-9)
           for (Eigen::Index k = 0; k < n; ++k)
-            if (s.raw.time[k] >= s.raw.time[a] - constants::mask_margin - 1e-9 &&
-                s.raw.time[k] <= s.raw.time[b - 1] + constants::mask_margin + 1e-9)
+            if (s.raw.time[k] >= s.raw.time[a] - constants::gather_window - 1e-9 &&
+                s.raw.time[k] <= s.raw.time[b - 1] + constants::gather_window + 1e-9)
               out[static_cast<std::size_t>(k)] = 1;
         a = b;
       }
