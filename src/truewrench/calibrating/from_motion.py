@@ -21,6 +21,7 @@ from truewrench.calibrating.unknown_bodies import (
     with_first_guess,
 )
 from truewrench.estimation.assembly import assemble_motion, motion_figures
+from truewrench.estimation.colour import without_filters
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.estimator import unsolved
 from truewrench.estimation.evidence import Evidence
@@ -50,6 +51,7 @@ def calibrate_from_motion(
     clock = [time.perf_counter()]
     online = estimator == "online"
     places = moving_logs(rig, logs)
+    logs = [without_filters(log) if k in places else log for k, log in enumerate(logs)]
     moving = [logs[k] for k in places]
     stated, rig = rig, with_first_guess(rig, moving)
     known = known_logs(rig, moving)

@@ -38,7 +38,7 @@ def assemble_motion(
         verdict,
         [_motion_report(log, k, estimate) for k, log in enumerate(logs)],
         offset_temperature=estimate.offset_temperature,
-        time_offset=float(estimate.time_offsets[-1]),
+        time_offset=float(estimate.time_offsets[-1]) - logs[-1].advance(),
         time_offset_std=float(estimate.time_offsets_std[-1]),
         payload_posterior={
             name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
@@ -86,7 +86,7 @@ def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
         log.payload,
         estimate.offsets[k],
         estimate.offsets_std[k],
-        time_offset=float(estimate.time_offsets[k]),
+        time_offset=float(estimate.time_offsets[k]) - log.advance(),
         used=int(np.count_nonzero(~rows.masked)),
         masked=dict(masked),
         rejected={"outside every stretch of motion": outside} if outside else {},

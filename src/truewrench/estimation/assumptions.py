@@ -118,7 +118,7 @@ class Assumptions:
         clock, kappa, gamma = 0.0, _KAPPA_CLOCK, _GAMMA_CLOCK
         if sensor.lowpass_hz is not None:
             clock, kappa, gamma = 1.0 / (2.0 * np.pi * sensor.lowpass_hz), _KAPPA_FILTER, _GAMMA_FILTER
-        position, found = None, False
+        position, found, acceleration = None, False, _array(motion.acceleration_noise)
         if motion.source == "joints":
             found = motion.position_noise is None and any(log.position is not None for log in logs)
             if motion.position_noise is not None:
@@ -131,7 +131,7 @@ class Assumptions:
             sign=sensor.sign,
             nominal=sensor.nominal_gain_array * sensor.range_array / scale[:, None],
             gain_prior=sensor.gain_prior,
-            noise=sensor.noise_array / scale,
+            noise=sensor.noise_array / scale * _growth(logs, "raw"),
             offset_prior=sensor.offset_prior_array / scale,
             pool_offsets=sensor.pool_offsets,
             slope_prior=_slope_prior(rig, logs),
@@ -144,10 +144,14 @@ class Assumptions:
             clock_mean=clock,
             kappa_mean=kappa,
             gamma_mean=gamma,
-            motion_noise=None if motion.noise is None else motion.noise_array,
+            motion_noise=None
+            if motion.noise is None
+            else motion.noise_array * _growth(logs, "twist", "velocity", "angular_velocity"),
             position_noise=position,
             position_noise_found=found,
-            acceleration_noise=_array(motion.acceleration_noise),
+            acceleration_noise=None
+            if acceleration is None
+            else acceleration * _growth(logs, "specific_force"),
             accelerometer_bias_prior=motion.accelerometer_bias_prior or 0.0,
             gyro_bias_prior=motion.gyro_bias_prior or 0.0,
             discrepancy=-1.0 if sensor.discrepancy == "auto" else float(sensor.discrepancy),
@@ -195,6 +199,13 @@ def _body_prior(spec: PayloadSpec) -> Array:
     moment = np.sqrt(np.diag(spec.inertia_matrix))
     inertia = [sigma.inertia * moment[i] * moment[j] for i, j in INERTIA_ELEMENTS]
     return np.array([sigma.mass, *[sigma.center_of_mass] * 3, *inertia])
+
+
+def _growth(logs: Sequence[Log], *streams: str) -> float:
+    """Of the 1 sigma of noise whose filter has been undone."""
+    return max(
+        (log.whitened[name].growth for log in logs for name in streams if name in log.whitened), default=1.0
+    )
 
 
 def _slope_prior(rig: Rig, logs: Sequence[Log]) -> float:

@@ -49,6 +49,12 @@ CHANNELS = ("force", "moment", "channels")
 """What `FoundNoise.what` is where it is the sensor's."""
 
 _STREAMS = {"twist": "velocities", "rate of turn": "rates of turn"}
+_FIELDS = {
+    "velocities": "velocity",
+    "positions": "position",
+    "rate of turn": "angular_velocity",
+    "specific force": "specific_force",
+}
 _FAST = {
     "vibration": "peak in the residuals, fraction of range",
     "jitter": "1 sigma of the stamps, s",
@@ -65,6 +71,7 @@ def findings(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Assumed
     slow, fast = looks_slow(estimate, rig, logs), fast_looks(estimate, rig, logs)
     found: list[Assumed] = []
     for k in range(len(estimate.rows)):
+        found += _filters(logs, k)
         found += _clocks(estimate, rig, logs, k)
         found += _slow(estimate, rig, logs, k, slow)
         found += _noise(estimate, rig, logs, k, [looks.kind for looks in fast])
@@ -149,6 +156,17 @@ def _what(kinds: Sequence[str], meaning: str) -> str:
     return f"{', '.join(kinds[:MOST])}: {meaning}"
 
 
+def _filters(logs: Sequence[Log], k: int) -> Iterator[Assumed]:
+    """Of whose noise, which was made white."""
+    for found in logs[k].whitened.values() if k < len(logs) else ():
+        words = f"the noise of {found.columns} looks filtered at {found.corner:.2g} Hz"
+        words += f"; one of {found.step} samples read"
+        if found.growth > 1.0:
+            earlier = f"{1e3 * found.advance:.2g} ms earlier"
+            words += f", without the filter: {found.growth:.2g} x the noise, {earlier}"
+        yield Assumed("filter: corner of a stream's noise, Hz", log_name(logs, k), found.corner, None, words)
+
+
 def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterator[Assumed]:
     """Clocks and filters.
 
@@ -157,9 +175,10 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
     """
     hz = rig.sensor.lowpass_hz
     for clock in estimate.clocks[k]:
+        undone = logs[k].advance(_FIELDS.get(clock.stream)) if k < len(logs) else 0.0
         s, std = clock.late, clock.std
         expected = 0.0 if hz is None else 1.0 / (2.0 * math.pi * hz)
-        if not abs(s - expected) > TOLD * std or not math.isfinite(s):
+        if not abs(s + undone - expected) > TOLD * std or not math.isfinite(s):
             continue
         stream, where = _STREAMS.get(clock.stream, clock.stream), log_name(logs, k)
         tau, sigma, motion = _filter(clock, hz)
@@ -172,9 +191,11 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
             )
             yield Assumed(_what(kinds, f"how late the {late} are, s"), where, tau, sigma, words)
             s += tau if motion else -tau  # what is left is a clock
-            if not abs(s - expected) > TOLD * math.hypot(std, sigma):
+            if not abs(s + undone - expected) > TOLD * math.hypot(std, sigma):
                 continue
-        kinds = ("clock", "delay") if tau > 0.0 else ("clock", "delay", "filter")
+        s += undone
+        seen = ("filter", "delay", "clock") if undone else ("clock", "delay", "filter")
+        kinds = ("clock", "delay") if tau > 0.0 else seen
         first, second = ("sensor", stream) if s > 0.0 else (stream, "sensor")
         verb = "is" if first == "sensor" else "are"
         within = f", within the stated {1e3 * clock.stated:.3g} ms" if abs(s) <= clock.stated else ""

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicSpline
 
-__all__ = ["Log", "Reference", "Tracking"]
+__all__ = ["Log", "Reference", "Tracking", "Whitened"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -67,6 +67,25 @@ class Tracking:
 
 
 @dataclass(frozen=True, slots=True)
+class Whitened:
+    """How the noise of a stream was filtered, which has been undone.
+
+    Attributes:
+        columns: of the log, for a person.
+        growth: of the noise's 1 sigma.
+        advance: of what is slow [s].
+        corner: where the density of the noise had fallen to half [Hz].
+        step: samples of which one is left.
+    """
+
+    columns: str
+    growth: float
+    advance: float
+    corner: float
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
 class Log:
     """One recording: N rows, SI units, NaN where a stream has no sample at a row's time.
 
@@ -94,6 +113,7 @@ class Log:
         reference: (N, 6) wrench known from elsewhere, in the rig's sign [N, N m], None likewise.
         offset_jumps_ns: time stamps at which the offset begins anew.
         tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
+        whitened: fields of which a filter has been undone, as the estimate reads them.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
         dropped_rows: rows without any measurement, which are not among the N.
         notes: what is no fault of the log but worth a look.
@@ -118,6 +138,7 @@ class Log:
     base_attitude: FloatArray | None = None
     offset_jumps_ns: tuple[int, ...] = ()
     tracking: Tracking | None = None
+    whitened: Mapping[str, Whitened] = field(default_factory=dict)
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
     notes: tuple[str, ...] = ()
@@ -126,3 +147,10 @@ class Log:
     def time(self) -> FloatArray:
         """(N,) time since the first row [s]."""
         return np.asarray((self.time_ns - self.time_ns[:1]) * 1e-9, np.float64)
+
+    def advance(self, stream: str | None = None) -> float:
+        """How far filters undone advance the sensor against a field of motion, by default the first [s]."""
+        first = ("position", "twist", "specific_force", "velocity")
+        of = stream or next((name for name in first if getattr(self, name) is not None), "")
+        raw, motion = (self.whitened[x].advance if x in self.whitened else 0.0 for x in ("raw", of))
+        return raw - motion

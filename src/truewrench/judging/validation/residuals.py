@@ -112,7 +112,7 @@ class _Known:
 
 def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     sensor = rig.sensor
-    tau = calibration.time_offset
+    tau = calibration.time_offset + log.advance()
     motion = InertialMotion(rig, log)
     chunks = _compared(motion, log, tau)
     if sensor.time_offset_prior > 0.0:
