@@ -38,7 +38,7 @@ def assemble_motion(
         verdict,
         [_motion_report(log, k, estimate) for k, log in enumerate(logs)],
         offset_temperature=estimate.offset_temperature,
-        time_offset=float(estimate.time_offsets[-1]) - logs[-1].advance(),
+        time_offset=_time_offset(logs[-1], len(logs) - 1, estimate),
         time_offset_std=float(estimate.time_offsets_std[-1]),
         payload_posterior={
             name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
@@ -73,6 +73,12 @@ def motion_figures(rig: Rig, estimate: Estimate) -> dict[str, Any]:
     }
 
 
+def _time_offset(log: Log, k: int, estimate: Estimate) -> float:
+    """Of the samples as they were logged, against the first stream of the motion [s]."""
+    clocks = estimate.clocks[k]
+    return float(estimate.time_offsets[k]) - (log.advance(clocks[0].field) if clocks else 0.0)
+
+
 def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
     rows = estimate.rows[k]
     masked = Counter[str]()
@@ -86,7 +92,7 @@ def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
         log.payload,
         estimate.offsets[k],
         estimate.offsets_std[k],
-        time_offset=float(estimate.time_offsets[k]) - log.advance(),
+        time_offset=_time_offset(log, k, estimate),
         used=int(np.count_nonzero(~rows.masked)),
         masked=dict(masked),
         rejected={"outside every stretch of motion": outside} if outside else {},

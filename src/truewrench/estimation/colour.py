@@ -4,7 +4,7 @@ Sensors and drivers filter what they log, noise and all. Taken for white, such n
 at the frequencies of a motion, and its slow part seems to be a motion or a disturbance. Where no motion is,
 its spectrum tells the filter, by Whittle's likelihood: a mean of so many samples, one of which tells all that
 they do; or an autoregressive model A(z), whose inverse A(z) / A(1) leaves white noise of the same density and
-undoes the delay.
+undoes the delay (docs/method.md, M12a).
 """
 
 from __future__ import annotations

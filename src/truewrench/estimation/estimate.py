@@ -68,6 +68,12 @@ class Clock:
     gamma: float | None = None
     gamma_std: float | None = None
 
+    @property
+    def field(self) -> str:
+        """Of a `Log`, that holds this stream."""
+        fields = {"positions": "position", "velocities": "velocity", "rate of turn": "angular_velocity"}
+        return fields.get(self.stream, self.stream.replace(" ", "_"))
+
 
 @dataclass(frozen=True, slots=True)
 class FoundNoise:

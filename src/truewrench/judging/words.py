@@ -49,12 +49,6 @@ CHANNELS = ("force", "moment", "channels")
 """What `FoundNoise.what` is where it is the sensor's."""
 
 _STREAMS = {"twist": "velocities", "rate of turn": "rates of turn"}
-_FIELDS = {
-    "velocities": "velocity",
-    "positions": "position",
-    "rate of turn": "angular_velocity",
-    "specific force": "specific_force",
-}
 _FAST = {
     "vibration": "peak in the residuals, fraction of range",
     "jitter": "1 sigma of the stamps, s",
@@ -175,13 +169,13 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
     """
     hz = rig.sensor.lowpass_hz
     for clock in estimate.clocks[k]:
-        undone = logs[k].advance(_FIELDS.get(clock.stream)) if k < len(logs) else 0.0
+        undone = logs[k].advance(clock.field) if k < len(logs) else 0.0
         s, std = clock.late, clock.std
         expected = 0.0 if hz is None else 1.0 / (2.0 * math.pi * hz)
         if not abs(s + undone - expected) > TOLD * std or not math.isfinite(s):
             continue
         stream, where = _STREAMS.get(clock.stream, clock.stream), log_name(logs, k)
-        tau, sigma, motion = _filter(clock, hz)
+        tau, sigma, motion = _filter(clock, hz) if undone == 0.0 else (0.0, 0.0, False)
         if tau > 0.0:
             kinds = ("filter", "delay") if clock.gamma is not None else ("filter", "delay", "clock")
             late = stream if motion else "sensor's channels"
@@ -191,7 +185,7 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
             )
             yield Assumed(_what(kinds, f"how late the {late} are, s"), where, tau, sigma, words)
             s += tau if motion else -tau  # what is left is a clock
-            if not abs(s + undone - expected) > TOLD * math.hypot(std, sigma):
+            if not abs(s - expected) > TOLD * math.hypot(std, sigma):
                 continue
         s += undone
         seen = ("filter", "delay", "clock") if undone else ("clock", "delay", "filter")

@@ -1,0 +1,122 @@
+"""Filtered noise: the filter is found by its spectrum and undone, and white noise is left as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from record_cases import light_rig
+from scipy.signal import butter, lfilter
+
+import truewrench as tw
+from truewrench.estimation.colour import colour_of, without_filters
+from truewrench.model.log import Log
+from truewrench.motion.trajectory import HarmonicTwist
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+RATE = 500.0  # [Hz]
+SETTLED = 500  # samples after which a filter has forgotten where it began
+
+
+def slow(time: Array, seed: int) -> Array:
+    """Six motions of up to 2 Hz, a thousand times as large as the noise."""
+    rng = np.random.default_rng(seed)
+    f = rng.uniform(0.1, 2.0, (4, 6))
+    return np.asarray(np.sum(np.sin(2 * np.pi * f * time[:, None, None] + 6.0 * rng.random((4, 6))), axis=1))
+
+
+def samples(seed: int, count: int = 10_000) -> tuple[Array, Array, Array]:
+    """Times, a motion, and it with white noise of 1e-3."""
+    time = np.arange(count) / RATE
+    clean = slow(time, seed)
+    return time, clean, clean + 1e-3 * np.random.default_rng(seed + 1).standard_normal(clean.shape)
+
+
+def one_pole(values: Array, hz: float) -> Array:
+    """As `y += share * (x - y)` of a driver."""
+    share = 1.0 - np.exp(-2.0 * np.pi * hz / RATE)
+    return np.asarray(lfilter([share], [1.0, share - 1.0], values, axis=0))
+
+
+def test_white_noise_is_left_as_it_is() -> None:
+    for seed in range(40):
+        time, _, noisy = samples(seed, 4_000)
+        assert colour_of(time, noisy) is None
+
+
+def test_lines_steps_and_bursts_are_no_filter() -> None:
+    time, _, noisy = samples(0)
+    ripple = 0.01 * np.sin(2 * np.pi * 31.0 * time)[:, None]
+    contact = np.where((time > 8.0) & (time < 8.4), 0.3, 0.0)[:, None]
+    spikes = np.zeros_like(noisy)
+    spikes[::211] = 0.1
+    for disturbance in (ripple, contact, spikes):
+        assert colour_of(time, noisy + disturbance) is None
+
+
+@pytest.mark.parametrize("length", [3, 5, 8, 16, 30])
+def test_of_a_mean_of_samples_one_is_kept(length: int) -> None:
+    time, _, noisy = samples(length)
+    mean = lfilter(np.full(length, 1.0 / length), [1.0], noisy, axis=0)[SETTLED:]
+    found = colour_of(time[SETTLED:], mean)
+    assert found is not None
+    assert found.step == length
+    assert found.advance == 0.0
+    kept = found.whitened(mean)
+    assert np.array_equal(kept[::length], mean[::length])
+    assert np.isnan(np.delete(kept, np.s_[::length], axis=0)).all()
+
+
+@pytest.mark.parametrize("hz", [15.0, 25.0, 50.0, 90.0])
+def test_one_pole_is_undone(hz: float) -> None:
+    """What is left is the motion as it was, and white noise of the density before the filter."""
+    time, clean, noisy = samples(int(hz), 30_000)
+    found = colour_of(time[SETTLED:], one_pole(noisy, hz)[SETTLED:])
+    assert found is not None
+    pole = np.exp(-2.0 * np.pi * hz / RATE)
+    growth = np.sqrt((1.0 + pole) / (1.0 - pole) / found.step)
+    assert found.growth == pytest.approx(growth, rel=0.05)
+    mean = 0.5 * (found.step - 1)  # by which those means are late, samples
+    assert found.advance == pytest.approx(pole / (1.0 - pole) - mean, abs=0.02 * RATE / hz)
+    undone = found.whitened(one_pole(clean, hz))[SETTLED:]
+    rows = np.isfinite(undone[:, 0])
+    late = slow(time[SETTLED:][rows] - mean / RATE, int(hz))
+    assert np.abs(undone[rows] - late).max() < 2.5 / hz  # a tenth of what the filter takes
+
+
+def filtered(log: Log, stream: str, order: int, hz: float) -> Log:
+    b, a = butter(order, 2.0 * hz / RATE)
+    values = lfilter(b, a, getattr(log, stream), axis=0)
+    kept = slice(SETTLED, None)
+    raw = log.raw if stream == "twist" else values
+    twist = values if stream == "twist" else log.twist
+    assert twist is not None
+    return replace(log, time_ns=log.time_ns[kept], raw=raw[kept], twist=twist[kept])
+
+
+@pytest.mark.parametrize(("stream", "sign"), [("raw", -1.0), ("twist", 1.0)])
+@pytest.mark.parametrize(("order", "hz"), [(1, 20.0), (2, 50.0)])
+def test_filtered_records_are_honest_and_named(stream: str, sign: float, order: int, hz: float) -> None:
+    """Their noise taken for white: NEES 1.9, one of eight usable, or ten times the time."""
+    rig = light_rig(seconds=20, rate=RATE, discrepancy=0)
+    errors, usable = [], 0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        frequency = np.tile([[0.2], [0.37], [0.53], [0.71], [0.9], [1.1]], (1, 6))
+        size, phase = 0.25 * rng.uniform(0.2, 0.7, (6, 6)), rng.uniform(0, 2 * np.pi, (6, 6))
+        run = tw.simulate(rig, HarmonicTwist(size, frequency, phase, 20), seed=seed)
+        log = filtered(run.log, stream, order, hz)
+        assert stream in without_filters(log).whitened
+        found = tw.calibrate(rig, log, held_out=False)
+        error = (found.gain - run.truth.gain).ravel()
+        errors.append(error @ np.linalg.solve(found.covariance[:36, :36], error) / 36.0)
+        usable += found.verdict.usable
+        assert any("filter" in assumed.what.split(":")[0] for assumed in found.assumed)
+        delay = 1.0 / (2.0 * np.pi * hz) * (1.0 if order == 1 else np.sqrt(2.0))
+        expected = run.truth.time_offset + sign * delay
+        assert found.time_offset == pytest.approx(expected, abs=0.15 * delay)
+    assert np.mean(errors) < 1.4
+    assert usable >= 5
