@@ -58,7 +58,7 @@ def test_a_lost_packet_moves_no_other(size: int, seed: int) -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(jitter=st.floats(0.0, 1.0), seed=st.integers(0, 10_000))
+@given(jitter=st.floats(0.0, 0.5), seed=st.integers(0, 10_000))
 def test_stamps_that_scatter_are_left_alone(jitter: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     time = PERIOD * np.arange(2_000) + (jitter * PERIOD * rng.standard_normal(2_000)).astype(np.int64)
@@ -116,3 +116,16 @@ def table(log: Log, raw: Stamps, moved: Stamps) -> dict[str, Any]:
             columns[name] = np.full(union.size, np.nan)
             columns[name][np.searchsorted(union, stamps)] = column
     return columns
+
+
+def test_after_a_stall_samples_are_spread_over_it() -> None:
+    """Now and then a logger sleeps, and stamps what has waited at once."""
+    true = PERIOD * np.arange(4_000)
+    stamps, rng = true.copy(), np.random.default_rng(3)
+    for first in rng.choice(np.arange(50, 3_900, 60), 20, replace=False):
+        count = int(rng.integers(6, 40))
+        stamps[first : first + count] = true[first + count - 1] + 20_000 * np.arange(count) - 20_000 * count
+    found = in_packets(stamps)
+    assert found is not None
+    assert np.abs(stamps - true).max() > 30e6
+    assert np.abs(found - true).max() < 0.1e6

@@ -28,6 +28,7 @@ SHARE = 0.4
 scatter by the period itself have 0.1."""
 
 FEWEST = 8  # packets
+WAITED = 4  # intervals in a row that are so short, in a stream that comes one by one: of a stall
 
 LOST = 0.5
 """Of a packet's time, by which one and those after it come later than their samples say: another was lost."""
@@ -63,7 +64,7 @@ def _said(stream: int, columns: Sequence[str], of: Sequence[int], even: Stamps) 
     names = [name for name, i in zip(columns, of, strict=True) if i == stream]
     told = ", ".join(names if len(names) < 3 else [names[0], "...", names[-1]])
     period = 1e-6 * float(np.median(np.diff(even)))
-    return f"{told}: samples come in packets, stamped on receipt; taken as {period:.3g} ms apart, evenly"
+    return f"{told}: samples come in packets, stamped on receipt; those taken as {period:.3g} ms apart"
 
 
 def in_packets(time_ns: Stamps) -> Stamps | None:
@@ -81,33 +82,50 @@ def _even(time_ns: Stamps) -> Stamps | None:
     steps = np.diff(time_ns)
     together = steps < CLOSE * (time_ns[-1] - time_ns[0]) / steps.size
     last = np.append(np.flatnonzero(~together), time_ns.size - 1)  # of each packet
-    if np.mean(together) < SHARE or last.size < FEWEST:
-        return None
     time = (time_ns - time_ns[0]).astype(np.float64)
+    if np.mean(together) < SHARE or last.size < FEWEST:
+        return _after_stalls(time_ns, together)
     size, lasted = np.diff(last), np.diff(time[last])
     period, packet = float(np.median(lasted / size)), float(np.median(lasted))
     late = time[last] - period * last
-    suspected = np.flatnonzero(lasted - period * size > LOST * packet) + 1
+    scatter = 1.48 * float(np.median(np.abs(np.diff(late))))
+    jump = max(LOST * packet, 3.0 * scatter)
     lost = [
         k
-        for k in suspected
-        if np.median(late[k : k + FEWEST]) - np.median(late[max(k - FEWEST, 0) : k]) > LOST * packet
+        for k in np.flatnonzero(lasted - period * size > LOST * packet) + 1
+        if np.median(late[k : k + FEWEST]) - np.median(late[max(k - FEWEST, 0) : k]) > jump
     ]
     parts = np.split(last, lost)
     begins = [0, *(int(part[-1]) + 1 for part in parts[:-1])]
-    even = [_line(time, begin, part, period, packet) for begin, part in zip(begins, parts, strict=True)]
+    even = [_line(time, begin, part, period, jump) for begin, part in zip(begins, parts, strict=True)]
     return np.asarray(time_ns[0] + np.rint(np.concatenate(even)).astype(np.int64))
 
 
-def _line(time: Array, begin: int, last: NDArray[np.intp], period: float, packet: float) -> Array:
+def _after_stalls(time_ns: Stamps, together: NDArray[np.bool_]) -> Stamps | None:
+    """With samples that waited, several at once, spread over the time in which nothing came."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], together.astype(int), [0]])))
+    waited = [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= WAITED]
+    if not waited or together.all():
+        return None
+    out, period = time_ns.copy(), float(np.median(np.diff(time_ns)[~together]))
+    for first, last in waited:
+        back = period * np.arange(last - first, -1, -1)
+        if first > 0:
+            silent = float(time_ns[last] - time_ns[first - 1])
+            back = np.minimum(back, silent * np.arange(last - first, -1, -1) / (last - first + 1))
+        out[first : last + 1] = time_ns[last] - np.rint(back).astype(np.int64)
+    return out
+
+
+def _line(time: Array, begin: int, last: NDArray[np.intp], period: float, apart: float) -> Array:
     """Times of the samples from `begin` to the last: on the line through the last ones of their packets.
 
-    Where these lie on none, as the clock was set or few packets are left: packet by packet.
+    Where these lie further apart from it, as the clock was set, or few are left: packet by packet.
     """
     index = np.arange(begin, last[-1] + 1)
     if last.size >= FEWEST:
         slope, start = np.polyfit(last, time[last], 1)
-        if np.quantile(np.abs(start + slope * last - time[last]), 0.9) < LOST * packet:
+        if np.quantile(np.abs(start + slope * last - time[last]), 0.9) < apart:
             return np.asarray(start + slope * index)
     last = np.append(begin - 1, last)
     ends = np.append(time[last[1]] - period * (last[1] - last[0]), time[last[1:]])
