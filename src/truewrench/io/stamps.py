@@ -28,6 +28,7 @@ SHARE = 0.4
 scatter by the period itself have 0.1."""
 
 FEWEST = 8  # packets
+SAMPLES = 64  # of a piece, below which nothing is done
 WAITED = 4  # intervals in a row that are so short, in a stream that comes one by one: of a stall
 
 LOST = 0.5
@@ -72,7 +73,7 @@ def in_packets(time_ns: Stamps) -> Stamps | None:
     out, found = time_ns.copy(), False
     cuts = np.flatnonzero(np.diff(time_ns) > APART) + 1
     for piece in np.split(np.arange(time_ns.size), cuts):
-        if piece.size > FEWEST and (even := _even(time_ns[piece])) is not None:
+        if piece.size >= SAMPLES and (even := _even(time_ns[piece])) is not None:
             out[piece], found = even, True
     return out if found and (np.diff(out) > 0).all() else None
 
@@ -93,7 +94,8 @@ def _even(time_ns: Stamps) -> Stamps | None:
     lost = [
         k
         for k in np.flatnonzero(lasted - period * size > LOST * packet) + 1
-        if np.median(late[k : k + FEWEST]) - np.median(late[max(k - FEWEST, 0) : k]) > jump
+        if k + FEWEST // 2 <= last.size
+        and np.median(late[k : k + FEWEST]) - np.median(late[max(k - FEWEST, 0) : k]) > jump
     ]
     parts = np.split(last, lost)
     begins = [0, *(int(part[-1]) + 1 for part in parts[:-1])]
