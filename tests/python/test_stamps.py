@@ -44,7 +44,7 @@ def test_packets_give_back_the_times_of_their_samples(size: int, seed: int, phas
 
 
 def test_a_lost_packet_moves_no_other() -> None:
-    """Two of a hundred packets lost; where the loss itself goes unnoticed, those near it move by less than two."""
+    """Two of a hundred are lost; where that goes unnoticed, those near by move by less than two packets."""
     typical, worst = [], []
     for seed in range(100):
         rng = np.random.default_rng(seed)
