@@ -25,10 +25,11 @@ __all__ = ["Colour", "colour_of", "without_filters"]
 
 Array = NDArray[np.float64]
 
-BEGIN = 12.0  # [Hz] from which on a spectrum is noise, as motions are slower; and the lowest pole
+BEGIN = 12.0  # [Hz] from which on a spectrum is noise, as motions are slower
+SLOW = 0.75  # of it, below which a corner is none: hysteresis and walks have spectra like that of a slow pole
 END = 0.6  # of the Nyquist frequency, beyond which digital filters have zeros
 LINES = 15  # bins of a running median, which passes over spectral lines
-FEWEST = 512  # samples of a stretch
+FEWEST = 512  # samples of a stretch, and of a spectrum
 MOST = 131_072  # that are looked at
 LONGEST = 64  # samples of a mean
 FASTER, SLOWEST = 1.5, 50.0  # what is kept of an autoregressive stream: to so many times the corner, and [Hz]
@@ -36,7 +37,7 @@ FASTER, SLOWEST = 1.5, 50.0  # what is kept of an autoregressive stream: to so m
 TOLD = 30.0
 """Of -2 log L, by which one more coefficient has to lower it: of 120 healthy records none was coloured."""
 
-GROWS = 1.2
+GROWS = 1.15
 """Of the noise's 1 sigma at the same rate, from which on a filter matters."""
 
 APART = 3.0
@@ -88,7 +89,7 @@ def without_filters(log: Log) -> Log:
     whitened: dict[str, Whitened] = {}
     for name, columns in STREAMS.items():
         values = getattr(log, name)
-        if values is None:
+        if values is None or (name == "twist" and log.tracking is not None):  # of joints, which made it
             continue
         rows = np.flatnonzero(np.isfinite(values).any(axis=1))
         colour = colour_of(log.time[rows], values[rows])
@@ -110,7 +111,7 @@ def colour_of(time: Array, values: Array) -> Colour | None:
     if found is None:
         return None
     omega, power, averages, period = found
-    slowest = np.exp(-2.0 * np.pi * BEGIN * period)
+    slowest = np.exp(-np.pi * BEGIN * period)
 
     def cost(model: Array) -> float:
         return averages * _whittle(model, power, omega)
@@ -119,7 +120,7 @@ def colour_of(time: Array, values: Array) -> Colour | None:
         return cost(_density(_polynomial(x, slowest), omega))
 
     density = np.ones_like(omega)
-    if np.abs(_levels(power, density)).max() < np.log(GROWS):
+    if np.abs(_levels(power, density)).max() < np.log(1.0 + 0.5 * (GROWS - 1.0)):
         return None
     lowest, colour = cost(density), None
     for start in ([1.0], [1.0, -0.3]):
@@ -133,7 +134,8 @@ def colour_of(time: Array, values: Array) -> Colour | None:
             lowest, colour, density = now, Colour(np.ones(1), length, 1.0, 0.443 / length), model
     if colour is None or np.abs(_levels(power, density)).max() > np.log(APART):
         return None
-    return colour if colour.growth * np.sqrt(colour.step) > GROWS else None
+    matters = colour.growth * np.sqrt(colour.step) > GROWS and colour.corner > SLOW * BEGIN * period
+    return colour if matters else None
 
 
 def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] | None:
@@ -142,8 +144,7 @@ def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] |
     if not pieces:
         return None
     period = float(np.median(np.diff(time)))
-    size = 1 << int(np.log2(np.clip(1.0 / period, FEWEST // 4, FEWEST)))
-    frequency = np.fft.rfftfreq(size, period)
+    frequency = np.fft.rfftfreq(FEWEST, period)
     use = (frequency >= BEGIN) & (frequency <= END * 0.5 / period)
     if use.sum() < 2 * LINES:
         return None
@@ -152,9 +153,9 @@ def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] |
     for piece in pieces:
         part = values[piece][:MOST]
         part = part[np.isfinite(part).all(axis=1)]
-        if len(part) >= FEWEST:
+        if len(part) >= FEWEST + 2:
             twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast
-            found = welch(twice, 1.0 / period, nperseg=size, axis=0, average="median")[1]
+            found = welch(twice, 1.0 / period, nperseg=FEWEST, axis=0, average="median")[1]
             total += found[use] * len(part)
             count += len(part)
     if not count:
@@ -162,7 +163,7 @@ def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] |
     omega: Array = np.asarray(2.0 * np.pi * period * frequency[use], np.float64)
     power: Array = _without_lines(total / count / (2.0 - 2.0 * np.cos(omega))[:, None] ** 2)
     power = power[:, (power > 0.0).all(axis=0)]
-    return (omega, power, count / size, period) if power.size else None
+    return (omega, power, count / FEWEST, period) if power.size else None
 
 
 def _without_lines(power: Array) -> Array:
@@ -187,7 +188,8 @@ def _autoregressive(a: Array, period: float) -> Colour:
     """A(z), and means of what is far faster than the corner: filters have other poles, and zeros, there."""
     grid = np.linspace(0.0, np.pi, 4097)
     density = _density(a, grid)
-    corner = float(grid[np.argmax(density < 0.5 * density[0])]) / (2.0 * np.pi)
+    fallen = density < 0.5 * density[0]
+    corner = float(grid[np.argmax(fallen)]) / (2.0 * np.pi) if fallen.any() else 0.5
     step = max(2, int(0.5 / max(FASTER * corner, SLOWEST * period)))
     growth = np.sqrt(density[0] * np.pi / np.trapezoid(density, grid) / step)
     return Colour(np.convolve(a / a.sum(), np.full(step, 1.0 / step)), step, float(growth), corner)

@@ -225,7 +225,7 @@ def _jitter(rows: LogRows, estimate: Estimate, rig: Rig, log: Log, late: float) 
         felt = rows.wrench[at] @ estimate.gain.T / rig.sensor.channel_scale
         r = np.where(rows.masked[at, None], np.nan, rows.residual[at])
         pairs.append((r, np.gradient(felt, t[at], axis=0)))
-        if log.twist is not None:
+        if log.twist is not None and rig.motion.source == "twist":
             a, later = rows.acceleration[at], t[at] + late
             moves = zip(rows.twist[at].T, a.T, strict=True)
             expected = np.column_stack([CubicHermiteSpline(t[at], v, dv)(later) for v, dv in moves])
