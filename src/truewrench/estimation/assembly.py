@@ -30,6 +30,7 @@ def assemble_motion(
     n = rig.sensor.n
     stated = np.diag(estimate.normalised_covariance)[: 6 * n]
     wrenches = [rows.wrench[~rows.masked] for rows in estimate.rows]
+    growth = max((log.whitened["raw"].growth for log in logs if "raw" in log.whitened), default=1.0)
     return assemble(
         rig,
         estimator,
@@ -38,7 +39,7 @@ def assemble_motion(
         verdict,
         [_motion_report(log, k, estimate) for k, log in enumerate(logs)],
         offset_temperature=estimate.offset_temperature,
-        time_offset=_time_offset(logs[-1], len(logs) - 1, estimate),
+        time_offset=float(estimate.time_offsets[-1]),
         time_offset_std=float(estimate.time_offsets_std[-1]),
         payload_posterior={
             name: _posterior(rig.payloads[name], departure) for name, departure in estimate.payloads.items()
@@ -46,7 +47,7 @@ def assemble_motion(
         quadratic=estimate.quadratic,
         quadratic_std=estimate.quadratic_std,
         discrepancy=estimate.discrepancy,
-        bound=Bound(oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
+        bound=Bound(growth * oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
         **rest,
     )
 
@@ -73,12 +74,6 @@ def motion_figures(rig: Rig, estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _time_offset(log: Log, k: int, estimate: Estimate) -> float:
-    """Of the samples as they were logged, against the first stream of the motion [s]."""
-    clocks = estimate.clocks[k]
-    return float(estimate.time_offsets[k]) - (log.advance(clocks[0].field) if clocks else 0.0)
-
-
 def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
     rows = estimate.rows[k]
     masked = Counter[str]()
@@ -92,7 +87,7 @@ def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
         log.payload,
         estimate.offsets[k],
         estimate.offsets_std[k],
-        time_offset=_time_offset(log, k, estimate),
+        time_offset=float(estimate.time_offsets[k]),
         used=int(np.count_nonzero(~rows.masked)),
         masked=dict(masked),
         rejected={"outside every stretch of motion": outside} if outside else {},

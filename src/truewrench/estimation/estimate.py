@@ -57,6 +57,7 @@ class Clock:
         kappa_std: its 1 sigma, None where it was held.
         gamma: 1 where gravity is late, too; None where it was held or does not act.
         gamma_std: its 1 sigma.
+        undone: how much later the sensor was than `late` before filters were undone [s].
     """
 
     stream: str
@@ -67,12 +68,7 @@ class Clock:
     kappa_std: float | None = None
     gamma: float | None = None
     gamma_std: float | None = None
-
-    @property
-    def field(self) -> str:
-        """Of a `Log`, that holds this stream."""
-        fields = {"positions": "position", "velocities": "velocity", "rate of turn": "angular_velocity"}
-        return fields.get(self.stream, self.stream.replace(" ", "_"))
+    undone: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,8 +265,8 @@ class Estimate:
 
     @property
     def time_offsets(self) -> Array:
-        """(L,) t_motion = t_sensor + time_offset [s], of the first motion stream."""
-        return np.array([-clocks[0].late if clocks else 0.0 for clocks in self.clocks])
+        """(L,) t_motion = t_sensor + time_offset [s], as logged, of the first motion stream."""
+        return np.array([-clocks[0].late - clocks[0].undone if clocks else 0.0 for clocks in self.clocks])
 
     @property
     def time_offsets_std(self) -> Array:

@@ -101,8 +101,8 @@ def _solved(
         offsets=np.array([offset for offset, _ in pairs]),
         offsets_std=np.sqrt([np.diag(variance) for _, variance in pairs]),
         clocks=tuple(
-            _clocks(rig, c, record, fit, theta, covariance)
-            for c, record in zip(columns, records, strict=True)
+            _clocks(rig, log, c, record, fit, theta, covariance)
+            for log, c, record in zip(logs, columns, records, strict=True)
         ),
         payloads={
             name: payload_departure(spec, joint, name)
@@ -193,6 +193,14 @@ def _rows(rig: Rig, log: Log, of: Any) -> LogRows:
     )
 
 
+_FIELDS = {
+    "positions": "position",
+    "velocities": "velocity",
+    "rate of turn": "angular_velocity",
+    "specific force": "specific_force",
+}
+
+
 def _streams(rig: Rig, record: Any) -> list[str]:
     """What people call the motion streams of a log."""
     if record.source == _core.Source.mapped:
@@ -204,7 +212,7 @@ def _streams(rig: Rig, record: Any) -> list[str]:
 
 
 def _clocks(
-    rig: Rig, columns: Any, record: Any, fit: Any, theta: Array, covariance: Array
+    rig: Rig, log: Log, columns: Any, record: Any, fit: Any, theta: Array, covariance: Array
 ) -> tuple[Clock, ...]:
     active, at = set(fit.active), np.array(columns.at)
     std = np.sqrt(np.diag(covariance))
@@ -224,6 +232,7 @@ def _clocks(
                 float(std[kappa]) if free else None,
                 None if gravity is None else float(theta[gravity]),
                 None if gravity is None else float(std[gravity]),
+                log.advance(_FIELDS.get(stream, "twist")),
             )
         )
     return tuple(out)

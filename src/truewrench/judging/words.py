@@ -169,8 +169,7 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
     """
     hz = rig.sensor.lowpass_hz
     for clock in estimate.clocks[k]:
-        undone = logs[k].advance(clock.field) if k < len(logs) else 0.0
-        s, std = clock.late, clock.std
+        s, std, undone = clock.late, clock.std, clock.undone
         expected = 0.0 if hz is None else 1.0 / (2.0 * math.pi * hz)
         if not abs(s + undone - expected) > TOLD * std or not math.isfinite(s):
             continue
