@@ -21,6 +21,7 @@ from truewrench.calibrating.unknown_bodies import (
     with_first_guess,
 )
 from truewrench.estimation.assembly import assemble_motion, motion_figures
+from truewrench.estimation.clock_rate import clock_rates, with_rate
 from truewrench.estimation.colour import without_filters
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.estimator import unsolved
@@ -33,6 +34,8 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
 __all__ = ["Progress", "Show", "calibrate_from_motion"]
+
+_RATES = 3  # times that clocks are set
 
 Progress = Callable[[str, float | None], None]
 Show = Callable[[Evidence], None]
@@ -59,7 +62,7 @@ def calibrate_from_motion(
     if refused:
         pooled = Pooled(unsolved(rig, logs), places)
     else:
-        pooled = estimate_pooled(rig, logs, threads=threads or 0, online=online)
+        logs, pooled = _at_one_rate(rig, logs, threads or 0, online)
     estimate = pooled.estimate
     clock.append(time.perf_counter())
     provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
@@ -115,6 +118,22 @@ def calibrate_from_motion(
         },
         timings=dict(zip(("estimate", "compare", "judge"), np.diff(clock).tolist(), strict=True)),
     )
+
+
+def _at_one_rate(rig: Rig, logs: Sequence[Log], threads: int, online: bool) -> tuple[Sequence[Log], Pooled]:
+    """The estimate, anew while clocks are found to run at different rates, and its logs."""
+    pooled = estimate_pooled(rig, logs, threads=threads, online=online)
+    before = np.zeros(len(logs))
+    for _ in range(_RATES):
+        rates = clock_rates(rig, logs, pooled.estimate)
+        if not rates.any():
+            break
+        # what is left falls by the same share each time, as the motion follows the other
+        share = np.divide(rates, before, out=np.zeros_like(rates), where=before != 0.0)
+        before = rates / (1.0 - np.clip(share, 0.0, 0.8))
+        logs = [with_rate(log, r) if r != 0.0 else log for log, r in zip(logs, before, strict=True)]
+        pooled = estimate_pooled(rig, logs, threads=threads, online=online)
+    return logs, pooled
 
 
 def _comparisons(

@@ -159,6 +159,11 @@ def _filters(logs: Sequence[Log], k: int) -> Iterator[Assumed]:
             earlier = f"{1e3 * found.advance:.2g} ms earlier"
             words += f", without the filter: {found.growth:.2g} x the noise, {earlier}"
         yield Assumed("filter: corner of a stream's noise, Hz", log_name(logs, k), found.corner, None, words)
+    if k < len(logs) and logs[k].clock_rate != 0.0:
+        rate = float(logs[k].clock_rate)
+        faster = f"{1e6 * abs(rate):.2g} ppm {'faster' if rate > 0.0 else 'slower'}"
+        words = f"the sensor's clock runs {faster} than the motion's"
+        yield Assumed("clock: rate over the motion's, less 1", log_name(logs, k), rate, None, words)
 
 
 def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterator[Assumed]:

@@ -114,6 +114,7 @@ class Log:
         offset_jumps_ns: time stamps at which the offset begins anew.
         tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
         whitened: fields of which a filter has been undone, as the estimate reads them.
+        clock_rate: how much faster than the motion's the sensor's clock ran, undone.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
         dropped_rows: rows without any measurement, which are not among the N.
         notes: what is no fault of the log but worth a look.
@@ -139,6 +140,7 @@ class Log:
     offset_jumps_ns: tuple[int, ...] = ()
     tracking: Tracking | None = None
     whitened: Mapping[str, Whitened] = field(default_factory=dict)
+    clock_rate: float = 0.0
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
     notes: tuple[str, ...] = ()

@@ -1,0 +1,104 @@
+"""A sensor's clock that runs faster or slower than that of the motion, as crystals of two devices do.
+
+A sensor that is late by s + r (t - t_m) leaves -r (t - t_m) C dw/dt in the residuals. How late it is in parts
+of a record, beside what gain, offset and s can follow, is a straight line then, and no line where a clock was
+set; the variance is that of shorter parts, as residuals last. The rate is undone at the sensor's stamps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench.estimation.estimate import Estimate, LogRows
+from truewrench.model.log import Log, Tracking
+from truewrench.model.rig import Rig
+
+__all__ = ["clock_rates", "with_rate"]
+
+Array = NDArray[np.float64]
+
+TOLD, LEFT = 6.0, 2.0  # sigma of a rate: that is told, and then left
+STRAIGHT = 0.1  # of the chi-square of all lateness, or 3 a degree of freedom: what no line holds
+PARTS, SHORTER = 10, 4  # of a record, and of each of them
+
+
+def clock_rates(rig: Rig, logs: Sequence[Log], estimate: Estimate) -> Array:
+    """(L,) how much faster than the motion's the sensor's clock runs in each log; 0 where none is told."""
+    if not estimate.solved:
+        return np.zeros(len(logs))
+    gain = estimate.gain / rig.sensor.channel_scale[:, None]
+    told = [TOLD if log.clock_rate == 0.0 else LEFT for log in logs]
+    return np.array([_rate(rows, gain, z) for rows, z in zip(estimate.rows, told, strict=True)])
+
+
+def _rate(rows: LogRows, gain: Array, least: float) -> float:
+    use = np.flatnonzero(~rows.masked & np.isfinite(rows.residual).all(axis=1))
+    if use.size < 10 * PARTS * SHORTER:
+        return 0.0
+    time, felt = rows.time[use], rows.wrench[use] @ gain.T
+    rate = np.concatenate([np.gradient(felt[at], time[at], axis=0) for at in _runs(rows.stretch[use])])
+    left = rows.residual[use] + rows.discrepancy[use]
+    size = np.abs(rows.wrench[use]).max(axis=0).clip(1e-12)
+    basis, _ = np.linalg.qr(np.column_stack([rows.wrench[use] / size, np.ones(use.size)]))
+    score, information = np.zeros(use.size), np.zeros(use.size)
+    for x, y in zip(rate.T, left.T, strict=True):
+        x, y = x - basis @ (basis.T @ x), y - basis @ (basis.T @ y)
+        variance = np.mean(y**2)
+        if not variance > 0.0:
+            return 0.0
+        score += x * y / variance
+        information += x * x / variance
+    parts = np.array_split(np.arange(use.size), PARTS * SHORTER)
+    S, J = (np.array([v[at].sum() for at in parts]).reshape(PARTS, SHORTER) for v in (score, information))
+    if not (J > 0.0).all():
+        return 0.0
+    late = -S.sum(axis=1) / J.sum(axis=1)  # (PARTS,) [s]
+    spread = np.sum((S + late[:, None] * J) ** 2 / J) / (PARTS * (SHORTER - 1))  # 1 where residuals are white
+    weight = J.sum(axis=1) / max(spread, 1.0)
+    middle = np.array([time[at].mean() for at in parts]).reshape(PARTS, SHORTER).mean(axis=1)
+    apart = middle - weight @ middle / weight.sum()
+    late = late - weight @ late / weight.sum()
+    r = float(weight * apart @ late / (weight @ apart**2))
+    told = abs(r) * np.sqrt(weight @ apart**2) > least
+    total, crooked = weight @ late**2, weight @ (late - r * apart) ** 2
+    sums, weights = np.cumsum(weight * late)[:-1], np.cumsum(weight)[:-1]
+    of_step = total - np.max(sums**2 / weights + sums**2 / (weight.sum() - weights))  # a clock that was set
+    straight = crooked < min(max(STRAIGHT * total, 3.0 * (PARTS - 2)), of_step)
+    return r if told and straight else 0.0
+
+
+def _runs(stretch: NDArray[np.int64]) -> list[NDArray[np.intp]]:
+    return [np.flatnonzero(stretch == k) for k in np.unique(stretch)]
+
+
+def with_rate(log: Log, rate: float) -> Log:
+    """The log with its sensor's stamps as the motion's clock would have them, at rows of their own."""
+    sensed = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
+    middle = 0.5 * float(log.time_ns[sensed[0]] + log.time_ns[sensed[-1]])
+    stamps = log.time_ns[sensed] - np.rint(rate * (log.time_ns[sensed] - middle)).astype(np.int64)
+    union = np.unique(np.concatenate([stamps, log.time_ns]))
+    places = np.searchsorted(union, log.time_ns)
+
+    def moved(values: Array, to: NDArray[np.intp]) -> Array:
+        out: Array = np.full((union.size, *values.shape[1:]), np.nan)
+        out[to] = values
+        return out
+
+    changed: dict[str, Any] = {
+        f.name: moved(getattr(log, f.name), places)
+        for f in fields(log)
+        if isinstance(getattr(log, f.name), np.ndarray) and f.name != "time_ns"
+    }
+    changed["raw"] = moved(log.raw[sensed], np.searchsorted(union, stamps))
+    if log.tracking is not None:
+        arrays = {f.name: getattr(log.tracking, f.name) for f in fields(Tracking)}
+        rows: dict[str, Any] = {
+            name: moved(x, places) for name, x in arrays.items() if isinstance(x, np.ndarray)
+        }
+        changed["tracking"] = replace(log.tracking, **rows)
+    return replace(log, time_ns=union, clock_rate=log.clock_rate + rate, **changed)
