@@ -87,3 +87,13 @@ def test_arms(arm_rig: RigOf) -> None:
     assert rate_told(found) == pytest.approx(2e-4, rel=0.3)
     assert np.abs(found.gain - clean.gain).max() < np.abs(clean.gain).max() * 0.02
     assert found.gain_std.mean() < 1.2 * clean.gain_std.mean()
+
+
+def test_a_stretch_of_one_sample_tells_no_rate() -> None:
+    rig = light_rig(seconds=20, rate=100, discrepancy=0)
+    log = run_of(rig, 0).log
+    found = estimate(rig, [log])
+    stretch = found.rows[0].stretch.copy()
+    stretch[-1] += 1
+    alone = replace(found, rows=(replace(found.rows[0], stretch=stretch),))
+    assert not clock_rates(rig, [log], alone).any()

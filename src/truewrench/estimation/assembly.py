@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.estimation.assumptions import growth_of
 from truewrench.estimation.bound import oracle_rms
 from truewrench.estimation.estimate import Estimate, PayloadDeparture
 from truewrench.model.calibration import AXES, Bound, Calibration, LogReport, Verdict
@@ -30,7 +31,6 @@ def assemble_motion(
     n = rig.sensor.n
     stated = np.diag(estimate.normalised_covariance)[: 6 * n]
     wrenches = [rows.wrench[~rows.masked] for rows in estimate.rows]
-    growth = max((log.whitened["raw"].growth for log in logs if "raw" in log.whitened), default=1.0)
     return assemble(
         rig,
         estimator,
@@ -47,7 +47,7 @@ def assemble_motion(
         quadratic=estimate.quadratic,
         quadratic_std=estimate.quadratic_std,
         discrepancy=estimate.discrepancy,
-        bound=Bound(growth * oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
+        bound=Bound(growth_of(logs, "raw") * oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
         **rest,
     )
 

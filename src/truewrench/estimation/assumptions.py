@@ -17,7 +17,14 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
 
-__all__ = ["FIRST_POSITION_NOISE", "INERTIA_ELEMENTS", "Assumption", "Assumptions", "statement"]
+__all__ = [
+    "FIRST_POSITION_NOISE",
+    "INERTIA_ELEMENTS",
+    "Assumption",
+    "Assumptions",
+    "growth_of",
+    "statement",
+]
 
 Array = NDArray[np.float64]
 
@@ -131,7 +138,7 @@ class Assumptions:
             sign=sensor.sign,
             nominal=sensor.nominal_gain_array * sensor.range_array / scale[:, None],
             gain_prior=sensor.gain_prior,
-            noise=sensor.noise_array / scale * _growth(logs, "raw"),
+            noise=sensor.noise_array / scale * growth_of(logs, "raw"),
             offset_prior=sensor.offset_prior_array / scale,
             pool_offsets=sensor.pool_offsets,
             slope_prior=_slope_prior(rig, logs),
@@ -146,12 +153,12 @@ class Assumptions:
             gamma_mean=gamma,
             motion_noise=None
             if motion.noise is None
-            else motion.noise_array * _growth(logs, "twist", "velocity", "angular_velocity"),
+            else motion.noise_array * growth_of(logs, "twist", "velocity", "angular_velocity"),
             position_noise=position,
             position_noise_found=found,
             acceleration_noise=None
             if acceleration is None
-            else acceleration * _growth(logs, "specific_force"),
+            else acceleration * growth_of(logs, "specific_force"),
             accelerometer_bias_prior=motion.accelerometer_bias_prior or 0.0,
             gyro_bias_prior=motion.gyro_bias_prior or 0.0,
             discrepancy=-1.0 if sensor.discrepancy == "auto" else float(sensor.discrepancy),
@@ -201,7 +208,7 @@ def _body_prior(spec: PayloadSpec) -> Array:
     return np.array([sigma.mass, *[sigma.center_of_mass] * 3, *inertia])
 
 
-def _growth(logs: Sequence[Log], *streams: str) -> float:
+def growth_of(logs: Sequence[Log], *streams: str) -> float:
     """Of the 1 sigma of noise whose filter has been undone."""
     return max(
         (log.whitened[name].growth for log in logs for name in streams if name in log.whitened), default=1.0

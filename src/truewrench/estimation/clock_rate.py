@@ -22,7 +22,7 @@ __all__ = ["clock_rates", "with_rate"]
 
 Array = NDArray[np.float64]
 
-TOLD, LEFT = 6.0, 2.0  # sigma of a rate: that is told, and then left
+TOLD, LEFT = 6.0, 2.0  # sigma of a rate: that is told, and then left; told in 0 of 230 records without one
 STRAIGHT = 0.1  # of the chi-square of all lateness, or 3 a degree of freedom: what no line holds
 PARTS, SHORTER = 10, 4  # of a record, and of each of them
 
@@ -40,8 +40,8 @@ def _rate(rows: LogRows, gain: Array, least: float) -> float:
     use = np.flatnonzero(~rows.masked & np.isfinite(rows.residual).all(axis=1))
     if use.size < 10 * PARTS * SHORTER:
         return 0.0
-    time, felt = rows.time[use], rows.wrench[use] @ gain.T
-    rate = np.concatenate([np.gradient(felt[at], time[at], axis=0) for at in _runs(rows.stretch[use])])
+    time = rows.time[use]
+    rate = _rates_of(rows, rows.wrench @ gain.T)[use]
     left = rows.residual[use] + rows.discrepancy[use]
     size = np.abs(rows.wrench[use]).max(axis=0).clip(1e-12)
     basis, _ = np.linalg.qr(np.column_stack([rows.wrench[use] / size, np.ones(use.size)]))
@@ -72,8 +72,14 @@ def _rate(rows: LogRows, gain: Array, least: float) -> float:
     return r if told and straight else 0.0
 
 
-def _runs(stretch: NDArray[np.int64]) -> list[NDArray[np.intp]]:
-    return [np.flatnonzero(stretch == k) for k in np.unique(stretch)]
+def _rates_of(rows: LogRows, felt: Array) -> Array:
+    """Derivative by time of (K, n), masked rows as well; 0 where a stretch has a single row."""
+    out = np.zeros_like(felt)
+    for k in np.unique(rows.stretch):
+        at = np.flatnonzero(rows.stretch == k)
+        if at.size > 1:
+            out[at] = np.gradient(felt[at], rows.time[at], axis=0)
+    return out
 
 
 def with_rate(log: Log, rate: float) -> Log:
@@ -92,7 +98,7 @@ def with_rate(log: Log, rate: float) -> Log:
     changed: dict[str, Any] = {
         f.name: moved(getattr(log, f.name), places)
         for f in fields(log)
-        if isinstance(getattr(log, f.name), np.ndarray) and f.name != "time_ns"
+        if isinstance(getattr(log, f.name), np.ndarray) and f.name not in ("time_ns", "raw")
     }
     changed["raw"] = moved(log.raw[sensed], np.searchsorted(union, stamps))
     if log.tracking is not None:

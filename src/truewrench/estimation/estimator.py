@@ -198,6 +198,7 @@ _FIELDS = {
     "velocities": "velocity",
     "rate of turn": "angular_velocity",
     "specific force": "specific_force",
+    "accelerations": "acceleration",
 }
 
 

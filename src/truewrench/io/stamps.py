@@ -111,10 +111,11 @@ def _after_stalls(time_ns: Stamps, together: NDArray[np.bool_]) -> Stamps | None
         return None
     out, period = time_ns.copy(), float(np.median(np.diff(time_ns)[~together]))
     for first, last in waited:
-        back = period * np.arange(last - first, -1, -1)
+        later = np.arange(last - first, -1, -1)  # samples
+        back = period * later
         if first > 0:
             silent = float(time_ns[last] - time_ns[first - 1])
-            back = np.minimum(back, silent * np.arange(last - first, -1, -1) / (last - first + 1))
+            back = np.minimum(back, silent * later / (last - first + 1))
         out[first : last + 1] = time_ns[last] - np.rint(back).astype(np.int64)
     return out
 

@@ -65,7 +65,7 @@ def findings(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Assumed
     slow, fast = looks_slow(estimate, rig, logs), fast_looks(estimate, rig, logs)
     found: list[Assumed] = []
     for k in range(len(estimate.rows)):
-        found += _filters(logs, k)
+        found += _undone(logs, k)
         found += _clocks(estimate, rig, logs, k)
         found += _slow(estimate, rig, logs, k, slow)
         found += _noise(estimate, rig, logs, k, [looks.kind for looks in fast])
@@ -150,17 +150,19 @@ def _what(kinds: Sequence[str], meaning: str) -> str:
     return f"{', '.join(kinds[:MOST])}: {meaning}"
 
 
-def _filters(logs: Sequence[Log], k: int) -> Iterator[Assumed]:
-    """Of whose noise, which was made white."""
-    for found in logs[k].whitened.values() if k < len(logs) else ():
+def _undone(logs: Sequence[Log], k: int) -> Iterator[Assumed]:
+    """Filters and a clock's rate, which the estimate's log is without."""
+    if k >= len(logs):
+        return
+    for found in logs[k].whitened.values():
         words = f"the noise of {found.columns} looks filtered at {found.corner:.2g} Hz"
         words += f"; one of {found.step} samples read"
         if found.growth > 1.0:
             earlier = f"{1e3 * found.advance:.2g} ms earlier"
             words += f", without the filter: {found.growth:.2g} x the noise, {earlier}"
         yield Assumed("filter: corner of a stream's noise, Hz", log_name(logs, k), found.corner, None, words)
-    if k < len(logs) and logs[k].clock_rate != 0.0:
-        rate = float(logs[k].clock_rate)
+    rate = float(logs[k].clock_rate)
+    if rate != 0.0:
         faster = f"{1e6 * abs(rate):.2g} ppm {'faster' if rate > 0.0 else 'slower'}"
         words = f"the sensor's clock runs {faster} than the motion's"
         yield Assumed("clock: rate over the motion's, less 1", log_name(logs, k), rate, None, words)
