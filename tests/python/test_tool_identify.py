@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from tool_cases import a_rig, pose_log, swing_log
 
@@ -14,6 +15,7 @@ import truewrench as tw
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.model.split import rows_of
 from truewrench.tool.model import Tool
 
 MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
@@ -67,6 +69,24 @@ def test_motion_tells_the_inertia() -> None:
     assert (np.abs(tool.inertia - truth) < 4.0 * tool.inertia_std).all()
     assert (tool.inertia_std < 0.05 * INERTIA[0, 0]).all()
     assert not tool.exported.inertia_assumed
+
+
+def test_filtered_noise_is_told_and_undone() -> None:
+    rig = tool_rig(a_rig())
+    log = swing_log(rig, MASS, CENTER, INERTIA, seconds=20.0)
+    share = 1.0 - np.exp(-2.0 * np.pi * 14.0 / 100.0)  # 14 Hz, as `y += share * (x - y)` of a driver
+    late = {k: lfilter([share], [1.0, share - 1.0], getattr(log, k), axis=0) for k in ("raw", "twist")}
+    told = np.arange(100, len(log.time_ns))  # where the filter has forgotten its begin
+    twist = rows_of(replace(log, twist=late["twist"]), told)
+    raw = rows_of(replace(log, raw=late["raw"]), told)
+    for filtered, column, advance in ((twist, "vx ... wz", 9e-3), (raw, "raw_*", -9e-3)):
+        tool = tw.identify_tool(rig, filtered)
+        assert tool.verdict.usable, tool.verdict.reasons
+        assert within(tool)
+        truth = np.array([INERTIA[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))])
+        assert (np.abs(tool.inertia - truth) < 4.0 * tool.inertia_std).all()
+        assert tool.time_offset == pytest.approx(advance, abs=3e-3)  # as it is logged
+        assert [words.split(" looks")[0] for words in tool.figures["filters"]] == [f"the noise of {column}"]
 
 
 def test_poses_and_motion_together_are_better_than_either() -> None:

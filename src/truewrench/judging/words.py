@@ -155,12 +155,8 @@ def _undone(logs: Sequence[Log], k: int) -> Iterator[Assumed]:
     if k >= len(logs):
         return
     for found in logs[k].whitened.values():
-        words = f"the noise of {found.columns} looks filtered at {found.corner:.2g} Hz"
-        words += f"; one of {found.step} samples read"
-        if found.growth > 1.0:
-            earlier = f"{1e3 * found.advance:.2g} ms earlier"
-            words += f", without the filter: {found.growth:.2g} x the noise, {earlier}"
-        yield Assumed("filter: corner of a stream's noise, Hz", log_name(logs, k), found.corner, None, words)
+        kind = "filter: corner of a stream's noise, Hz"
+        yield Assumed(kind, log_name(logs, k), found.corner, None, found.words)
     rate = float(logs[k].clock_rate)
     if rate != 0.0:
         faster = f"{1e6 * abs(rate):.2g} ppm {'faster' if rate > 0.0 else 'slower'}"

@@ -84,6 +84,16 @@ class Whitened:
     corner: float
     step: int
 
+    @property
+    def words(self) -> str:
+        """For a person."""
+        words = f"the noise of {self.columns} looks filtered at {self.corner:.2g} Hz"
+        words += f"; one of {self.step} samples read"
+        if self.growth > 1.0:
+            earlier = f"{1e3 * self.advance:.2g} ms earlier"
+            words += f", without the filter: {self.growth:.2g} x the noise, {earlier}"
+        return words
+
 
 @dataclass(frozen=True, slots=True)
 class Log:
@@ -152,7 +162,7 @@ class Log:
 
     def advance(self, stream: str | None = None) -> float:
         """How far filters undone advance the sensor against a field of motion, by default the first [s]."""
-        first = ("position", "twist", "specific_force", "velocity")
+        first = ("position", "velocity", "twist", "specific_force")  # the twist of joints is no stream
         of = stream or next((name for name in first if getattr(self, name) is not None), "")
         raw, motion = (self.whitened[x].advance if x in self.whitened else 0.0 for x in ("raw", of))
         return raw - motion

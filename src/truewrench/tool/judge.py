@@ -62,7 +62,7 @@ def judge(
 ) -> Judged:
     """Set-up tests, words and needs of one identification; `logs` those of motion."""
     moving = bool(logs)
-    figures = _figures(solution, motion, left)
+    figures = _figures(solution, motion, left) | {"filters": _filters(logs)}
     reasons, needed = _reasons(rig, solution, motion, left, figures, determined, logs)
     unknown, more = _undetermined(rig, solution, motion, moving, determined, figures)
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(dict.fromkeys([*needed, *more])))
@@ -96,6 +96,11 @@ def _figures(solution: Solution, motion: MotionFit | None, left: Left) -> dict[s
         "held_out": {kind: asdict(one) for kind, one in left.by_kind.items()},
         "held_out_ratio": dict(left.ratio),
     }
+
+
+def _filters(logs: Sequence[Log]) -> list[str]:
+    """What was undone of the noise of logs, each said once."""
+    return list(dict.fromkeys(found.words for log in logs for found in log.whitened.values()))
 
 
 def _directions(solution: Solution) -> tuple[int, float, Array]:

@@ -42,7 +42,7 @@ class MotionFit:
     Attributes:
         information: on gain, body, offsets and tilt.
         body: (10,) log m, c, inertia at its estimate.
-        time_offset: of the last log's clock, and its 1 sigma [s].
+        time_offset: of the last log's clock as it is logged, and its 1 sigma [s].
         masked: share of the samples that were left out as contacts and outliers.
         factors: of the noise that was found, of channels and of motion, over the stated.
         slow: the largest slow error that was found, fraction of range.
@@ -167,7 +167,7 @@ def _taken(
     return MotionFit(
         MotionInformation(at_center, back.T @ information @ back, back.T @ gradient),
         y[6 * n : 6 * n + 10],
-        (-float(theta[s]), float(np.sqrt(P[s, s]))),
+        (-float(theta[s]) - moves[-1].record.advance(), float(np.sqrt(P[s, s]))),
         float(np.mean(np.concatenate(masked))) if masked else 0.0,
         tuple(
             float(f)

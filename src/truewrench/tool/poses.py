@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.estimation.colour import without_filters
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -77,7 +78,7 @@ class Move:
 
     Attributes:
         log: which log.
-        record: the log, channels where it moves alone.
+        record: the log without the filters that colour its noise, channels where it moves alone.
         knots: [s] since its first row, where its poses tell how its offset walks: begin and end of
             each move in turn, at which it has an offset of its own; empty: the log's.
     """
@@ -117,7 +118,7 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     for k, log in enumerate(logs):
         pieces, kept, seconds = _cut(rig, log)
         parts.append(_poses(rig, k, log, pieces))
-        if kept.size and (move := _move(k, log, kept, seconds, bool(pieces))) is not None:
+        if kept.size and (move := _move(k, without_filters(log), kept, seconds, bool(pieces))) is not None:
             moves.append(move)
     names = ("log", "time_ns", "seconds", "raw", "variance", "R_sensor_root", "temperature")
     joined = Poses(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
