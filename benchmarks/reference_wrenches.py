@@ -1,12 +1,14 @@
 """Known wrenches (`ref_*`) whose errors last, in Monte Carlo: are 95% intervals right 95 times in 100?
 
     python benchmarks/reference_wrenches.py --seeds 200
+    python benchmarks/reference_wrenches.py --seeds 200 --only moving,held --late 0.01
 
 Gain and offset are drawn from their priors, 0.3 and 0.1; the stated noise of sensor and reference is 1e-3 of
 range. References: `moving` (30 s at 100 Hz, six frequencies an axis), `held` (40 loads of 2 s at 25 Hz, half
 a second between two), `table` (40 loads, a row every 30 s). Errors that last are 1e-3 to 1e-2 of range for
 0.3 to 3 s (`table`: 20 to 200 s), drawn log-uniformly: for all channels together with even seeds, for each by
-itself with odd ones. A share of their variance, drawn from 0 to 1, is the reference's.
+itself with odd ones. A share of their variance, drawn from 0 to 1, is the reference's. `--late`: [s] that the
+sensor is stamped too late, at most; uniform.
 
 `largest errors` are the gains of the channel of which the largest errors were found: how many of their
 intervals are right with sizes of its own, and with sizes and times averaged over the forces and over the
@@ -27,9 +29,11 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.estimation.lasting_errors import ErrorSize
+from truewrench.estimation.reference_clock import with_reference_on_time
 from truewrench.estimation.wrench_errors import FoundErrors
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -138,7 +142,7 @@ def lasting(draw: Draw, case: Case, time: Array, load: Array, alike: bool) -> Ar
     )
 
 
-def log_of(case: Case, seed: int) -> tuple[Rig, Log, Array, Array]:
+def log_of(case: Case, seed: int, late: float = 0.0) -> tuple[Rig, Log, Array, Array]:
     """Rig and log, with the gain (6, 6) and the offset (6,) that made it."""
     draw = np.random.default_rng([seed, CASES.index(case)])
     noise = (0.3 / case.signal, 0.3 / case.signal) if case.signal else (SENSOR, REFERENCE)
@@ -149,6 +153,9 @@ def log_of(case: Case, seed: int) -> tuple[Rig, Log, Array, Array]:
     gain = np.eye(6) + 0.3 * draw.standard_normal((6, 6))
     offset = 0.1 * draw.standard_normal(6)
     raw, reference = wrench @ gain.T + offset, wrench.copy()
+    if late > 0.0:
+        then = time - draw.uniform(0.0, late)
+        raw = CubicSpline(time, raw)(np.maximum(then, time[0]))
     if case.errors != "AR(1)":
         raw += noise[0] * draw.standard_normal(raw.shape)
         reference += noise[1] * draw.standard_normal(raw.shape)
@@ -185,9 +192,10 @@ def averaged(found: FoundErrors) -> FoundErrors:
     return replace(found, sizes=tuple(sizes))
 
 
-def trial(seed: int, case: Case) -> Result:
+def trial(seed: int, case: Case, late: float = 0.0) -> Result:
     """Estimate one log all ways."""
-    rig, log, gain, offset = log_of(case, seed)
+    rig, log, gain, offset = log_of(case, seed, late)
+    log, clock = with_reference_on_time(rig, log)
 
     def error(found: KnownWrenchEstimate) -> Array:
         return np.append((found.gain - gain).ravel(), found.offsets[0] - offset)
@@ -195,7 +203,7 @@ def trial(seed: int, case: Case) -> Result:
     def z(found: KnownWrenchEstimate) -> Array:
         return np.asarray(error(found) / np.sqrt(np.diag(found.normalised_covariance)))
 
-    found = estimate_from_known_wrench(rig, [log])
+    found = estimate_from_known_wrench(rig, [log], clocks=[clock])
     off = error(found)
     nees = float(off @ np.linalg.solve(found.normalised_covariance, off)) / 42
     other = any(kind.found for kind in found.errors)
@@ -203,8 +211,8 @@ def trial(seed: int, case: Case) -> Result:
     alike = [averaged(kind) for kind in found.errors]
     return Result(
         z(found),
-        z(estimate_from_known_wrench(rig, [log], errors=alike) if other else found),
-        z(estimate_from_known_wrench(rig, [log], errors=())),
+        z(estimate_from_known_wrench(rig, [log], alike, [clock]) if other else found),
+        z(estimate_from_known_wrench(rig, [log], (), [clock])),
         int(np.argmax(variance)),
         nees,
         float(np.mean(off[:36] ** 2)),
@@ -226,6 +234,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--late", type=float, default=0.0, help="[s] that the sensor is late at most")
     parser.add_argument("--only", default="moving,held,table,rows", help="references")
     options = parser.parse_args()
     print(f"{options.seeds} seeds a row.\n")
@@ -238,7 +247,9 @@ def main() -> None:
         for case in CASES:
             if case.reference not in options.only.split(","):
                 continue
-            results = list(pool.map(partial(trial, case=case), range(options.seeds), chunksize=5))
+            results = list(
+                pool.map(partial(trial, case=case, late=options.late), range(options.seeds), chunksize=5)
+            )
             z = np.array([r.z for r in results])
             share = float(np.mean(np.abs(z) < 1.96))
             low, high = binomial(share, z.size)

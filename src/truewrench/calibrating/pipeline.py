@@ -36,6 +36,8 @@ from truewrench.estimation.ekf import estimate_ekf
 from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
 from truewrench.estimation.least_squares import least_squares
+from truewrench.estimation.reference_clock import with_reference_on_time
+from truewrench.judging import of_references
 from truewrench.model.calibration import Bound, Calibration, LogReport, Verdict
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
@@ -121,7 +123,9 @@ def _from_known_wrench(
 ) -> Calibration:
     report("estimating (reference wrenches)", None)
     clock = [time.perf_counter()]
-    estimate = estimate_from_known_wrench(rig, logs)
+    on_time = [with_reference_on_time(rig, log) for log in logs]
+    logs, clocks = [log for log, _ in on_time], [found for _, found in on_time]
+    estimate = estimate_from_known_wrench(rig, logs, clocks=clocks)
     clock.append(time.perf_counter())
     report("comparing", None)
     compared = compare_known_wrench(rig, logs, estimate, held_out)
@@ -145,9 +149,9 @@ def _from_known_wrench(
         judgement.verdict,
         known_wrench_reports(rig, logs, estimate),
         offset_temperature=estimate.offset_temperature,
-        time_offset_std=rig.sensor.time_offset_prior,  # rows are synchronous: nothing was learnt of it
+        time_offset_std=rig.sensor.time_offset_prior,  # of a motion: nothing was learnt of it
         axes=judgement.axes,
-        assumed=estimate.findings,
+        assumed=(*of_references(logs, clocks), *estimate.findings),
         improvement=compared.improvement,
         bound=Bound(oracle_rms(rig, wrenches), float(np.sqrt(stated.mean()))),
         figures={

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.estimation.lasting_errors import Spread, spread_of_sizes, whitened
+from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.estimation.wrench_errors import (
     Fit,
     FoundErrors,
@@ -113,17 +114,21 @@ class KnownWrenchEstimate:
 
 
 def estimate_from_known_wrench(
-    rig: Rig, logs: Sequence[Log], errors: Sequence[FoundErrors] | None = None
+    rig: Rig,
+    logs: Sequence[Log],
+    errors: Sequence[FoundErrors] | None = None,
+    clocks: Sequence[ReferenceClock | None] = (),
 ) -> KnownWrenchEstimate:
     """Estimate one gain, an offset per log and its slope with temperature from wrenches known from elsewhere.
 
-    Rows are synchronous: raw channels and reference of a row belong together, and a time offset is not
-    estimated. Rows that contradict all others by more than chance are left out, one mis-noted weight, say.
+    Rows are synchronous: raw channels and reference of a row belong together (`with_reference_on_time`). Rows
+    that contradict all others by more than chance are left out, one mis-noted weight, say.
 
     Args:
         rig: sensor with its priors, `reference_noise`; payloads and motion play no part.
         logs: with reference columns.
         errors: sizes to estimate with, from an estimate with the same kinds of log; None: they are found.
+        clocks: what was undone at each log's reference, if anything was.
 
     Raises:
         InputError: for a log without a row that has both sides.
@@ -143,7 +148,7 @@ def estimate_from_known_wrench(
     elif any(found.found for found in errors):
         told = {found.stepped: found for found in errors}
         fit = fit_with(problem, kinds, tuple(told.get(s.stepped, s) for s in stated), fit.used)
-    return _result(rig, logs, problem, complete, log_of, kinds, fit)
+    return _result(rig, logs, problem, complete, log_of, kinds, fit, clocks)
 
 
 def _problem(rig: Rig, logs: Sequence[Log]) -> tuple[Problem, list[Integers], Integers]:
@@ -201,6 +206,7 @@ def _result(
     log_of: Integers,
     kinds: Sequence[Rows],
     fit: Fit,
+    clocks: Sequence[ReferenceClock | None],
 ) -> KnownWrenchEstimate:
     """In SI and raw units."""
     sensor, solution = rig.sensor, fit.solution
@@ -208,6 +214,7 @@ def _result(
     size = problem.mean.shape[1]
     spreads = _spreads(problem, kinds, fit)
     whole = _with_spreads(solution.covariance, spreads, np.diag(solution.noise), problem.exists)
+    whole += _of_clocks(problem, solution.parameters, complete, span, clocks)
     offset_of = np.zeros(len(logs), dtype=np.int64) if sensor.pool_offsets else np.arange(len(logs))
     index = np.arange(n * size).reshape(n, size)
     kept = np.concatenate([index[:, :6].ravel(), index[:, 6 + offset_of[-1]]])
@@ -297,6 +304,30 @@ def _with_spreads(
         for i, spread in enumerate(of_kind):
             own = i * size + np.flatnonzero(exists[i * size : (i + 1) * size])
             whole[np.ix_(own, own)] += stated[i] * spread.covariance
+    return whole
+
+
+def _of_clocks(
+    problem: Problem,
+    parameters: Array,
+    complete: Sequence[Integers],
+    span: Array,
+    clocks: Sequence[ReferenceClock | None],
+) -> Array:
+    """Covariance (n p, n p) of what clocks leave uncertain: w moved by D moves C by -(X^T X)^-1 X^T D C^T."""
+    whole = np.zeros((parameters.size, parameters.size))
+    X = np.hstack([problem.reference, problem.columns])[:, problem.exists.reshape(parameters.shape)[0]]
+    first = 0
+    for clock, rows in zip(clocks, complete, strict=bool(clocks)):
+        own = slice(first, first + rows.size)
+        first += rows.size
+        if clock is None:
+            continue
+        by = np.zeros((parameters.size, clock.covariance.shape[0]))
+        for c in range(by.shape[1]):
+            moved = np.linalg.solve(X.T @ X, X[own].T @ (clock.moved[rows, :, c] / span))
+            by[problem.exists, c] = -(parameters[:, :6] @ moved.T).ravel()
+        whole += by @ clock.covariance @ by.T
     return whole
 
 

@@ -27,6 +27,7 @@ from truewrench.judging.words import (
     log_name,
     looks_fast,
     looks_slow,
+    of_references,
     slow_stands,
 )
 from truewrench.model.calibration_parts import AXES, Undetermined, Verdict
@@ -41,6 +42,7 @@ __all__ = [
     "findings",
     "gross_errors",
     "judge",
+    "of_references",
     "setup_errors",
 ]
 

@@ -16,6 +16,7 @@ from scipy.special import pdtrc
 from truewrench import _core
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
 from truewrench.estimation.estimate import Clock, Estimate, LogRows, Slow
+from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.judging.attribution import WALK, Looks, fast_looks, slow_looks
 from truewrench.model.calibration_parts import Assumed
 from truewrench.model.log import Log
@@ -30,6 +31,7 @@ __all__ = [
     "log_name",
     "looks_fast",
     "looks_slow",
+    "of_references",
     "slow_stands",
 ]
 
@@ -157,11 +159,28 @@ def _undone(logs: Sequence[Log], k: int) -> Iterator[Assumed]:
     for found in logs[k].whitened.values():
         kind = "filter: corner of a stream's noise, Hz"
         yield Assumed(kind, log_name(logs, k), found.corner, None, found.words)
-    rate = float(logs[k].clock_rate)
+    yield from _rate(float(logs[k].clock_rate), log_name(logs, k), "motion's")
+
+
+def of_references(logs: Sequence[Log], clocks: Sequence[ReferenceClock | None]) -> tuple[Assumed, ...]:
+    """How late sensors are against reference wrenches, which was undone."""
+    found: list[Assumed] = []
+    for k, clock in enumerate(clocks):
+        if clock is None:
+            continue
+        s, std, where = clock.late, clock.late_std, log_name(logs, k)
+        first, second = ("sensor", "reference") if s > 0.0 else ("reference", "sensor")
+        words = f"the {first} is {_pm(1e3 * abs(s), 1e3 * std)} ms late against the {second}"
+        what = _what(("clock", "delay", "filter"), "how late the sensor is against the reference, s")
+        found += [Assumed(what, where, s, std, words), *_rate(clock.rate, where, "reference's")]
+    return tuple(found)
+
+
+def _rate(rate: float, where: str, whose: str) -> Iterator[Assumed]:
     if rate != 0.0:
         faster = f"{1e6 * abs(rate):.2g} ppm {'faster' if rate > 0.0 else 'slower'}"
-        words = f"the sensor's clock runs {faster} than the motion's"
-        yield Assumed("clock: rate over the motion's, less 1", log_name(logs, k), rate, None, words)
+        words = f"the sensor's clock runs {faster} than the {whose}"
+        yield Assumed(f"clock: rate over the {whose}, less 1", where, rate, None, words)
 
 
 def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterator[Assumed]:

@@ -27,6 +27,7 @@ _LONGEST = 3.0  # times as long as the others: what repeats longer is at rest, o
 # 80, 94, 99 and 100% are told.
 _HUNG = 4  # repeats from which on a stream may hang, and
 _JUMP = 3.0  # times as large as any other change of a column, with which it then goes on
+_WEIGHED = 1e8  # [ns] that a value of a sampled reference stays; one of weights for longer
 _RESTS = 0.1  # share of the other rows that repeat, from which on repeats are a stream's own way
 
 _STREAMS = {
@@ -36,6 +37,7 @@ _STREAMS = {
     "specific_force": "accel_*",
     "position": "q_*",
     "velocity": "dq_*",
+    "reference": "ref_*",
 }
 _MOTION = ("twist", "angular_velocity", "specific_force", "position", "velocity", "gravity", "attitude")
 
@@ -51,6 +53,8 @@ def without_repeats(log: Log) -> Log:
     }
     for name, stream in streams.items():
         held = stream.held() if name in _STREAMS else stream.rows[:0]
+        if name == "reference" and not stream.usual(log.time_ns) <= _WEIGHED:  # loads stay for longer
+            held = held[:0]
         if held.size:
             changed[name] = stream.values.copy()
             changed[name][held] = np.nan
@@ -58,6 +62,7 @@ def without_repeats(log: Log) -> Log:
                 f"{_STREAMS[name]}: {held.size} of {stream.rows.size} rows repeat the row before in every "
                 "column: left out as held by the driver, no measurements"
             )
+    streams.pop("reference", None)
     for name, hung in _hung_streams(streams, log.time_ns).items():
         changed[name] = changed.get(name, streams[name].values).copy()
         changed[name][hung] = np.nan
@@ -85,6 +90,11 @@ class _Stream:
             return self.rows[:0], self.rows[:0]
         fresh = np.flatnonzero(~self.repeats)
         return fresh, np.diff(np.append(fresh, self.rows.size))
+
+    def usual(self, time_ns: NDArray[np.int64]) -> float:
+        """How long a value stays, in the median [ns]."""
+        fresh, _ = self.runs()
+        return float(np.median(np.diff(time_ns[self.rows[fresh]]))) if fresh.size > 1 else np.inf
 
     def held(self) -> NDArray[np.int64]:
         """Rows that repeat the row before because their stream is slower than the rows."""

@@ -1,0 +1,261 @@
+"""How late the sensor is against a reference that moves, undone at the reference.
+
+Sensor and reference are rarely stamped alike, and either may be filtered. To second order
+
+    raw(t) = C [w(t - l) + (k - l^2 / 2) w''(t - l)] + b,    l = s + r (t - t_m)
+
+with s how late the sensor is, r by how much clocks run apart, and k = s^2 / 2 for a clock, s^2 for a filter
+of the sensor, 0 for one of the reference (docs/method.md, M22a). Residuals last, so that the covariance of
+s, k and r is that of the scores of parts of the log; what it makes uncertain of the gain is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_lsq_spline
+
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.motion.smooth import DEGREE, segments, uniform_knots
+
+__all__ = ["ReferenceClock", "with_reference_on_time"]
+
+Array = NDArray[np.float64]
+
+TOLD = 6.0  # sigma of s, or of r, from which on they are undone
+SLOWEST = 0.1  # [s] between two rows of a reference that is sampled, and no table; tolerance
+FEWEST = 200  # rows of one
+SPACINGS = (0.2, 0.1, 0.05)  # [s] of a smooth reference's knots: the widest that leave its noise, or
+FOLLOWS = 1.05  # times what the finest do
+FURTHEST, GRID = 0.25, 0.01  # [s] that a sensor is late at most, and steps in which that is sought
+MOST = 20_000  # rows that are looked at
+PARTS = 20  # of a log, by whose scores residuals last
+FREEDOM = 4.0  # of Student's t, by which rows are weighted
+ROUNDS, SETTLED = 30, 0.01  # at most, and sigma of a step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceClock:
+    """What was undone at a reference.
+
+    Attributes:
+        late: s [s].
+        late_std: its 1 sigma.
+        rate: r; 0 where none is told.
+        moved: (N, 6, p) of w by s, k (and r) in each row of the log [N, N m, per s, s^2, 1].
+        covariance: (p, p) of these.
+    """
+
+    late: float
+    late_std: float
+    rate: float
+    moved: Array
+    covariance: Array
+
+
+def with_reference_on_time(rig: Rig, log: Log) -> tuple[Log, ReferenceClock | None]:
+    """The log with its reference as it was when the sensor was read.
+
+    A reference with stamps of its own comes to rows with both sides. Tables, short logs and those whose
+    sensor is not told to be late come back as they are.
+
+    Args:
+        rig: sensor.
+        log: with reference columns.
+    """
+    log = _on_common_rows(rig, log)
+    assert log.reference is not None
+    rows = np.flatnonzero(np.isfinite(np.column_stack([log.raw, log.reference])).all(axis=1))
+    sampled = _sampled(log.time[rows], log.reference[rows], np.array(rig.reference_noise))
+    if not sampled:
+        return log, None
+    thinned = rows[:: -(-rows.size // MOST)]
+    record = _Record(log.time[thinned], log.raw[thinned] / rig.sensor.channel_scale, sampled)
+    found = record.solved()
+    if found is None:
+        return log, None
+    p, P = found
+    moved, inside = record.moved(p, log.time, nearest=True)
+    use = np.flatnonzero(np.diag(P) > 0.0)
+    by = np.where(inside[:, None, None], moved[..., 1 + use], 0.0)
+    clock = ReferenceClock(float(p[0]), float(np.sqrt(P[0, 0])), float(p[2]), by, P[np.ix_(use, use)])
+    return replace(log, reference=np.where(inside[:, None], moved[..., 0], np.nan)), clock
+
+
+def _on_common_rows(rig: Rig, log: Log) -> Log:
+    """Where hardly a row has both sides, the faster side at the stamps of the slower."""
+    assert log.reference is not None
+    sensed, told = (np.flatnonzero(np.isfinite(x).all(axis=1)) for x in (log.raw, log.reference))
+    fewer = min(sensed.size, told.size)
+    if fewer < FEWEST or 2 * np.intersect1d(sensed, told).size >= fewer:
+        return log
+    slower = told.size <= sensed.size
+    rows, known = (told, sensed) if slower else (sensed, told)
+    values = log.raw if slower else log.reference
+    noise = rig.sensor.noise_array if slower else np.array(rig.reference_noise)
+    moved = np.full_like(values, np.nan)
+    for piece in _sampled(log.time[known], values[known], noise):
+        inside = rows[piece.holds(log.time[rows])]
+        moved[inside] = piece.nearest(log.time[inside])
+    note = "sensor and reference have stamps of their own: {} taken at those of {}"
+    if slower:
+        return replace(log, raw=moved, notes=(*log.notes, note.format("raw_*", "ref_*")))
+    return replace(log, reference=moved, notes=(*log.notes, note.format("ref_*", "raw_*")))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Piece:
+    """A stretch of samples, and without its noise."""
+
+    time: Array
+    values: Array
+    smooth: BSpline
+
+    def holds(self, time: Array) -> NDArray[np.bool_]:
+        return np.asarray((time >= self.time[0]) & (time <= self.time[-1]))
+
+    def nearest(self, then: Array) -> Array:
+        """The nearest sample at times, moved as the smooth stretch moves: its noise stays white."""
+        after = np.clip(np.searchsorted(self.time, then), 1, self.time.size - 1)
+        near = after - (2.0 * then < self.time[after] + self.time[after - 1])
+        return np.asarray(self.smooth(then) + (self.values - self.smooth(self.time))[near])
+
+    def between(self, then: Array) -> Array:
+        """The same between two samples: continuous. What smooths, a filter as well, plays no part."""
+        left = self.values - self.smooth(self.time)
+        return np.asarray(
+            self.smooth(then) + np.column_stack([np.interp(then, self.time, x) for x in left.T])
+        )
+
+
+def _sampled(time: Array, values: Array, noise: Array) -> tuple[_Piece, ...]:
+    """Stretches of what is sampled, with noise of 1 sigma (M,); none of a table."""
+    found = []
+    for at in segments(time) if time.size else []:
+        if at.stop - at.start < FEWEST or np.median(np.diff(time[at])) > SLOWEST:
+            continue
+        smooth = _smoothed(time[at], values[at], noise)
+        if smooth is not None:
+            found.append(_Piece(time[at], values[at], smooth))
+    return tuple(found)
+
+
+def _smoothed(time: Array, values: Array, noise: Array) -> BSpline | None:
+    period = float(np.median(np.diff(time)))
+    found: list[tuple[Array, BSpline]] = []
+    for spacing in SPACINGS:
+        knots = uniform_knots(time, max(1, round((time[-1] - time[0]) / max(spacing, 3.0 * period))))
+        try:
+            spline = make_lsq_spline(time, values, knots, DEGREE)
+        except (ValueError, np.linalg.LinAlgError):  # hardly a sample between two knots
+            continue
+        found.append((1.4826 * np.median(np.abs(values - spline(time)), axis=0), spline))
+    # noise that a finer one follows would be taken for the second derivative
+    enough = np.maximum(noise, FOLLOWS * found[-1][0]) if found else noise
+    return next((spline for left, spline in found if (left <= enough).all()), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Record:
+    """Rows of a log whose reference is sampled; channels are fractions of R_i."""
+
+    time: Array
+    raw: Array
+    reference: tuple[_Piece, ...]
+
+    @property
+    def middle(self) -> float:
+        return 0.5 * float(self.time[0] + self.time[-1])
+
+    def moved(self, p: Array, time: Array, nearest: bool = False) -> tuple[Array, NDArray[np.bool_]]:
+        """(N, 6, 4) the reference that s, k, r have moved, by what they move it; and where it is known."""
+        out, inside = np.zeros((time.size, 6, 4)), np.zeros(time.size, dtype=bool)
+        since = time - self.middle
+        then = time - p[0] - p[2] * since
+        for piece in self.reference:
+            here = piece.holds(time) & piece.holds(then)
+            w = piece.nearest(then[here]) if nearest else piece.between(then[here])
+            rate, second = (np.asarray(piece.smooth(then[here], nu=nu)) for nu in (1, 2))
+            by_r = -since[here, None] * rate
+            out[here] = np.stack([w + (p[1] - 0.5 * p[0] ** 2) * second, -rate, second, by_r], axis=2)
+            inside |= here
+        return out, inside
+
+    def solved(self) -> tuple[Array, Array] | None:
+        """s, k, r and their covariance, 0 of what is not told; None where neither s nor r is."""
+        start = np.zeros(3)
+        start[0] = min(np.arange(-FURTHEST, FURTHEST + 0.5 * GRID, GRID), key=self._left)
+        start[1] = 0.5 * start[0] ** 2
+        for free in ((0, 1, 2), (0, 1)):
+            found = self._solved(start, list(free))
+            if found is None:
+                return None
+            p, P = found
+            told = np.abs(p) > TOLD * np.sqrt(np.diag(P))
+            if 2 in free and told[2]:
+                return found
+        return found if told[0] else None
+
+    def _left(self, late: float) -> float:
+        """Log of the determinant of what gain and offset leave where the sensor is so late."""
+        moved, inside = self.moved(np.array([late, 0.5 * late**2, 0.0]), self.time)
+        w, raw = (x - x.mean(axis=0) for x in (moved[inside, :, 0], self.raw[inside]))
+        left = raw - w @ np.linalg.lstsq(w.T @ w, w.T @ raw, rcond=None)[0]
+        return float(np.log(np.mean(left**2, axis=0).clip(1e-300)).sum())
+
+    def _solved(self, start: Array, free: Sequence[int]) -> tuple[Array, Array] | None:
+        p, weight = start.copy(), np.ones(self.time.size)
+        for _ in range(ROUNDS):
+            bend = max(0.5 * p[0] ** 2, 1e-12)
+            prior = np.diag([0.0, bend**-2.0, 0.0])  # k is 0 to s^2
+            moved, inside = self.moved(p, self.time)
+            if inside.sum() < FEWEST:
+                return None
+            score, information, weight = self._scores(moved[inside], inside, weight)
+            pull = np.array([0.0, (bend - p[1]) * bend**-2.0, 0.0])
+            at = np.ix_(free, free)
+            A = (information.sum(axis=0) + prior)[at]
+            if not np.isfinite(A).all() or np.linalg.matrix_rank(
+                A / np.sqrt(np.outer(np.diag(A), np.diag(A)))
+            ) < len(free):
+                return None
+            inverse = np.linalg.inv(A)
+            step = inverse @ (score.sum(axis=0) + pull)[list(free)]
+            P = np.zeros((3, 3))
+            P[at] = inverse @ (score.T @ score + prior)[at] @ inverse
+            p[list(free)] += step
+            if abs(p[0]) > 2.0 * FURTHEST:
+                return None
+            if (np.abs(step) < SETTLED * np.sqrt(np.diag(P)[list(free)])).all():
+                return p, P
+        return None
+
+    def _scores(self, moved: Array, inside: NDArray[np.bool_], weight: Array) -> tuple[Array, Array, Array]:
+        """Of parts (PARTS, 3) and (PARTS, 3, 3), gain and offset eliminated; and new weights of the rows."""
+        root = np.sqrt(weight[inside])
+        X = np.column_stack([moved[..., 0], np.ones(len(moved))])
+        Q, R = np.linalg.qr(root[:, None] * X)
+        Y = root[:, None] * self.raw[inside]
+        C = np.linalg.solve(R, Q.T @ Y)  # (7, n)
+        left = self.raw[inside] - X @ C
+        variance = (1.4826 * np.median(np.abs(left), axis=0)) ** 2
+        variance = np.maximum(variance, 1e-24)
+        score, information = np.zeros((len(moved), 3)), np.zeros((len(moved), 3, 3))
+        for i, v in enumerate(variance):
+            D = root[:, None] * np.einsum("kjc,j->kc", moved[..., 1:], C[:6, i])
+            D -= Q @ (Q.T @ D)
+            score += D * (root * left[:, i])[:, None] / v
+            information += D[:, :, None] * D[:, None, :] / v
+        parts = np.array_split(np.arange(len(moved)), PARTS)
+        n = len(variance)
+        again = np.zeros(self.time.size)
+        again[inside] = (FREEDOM + n) / (FREEDOM + np.sum(left**2 / variance, axis=1))
+        return (
+            np.array([score[at].sum(axis=0) for at in parts]),
+            np.array([information[at].sum(axis=0) for at in parts]),
+            again,
+        )
