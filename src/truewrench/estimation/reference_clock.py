@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 TOLD = 6.0  # sigma of s, or of r, from which on they are undone
 SLOWEST = 0.1  # [s] between two rows of a reference that is sampled, and no table; tolerance
 FEWEST = 200  # rows of one
-SPACINGS = (0.2, 0.1, 0.05)  # [s] of a smooth reference's knots: the widest that leave its noise, or
-FOLLOWS = 1.05  # times what the finest do
+SPACINGS = (0.2, 0.1, 0.05)  # [s] of a smooth reference's knots: the widest that leave, in the median,
+FOLLOWS = 1.1  # times its noise, or what the finest leave: a median of 1,000 samples scatters by 4%
 FURTHEST, GRID = 0.25, 0.01  # [s] that a sensor is late at most, and steps in which that is sought
 MOST = 20_000  # rows that are looked at
 PARTS = 20  # of a log, by whose scores residuals last
@@ -153,9 +153,11 @@ def _smoothed(time: Array, values: Array, noise: Array) -> BSpline | None:
             spline = make_lsq_spline(time, values, knots, DEGREE)
         except (ValueError, np.linalg.LinAlgError):  # hardly a sample between two knots
             continue
-        found.append((1.4826 * np.median(np.abs(values - spline(time)), axis=0), spline))
-    # noise that a finer one follows would be taken for the second derivative
-    enough = np.maximum(noise, FOLLOWS * found[-1][0]) if found else noise
+        freedom = max(1, time.size - len(knots) + DEGREE + 1)
+        left = np.median(np.abs(values - spline(time)), axis=0) / 0.6745
+        found.append((left * np.sqrt(time.size / freedom), spline))
+    # noise that finer knots follow would be taken for the second derivative
+    enough = FOLLOWS * np.maximum(noise, found[-1][0]) if found else noise
     return next((spline for left, spline in found if (left <= enough).all()), None)
 
 
