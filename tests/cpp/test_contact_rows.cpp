@@ -1,5 +1,6 @@
 // The contact wrench of the rows of a table, and its events.
 #include "contact_case.hpp"
+#include "truewrench/contact/even_stamps.hpp"
 #include "truewrench/contact/events.hpp"
 #include "truewrench/contact/rows.hpp"
 
@@ -88,6 +89,69 @@ TEST(ContactRows, ABurstAtTheStartIsNoPeriod) {
   EXPECT_GE(given.size(), 400U - 20U);
   EXPECT_EQ(given.back(), 430 - 11);
   EXPECT_LT(worst, 0.05);
+}
+
+TEST(EvenStamps, OneByOneStaysAndPacketsLieOnALine) {
+  contact::EvenStamps plain;
+  for (int i = 0; i < 500; ++i) {  // scattered by up to 0.4 of the period
+    const std::int64_t time = i * 2'000'000LL + (i * 7919 % 800) * 1'000LL;
+    EXPECT_EQ(plain.stamp(time), time);
+  }
+  for (const int size : {4, 8, 16, 24}) {
+    contact::EvenStamps even;
+    std::int64_t before = -1;
+    for (int i = 0; i < 3000; ++i) {
+      // taken every 2 ms; a packet comes with its last sample, up to 0.5 ms later
+      const int last = (i / size + 1) * size - 1;
+      const std::int64_t time = last * 2'000'000LL + (last * 7919 % 500) * 1'000LL - (last - i) * 20'000LL;
+      const std::int64_t found = even.stamp(time);
+      EXPECT_GT(found, before);
+      before = found;
+      if (i > 1000) EXPECT_LT(std::abs(found - i * 2'000'000LL - 250'000), 300'000) << size << " " << i;
+    }
+    EXPECT_TRUE(even.packets());
+  }
+}
+
+TEST(EvenStamps, TheLineBeginsAnewWherePacketsAreLost) {
+  contact::EvenStamps even;
+  for (int i = 0; i < 2000; ++i) {
+    if (i / 8 % 50 == 49) continue;
+    const int last = (i / 8 + 1) * 8 - 1;
+    const std::int64_t found = even.stamp(last * 2'000'000LL - (last - i) * 20'000LL);
+    if (i > 200 && i / 8 % 50 > 1) EXPECT_LT(std::abs(found - i * 2'000'000LL), 300'000) << i;
+  }
+}
+
+TEST(ContactRows, ASensorWhoseSamplesComeInPackets) {
+  const contact::Settings s = settings_of(6, Feels::payload_on_sensor, false);
+  const Swing motion;
+  const Vector6 nothing = Vector6::Constant(std::nan(""));
+  const Eigen::VectorXd unread = Eigen::VectorXd::Constant(6, std::nan(""));
+  ContactRows rows;
+  ASSERT_EQ(rows.configure(s, 0.02, false, false, 8192), Status::ok);
+  std::int64_t given = 0, fed = 0;
+  double worst = 0.0;
+  const auto take = [&](std::int64_t, const ContactWrench& w) {
+    if (++given > 200) worst = std::max(worst, w.wrench.norm());
+  };
+  for (int i = 0; i < 2000; ++i) {  // both at 500 Hz; 16 of the sensor at once, just after the last of them
+    const std::int64_t time = i * 2'000'000LL;
+    const double t = 1e-9 * static_cast<double>(time);
+    ContactRow row{time, unread.data(), motion.twist(t), motion.turn(t) * s.gravity, motion.turn(t)};
+    EXPECT_EQ(rows.feed(row, take), Status::ok);
+    ++fed;
+    for (int j = 15; i % 16 == 15 && j >= 0; --j, ++fed) {
+      const double then = t - 2e-3 * j;
+      const Eigen::VectorXd raw = raw_of(s, motion, then, Vector6::Zero());
+      ContactRow read{time + (16 - j) * 20'000LL, raw.data(), nothing, nothing.head<3>(),
+                      Matrix3::Constant(std::nan(""))};
+      EXPECT_EQ(rows.feed(read, take), Status::ok);
+    }
+  }
+  rows.finish(take);
+  EXPECT_GT(given, fed - 300);
+  EXPECT_LT(worst, 0.1);
 }
 
 TEST(ContactRows, PosesAndStreamsOfTwoRates) {

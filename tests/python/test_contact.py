@@ -306,6 +306,25 @@ def test_gaps_missing_samples_and_two_rates(kind: str) -> None:
     assert len(found) >= 260
 
 
+@pytest.mark.parametrize("size", [4, 8, 16])
+def test_samples_that_come_in_packets_have_their_wrench(size: int) -> None:
+    """As of a serial adapter; by the stamps of receipt no row has one."""
+    tool, motion, taken = tool_of(6), Swing(), stamps(1600)
+    last = np.minimum((np.arange(1600) // size + 1) * size - 1, 1599)
+    received = taken[last] + 20_000 * (1 + np.arange(1600) - last) + 1_000 * size
+    time_ns = np.union1d(taken, received)
+    columns = {name: np.full(time_ns.size, np.nan) for name in columns_of(motion, np.zeros(1))}
+    for name, values in columns_of(motion, 1e-9 * taken).items():
+        columns[name][np.searchsorted(time_ns, taken)] = values
+    raw = np.full((time_ns.size, 6), np.nan)
+    raw[np.searchsorted(time_ns, received)] = raw_of(
+        tool.theta, 1, tool.rig.gravity_array, motion, 1e-9 * taken, np.zeros(6)
+    )
+    found = all_of(ContactRun(tool, None), time_ns, raw, columns)
+    assert len(found) > 0.85 * time_ns.size
+    assert max(np.abs(w[:3]).max() for row, (w, *_) in found.items() if row > 400) < 5e-2
+
+
 def test_poses_are_filled() -> None:
     tool = tool_of(7)
     count = 6

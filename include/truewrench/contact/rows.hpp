@@ -3,6 +3,7 @@
 #pragma once
 
 #include "truewrench/contact.hpp"
+#include "truewrench/contact/even_stamps.hpp"
 
 #include <Eigen/Geometry>
 
@@ -39,6 +40,7 @@ class ContactRows {
     rows_ = given_ = settled_ = reach_ns_ = 0;
     timed_ = started_ = turned_ = lonely_ = false;
     raw_ = motion_ = Intervals();
+    raw_stamps_ = motion_stamps_ = contact::EvenStamps();
     lag_ = 0;
     return Status::ok;
   }
@@ -54,8 +56,13 @@ class ContactRows {
       return Status::not_increasing;
     const std::int64_t number = given_++, k = rows_;
     last_time_ = row.time_ns;
-    const bool sensed = contact.add_raw(row.time_ns, row.raw, k) == Status::ok;
-    const bool moved = add_motion(row, k);
+    std::int64_t raw_time = row.time_ns, motion_time = row.time_ns;
+    bool sensed = true;
+    for (int i = 0; i < contact.channels(); ++i) sensed = sensed && std::isfinite(row.raw[i]);
+    if (sensed) raw_time = raw_stamps_.stamp(row.time_ns);
+    sensed = contact.add_raw(raw_time, row.raw, k) == Status::ok;
+    if (row.twist.allFinite()) motion_time = motion_stamps_.stamp(row.time_ns);
+    const bool moved = add_motion(row, motion_time, k);
     if (!sensed && !moved) return Status::ok;
     const bool apart = k == 0 || row.time_ns - time_of(k - 1) >= apart_ns;
     if (lonely_ && apart && !newest_) give_pose(k - 1, sink);
@@ -64,12 +71,15 @@ class ContactRows {
     rows_ = k + 1;
     lonely_ = apart && sensed && moved && row.twist.isZero(0.0);
     if (!started_) {
-      if (sensed) raw_.add(row.time_ns);
-      if (moved) motion_.add(row.time_ns);
+      if (sensed) raw_.add(raw_time);
+      if (moved) motion_.add(motion_time);
       if (raw_.full() && motion_.full()) start(sink);
-    } else if (!give(k - lag_, sink) && k < settled_) {
-      ++lag_;  // another row needs one more than the first: this one comes with the next
-      settled_ = 0;
+    } else if (!give(k - lag_, sink)) {
+      const bool packets = raw_stamps_.packets() || motion_stamps_.packets();
+      if (k < settled_ || (packets && last_time_ - time_of(k - lag_) <= reach_ns_)) {
+        ++lag_;  // another row needs one more than the first: this one comes with the next
+        settled_ = 0;
+      }
     }
     if (lonely_ && newest_) give_pose(k, sink);
     return Status::ok;
@@ -159,29 +169,28 @@ class ContactRows {
     for (std::int64_t r = oldest(); r < rows_ - lag_; ++r) give(r, sink);
   }
 
-  bool add_motion(const ContactRow& row, std::int64_t k) noexcept {
+  bool add_motion(const ContactRow& row, std::int64_t time_ns, std::int64_t k) noexcept {
     const bool moving = row.twist.allFinite(), fall = row.fall.allFinite();
     if (imu_)
       return moving && fall &&
-             contact.add_motion(row.time_ns, row.twist, row.fall, Matrix3::Zero(), k) == Status::ok;
-    follow(row, moving, fall);
+             contact.add_motion(time_ns, row.twist, row.fall, Matrix3::Zero(), k) == Status::ok;
+    follow(row, time_ns, moving, fall);
     if (!moving) return false;
     const Vector3 g = fall ? row.fall : Vector3(R_ * gravity_);
     if (!fall && !turned_ && !gravity_.isZero(0.0)) return false;
-    return contact.add_motion(row.time_ns, row.twist, g, turned_ ? R_ : Matrix3::Zero().eval(), k) ==
-           Status::ok;
+    return contact.add_motion(time_ns, row.twist, g, turned_ ? R_ : Matrix3::Zero().eval(), k) == Status::ok;
   }
 
   // How the sensor is turned: as the row says; else the last turn, carried on by the angular velocity, with the smallest
   // further one that puts the stated direction of gravity on the logged one. Where there is nothing to carry on, the
   // turn about gravity is not known.
-  void follow(const ContactRow& row, bool moving, bool fall) noexcept {
+  void follow(const ContactRow& row, std::int64_t time_ns, bool moving, bool fall) noexcept {
     const Vector3 omega = moving ? Vector3(row.twist.tail<3>()) : omega_;
     if (row.R_sensor_root.allFinite()) {
       R_ = row.R_sensor_root;
       turned_ = true;
     } else {
-      const std::int64_t since = row.time_ns - turn_time_;
+      const std::int64_t since = time_ns - turn_time_;
       if (turned_ && since < apart_ns) {
         const Vector3 angle = -0.5e-9 * static_cast<double>(since) * (omega + omega_);
         const double size = angle.norm();
@@ -204,7 +213,7 @@ class ContactRows {
       }
     }
     omega_ = omega;
-    turn_time_ = row.time_ns;
+    turn_time_ = time_ns;
   }
 
   Vector3 gravity_ = Vector3::Zero(), omega_ = Vector3::Zero();
@@ -214,6 +223,7 @@ class ContactRows {
   std::int64_t settled_ = 0;   // row from which on the lag stays
   std::int64_t reach_ns_ = 0;  // how far back a row may still wait
   Intervals raw_, motion_;
+  contact::EvenStamps raw_stamps_, motion_stamps_;
   bool newest_ = false, imu_ = false, timed_ = false, started_ = false, turned_ = false, lonely_ = false;
 };
 
