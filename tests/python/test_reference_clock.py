@@ -75,7 +75,7 @@ def test_what_is_on_time_comes_back_as_it_is() -> None:
 @pytest.mark.parametrize("late", [-0.02, 0.0017, 0.0063, 0.05])
 def test_a_late_sensor_is_found_and_its_gain_is_honest(late: float) -> None:
     scores = []
-    for seed in range(4):
+    for seed in range(2):
         case = Moving(seed)
         log = case.log(late)
         clock = with_reference_on_time(RIG, log)[1]
@@ -85,7 +85,7 @@ def test_a_late_sensor_is_found_and_its_gain_is_honest(late: float) -> None:
         calibration = tw.calibrate(RIG, log, held_out=False)
         assert calibration.verdict.usable
         scores.append(case.nees(calibration))
-    assert np.mean(scores) < 1.6  # as chi-square with 144 degrees of freedom, at 5 sigma
+    assert np.mean(scores) < 1.8  # as chi-square with 72 degrees of freedom, at 5 sigma
     words = "sensor is" if late > 0.0 else "reference is"
     assert any(words in one.evidence and "late against the" in one.evidence for one in calibration.assumed)
 
@@ -94,7 +94,7 @@ def test_a_late_sensor_is_found_and_its_gain_is_honest(late: float) -> None:
 def test_a_filter_is_no_mere_delay(whose: str) -> None:
     """Of 8 ms: with w'' of a delay, gains would be off by 0.1%, 10 sigma."""
     scores, delays = [], []
-    for seed in range(4):
+    for seed in range(2):
         case = Moving(seed)
         log = case.log()
         if whose == "sensor":
@@ -109,7 +109,7 @@ def test_a_filter_is_no_mere_delay(whose: str) -> None:
         scores.append(case.nees(tw.calibrate(RIG, log, held_out=False)))
     tau = 1.0 / (2.0 * np.pi * 20.0) - 0.5 / RATE  # of the recursion
     assert np.mean(delays) == pytest.approx(tau if whose == "sensor" else -tau, abs=5e-4)
-    assert np.mean(scores) < 1.8
+    assert np.mean(scores) < 2.0
 
 
 def test_clocks_that_run_apart() -> None:

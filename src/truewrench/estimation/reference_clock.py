@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 TOLD = 6.0  # sigma of s, or of r, from which on they are undone
 SLOWEST = 0.1  # [s] between two rows of a reference that is sampled, and no table; tolerance
-FEWEST = 200  # rows of one
+FEWEST, SHORTEST = 200, 20  # rows of one, and of a stretch of it
 SPACINGS = (0.2, 0.1, 0.05)  # [s] of a smooth reference's knots: the widest that leave, in the median,
 FOLLOWS = 1.1  # times its noise, or what the finest leave: a median of 1,000 samples scatters by 4%
 FURTHEST, GRID = 0.25, 0.01  # [s] that a sensor is late at most, and steps in which that is sought
@@ -67,6 +67,8 @@ def with_reference_on_time(rig: Rig, log: Log) -> tuple[Log, ReferenceClock | No
         rig: sensor.
         log: with reference columns.
     """
+    if log.reference is None or rig.reference_noise is None:
+        return log, None
     log = _on_common_rows(rig, log)
     assert log.reference is not None
     rows = np.flatnonzero(np.isfinite(np.column_stack([log.raw, log.reference])).all(axis=1))
@@ -109,11 +111,11 @@ def _on_common_rows(rig: Rig, log: Log) -> Log:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Piece:
-    """A stretch of samples, and without its noise."""
+    """A stretch of samples: without its noise, and what that is."""
 
     time: Array
-    values: Array
     smooth: BSpline
+    noise: Array
 
     def holds(self, time: Array) -> NDArray[np.bool_]:
         return np.asarray((time >= self.time[0]) & (time <= self.time[-1]))
@@ -122,25 +124,23 @@ class _Piece:
         """The nearest sample at times, moved as the smooth stretch moves: its noise stays white."""
         after = np.clip(np.searchsorted(self.time, then), 1, self.time.size - 1)
         near = after - (2.0 * then < self.time[after] + self.time[after - 1])
-        return np.asarray(self.smooth(then) + (self.values - self.smooth(self.time))[near])
+        return np.asarray(self.smooth(then) + self.noise[near])
 
     def between(self, then: Array) -> Array:
         """The same between two samples: continuous. What smooths, a filter as well, plays no part."""
-        left = self.values - self.smooth(self.time)
-        return np.asarray(
-            self.smooth(then) + np.column_stack([np.interp(then, self.time, x) for x in left.T])
-        )
+        noise = np.column_stack([np.interp(then, self.time, x) for x in self.noise.T])
+        return np.asarray(self.smooth(then) + noise)
 
 
 def _sampled(time: Array, values: Array, noise: Array) -> tuple[_Piece, ...]:
-    """Stretches of what is sampled, with noise of 1 sigma (M,); none of a table."""
+    """Stretches of what is sampled, with noise of 1 sigma (M,); none of a table, or of a few rows."""
     found = []
-    for at in segments(time) if time.size else []:
-        if at.stop - at.start < FEWEST or np.median(np.diff(time[at])) > SLOWEST:
+    for at in segments(time) if time.size >= FEWEST else []:
+        if at.stop - at.start < SHORTEST or np.median(np.diff(time[at])) > SLOWEST:
             continue
         smooth = _smoothed(time[at], values[at], noise)
         if smooth is not None:
-            found.append(_Piece(time[at], values[at], smooth))
+            found.append(_Piece(time[at], smooth, values[at] - smooth(time[at])))
     return tuple(found)
 
 
@@ -195,16 +195,17 @@ class _Record:
         for free in ((0, 1, 2), (0, 1)):
             found = self._solved(start, list(free))
             if found is None:
-                return None
-            p, P = found
-            told = np.abs(p) > TOLD * np.sqrt(np.diag(P))
-            if 2 in free and told[2]:
+                continue
+            told = np.abs(found[0]) > TOLD * np.sqrt(np.diag(found[1]))
+            if told[2] or (told[0] and 2 not in free):  # what is not free is 0
                 return found
-        return found if told[0] else None
+        return None
 
     def _left(self, late: float) -> float:
         """Log of the determinant of what gain and offset leave where the sensor is so late."""
         moved, inside = self.moved(np.array([late, 0.5 * late**2, 0.0]), self.time)
+        if inside.sum() < FEWEST:
+            return np.inf
         w, raw = (x - x.mean(axis=0) for x in (moved[inside, :, 0], self.raw[inside]))
         left = raw - w @ np.linalg.lstsq(w.T @ w, w.T @ raw, rcond=None)[0]
         return float(np.log(np.mean(left**2, axis=0).clip(1e-300)).sum())

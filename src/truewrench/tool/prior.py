@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
+from truewrench.estimation.reference_clock import with_reference_on_time
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -160,7 +161,8 @@ def with_known_wrenches(rig: Rig, prior: Prior, logs: Sequence[Log]) -> Prior:
         return prior
     n, place = rig.sensor.n, Layout(rig.sensor.n).gain
     stated = rig.sensor.gain_prior * (rig.sensor.channel_scale[:, None] / rig.sensor.range_array).ravel()
-    found = estimate_from_known_wrench(rig, logs)
+    on_time = [with_reference_on_time(rig, log) for log in logs]
+    found = estimate_from_known_wrench(rig, [log for log, _ in on_time], clocks=[c for _, c in on_time])
     P = found.covariance[: 6 * n, : 6 * n]
     told = np.linalg.inv(P)
     data = told - np.diag(stated**-2)  # what the logs add

@@ -59,8 +59,7 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     Raises:
         InputError: for a log without enough rows.
     """
-    if log.reference is not None and rig.reference_noise is not None:
-        log, _ = with_reference_on_time(rig, log)
+    log, _ = with_reference_on_time(rig, log)
     compensated = at_reference_temperature(calibration.offset_temperature, calibration.rig, log)
     by_another = _by_motion if log.reference is None else _by_reference
     known = by_another(calibration, rig, compensated)
