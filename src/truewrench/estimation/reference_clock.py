@@ -150,7 +150,7 @@ def _smoothed(time: Array, values: Array, noise: Array) -> BSpline | None:
     for spacing in SPACINGS:
         knots = uniform_knots(time, max(1, round((time[-1] - time[0]) / max(spacing, 3.0 * period))))
         try:
-            spline = make_lsq_spline(time, values, knots, DEGREE)
+            spline = make_lsq_spline(time, values, knots, DEGREE, method="norm-eq")
         except (ValueError, np.linalg.LinAlgError):  # hardly a sample between two knots
             continue
         freedom = max(1, time.size - len(knots) + DEGREE + 1)
