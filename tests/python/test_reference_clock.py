@@ -173,6 +173,17 @@ def test_ramps_between_loads_are_followed() -> None:
     assert case.nees(tw.calibrate(RIG, case.log(0.008), held_out=False)) < 2.0
 
 
+def test_a_calibration_is_validated_on_a_late_log_without_a_word_of_motion() -> None:
+    case = Moving(8)
+    calibration = tw.calibrate(RIG, case.log(0.004), held_out=False)
+    other = Moving(9)
+    other.gain = case.gain
+    found = tw.validate(calibration, RIG, other.log(-0.007))
+    assert found.verdict.usable, found.verdict.reasons
+    for axis in found.axes.values():
+        assert axis.nis == pytest.approx(1.0, abs=0.1)
+
+
 def test_a_table_of_loads_is_left_alone() -> None:
     rng = np.random.default_rng(7)
     w = rng.uniform(-0.5, 0.5, (300, 6))

@@ -89,7 +89,7 @@ def _found(c: Calibration, evidence: Evidence) -> Section:
     if isinstance(estimate, Estimate) and estimate.solved:
         shown.append(found.found_table(c, estimate))
         words += findings.agreement_words(c)
-    elif not isinstance(estimate, Estimate):
+    elif not isinstance(estimate, Estimate) and assumed is None:
         words.append("This estimator finds nothing beside gain and offset.")
     return Section("found", title, tuple(words), tuple(shown))
 

@@ -161,8 +161,10 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     _check_same_sensor(calibration, rig)
-    rig.check_motion("by which a calibration is validated")
-    for log in records:
+    moving = [log for log in records if log.reference is None]
+    if moving:
+        rig.check_motion("by which a calibration is validated")
+    for log in moving:
         if rig.payloads[log.payload].unknown:
             expected = "a known payload, by which the gains are compared"
             raise InputError.at(rig.path, f"payloads.{log.payload}", "an unknown body", expected)
