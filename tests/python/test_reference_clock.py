@@ -157,6 +157,14 @@ def test_each_log_has_a_clock_of_its_own() -> None:
     assert told == pytest.approx([-0.003, 0.011], abs=3e-4)
 
 
+def test_an_offset_that_one_channel_alone_has() -> None:
+    case = Moving(10)
+    case.offset[1:] = 0.0
+    rig = RIG.to_mapping()
+    rig["sensor"]["offset_prior"] = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert case.nees(tw.calibrate(Rig.from_mapping(rig), case.log(0.005), held_out=False)) < 2.0
+
+
 def test_ramps_between_loads_are_followed() -> None:
     case = Moving(6)
     loads = case.rng.uniform(-0.3, 0.3, (12, 6))

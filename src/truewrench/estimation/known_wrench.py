@@ -316,18 +316,20 @@ def _of_clocks(
 ) -> Array:
     """Covariance (n p, n p) of what clocks leave uncertain: w moved by D moves C by -(X^T X)^-1 X^T D C^T."""
     whole = np.zeros((parameters.size, parameters.size))
-    X = np.hstack([problem.reference, problem.columns])[:, problem.exists.reshape(parameters.shape)[0]]
+    X = np.hstack([problem.reference, problem.columns])
     first = 0
     for clock, rows in zip(clocks, complete, strict=bool(clocks)):
         own = slice(first, first + rows.size)
         first += rows.size
         if clock is None:
             continue
-        by = np.zeros((parameters.size, clock.covariance.shape[0]))
-        for c in range(by.shape[1]):
-            moved = np.linalg.solve(X.T @ X, X[own].T @ (clock.moved[rows, :, c] / span))
-            by[problem.exists, c] = -(parameters[:, :6] @ moved.T).ravel()
-        whole += by @ clock.covariance @ by.T
+        by = np.zeros((*parameters.shape, clock.covariance.shape[0]))
+        for i, there in enumerate(problem.exists.reshape(parameters.shape)):
+            Z = X[:, there]
+            moved = np.einsum("kjc,j->kc", clock.moved[rows] / span[:, None], parameters[i, :6])
+            by[i, there] = -np.linalg.solve(Z.T @ Z, Z[own].T @ moved)
+        flat = by.reshape(parameters.size, -1)
+        whole += flat @ clock.covariance @ flat.T
     return whole
 
 
