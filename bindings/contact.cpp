@@ -123,6 +123,10 @@ struct Rows {
 void bind_contact(nb::module_& m) {
   using contact::Settings;
   m.attr("contact_limit") = contact_limit;
+  m.attr("PACKETS_APART") = contact::EvenStamps::apart_ns;
+  m.attr("PACKETS_CLOSE") = contact::EvenStamps::close;
+  m.attr("PACKETS_SHARE") = contact::EvenStamps::share;
+  m.attr("PACKETS_LEARNED") = contact::EvenStamps::learned;
   nb::class_<Settings>(m, "ContactSettings", "What is known of sensor and tool (truewrench.tool.Tool).")
       .def(nb::init<>())
       .def(

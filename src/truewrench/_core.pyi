@@ -288,6 +288,14 @@ class Corrector:
 
 contact_limit: float = 48.4
 
+PACKETS_APART: int = 250000000
+
+PACKETS_CLOSE: float = 0.1
+
+PACKETS_SHARE: float = 0.4
+
+PACKETS_LEARNED: int = 64
+
 class ContactSettings:
     """What is known of sensor and tool (truewrench.tool.Tool)."""
 

@@ -11,7 +11,10 @@ namespace truewrench::contact {
 
 class EvenStamps {
  public:
-  static constexpr int learned = 64;  // intervals that tell packets, and their period
+  static constexpr std::int64_t apart_ns = 250'000'000;  // between packets at most: beyond is a gap
+  static constexpr double close = 0.1;                   // of the mean interval: two that came together
+  static constexpr double share = 0.4;  // of the intervals that are so short: then samples come in packets
+  static constexpr int learned = 64;    // samples that tell packets, and their period
 
   // The stamp of the next sample, received at `time` (increasing): the same one as long as samples come one by one.
   std::int64_t stamp(std::int64_t time) noexcept {
@@ -26,12 +29,10 @@ class EvenStamps {
     return given_ = even_;
   }
 
+  std::int64_t latest() const noexcept { return given_; }
   bool packets() const noexcept { return period_ > 0.0; }
 
  private:
-  static constexpr std::int64_t apart_ns = 250'000'000;
-  static constexpr double close = 0.1;   // of the mean interval: two that came together
-  static constexpr double share = 0.4;   // of the intervals that are so short: then samples come in packets
   static constexpr double follow = 0.1;  // of what a packet is off the line: packets scatter, clocks drift
   static constexpr double lost = 0.75;   // of a packet, by which the line begins anew: another was lost
 

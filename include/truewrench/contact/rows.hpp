@@ -56,13 +56,7 @@ class ContactRows {
       return Status::not_increasing;
     const std::int64_t number = given_++, k = rows_;
     last_time_ = row.time_ns;
-    std::int64_t raw_time = row.time_ns, motion_time = row.time_ns;
-    bool sensed = true;
-    for (int i = 0; i < contact.channels(); ++i) sensed = sensed && std::isfinite(row.raw[i]);
-    if (sensed) raw_time = raw_stamps_.stamp(row.time_ns);
-    sensed = contact.add_raw(raw_time, row.raw, k) == Status::ok;
-    if (row.twist.allFinite()) motion_time = motion_stamps_.stamp(row.time_ns);
-    const bool moved = add_motion(row, motion_time, k);
+    const bool sensed = add_raw(row, k), moved = add_motion(row, k);
     if (!sensed && !moved) return Status::ok;
     const bool apart = k == 0 || row.time_ns - time_of(k - 1) >= apart_ns;
     if (lonely_ && apart && !newest_) give_pose(k - 1, sink);
@@ -71,8 +65,8 @@ class ContactRows {
     rows_ = k + 1;
     lonely_ = apart && sensed && moved && row.twist.isZero(0.0);
     if (!started_) {
-      if (sensed) raw_.add(raw_time);
-      if (moved) motion_.add(motion_time);
+      if (sensed) raw_.add(raw_stamps_.latest());
+      if (moved) motion_.add(motion_stamps_.latest());
       if (raw_.full() && motion_.full()) start(sink);
     } else if (!give(k - lag_, sink)) {
       const bool packets = raw_stamps_.packets() || motion_stamps_.packets();
@@ -169,8 +163,15 @@ class ContactRows {
     for (std::int64_t r = oldest(); r < rows_ - lag_; ++r) give(r, sink);
   }
 
-  bool add_motion(const ContactRow& row, std::int64_t time_ns, std::int64_t k) noexcept {
+  bool add_raw(const ContactRow& row, std::int64_t k) noexcept {
+    for (int i = 0; i < contact.channels(); ++i)
+      if (!std::isfinite(row.raw[i])) return false;
+    return contact.add_raw(raw_stamps_.stamp(row.time_ns), row.raw, k) == Status::ok;
+  }
+
+  bool add_motion(const ContactRow& row, std::int64_t k) noexcept {
     const bool moving = row.twist.allFinite(), fall = row.fall.allFinite();
+    const std::int64_t time_ns = moving ? motion_stamps_.stamp(row.time_ns) : row.time_ns;
     if (imu_)
       return moving && fall &&
              contact.add_motion(time_ns, row.twist, row.fall, Matrix3::Zero(), k) == Status::ok;

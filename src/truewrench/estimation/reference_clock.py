@@ -16,19 +16,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_lsq_spline
+from scipy.interpolate import BSpline
 
 from truewrench.model.log import Log
+from truewrench.model.repeats import SAMPLED
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import DEGREE, segments, uniform_knots
+from truewrench.motion.smooth import DEGREE, segments, uniform_spline
 
 __all__ = ["ReferenceClock", "with_reference_on_time"]
 
 Array = NDArray[np.float64]
 
 TOLD = 6.0  # sigma of s, or of r, from which on they are undone
-SLOWEST = 0.1  # [s] between two rows of a reference that is sampled, and no table; tolerance
-FEWEST, SHORTEST = 200, 20  # rows of one, and of a stretch of it
+FEWEST, SHORTEST = 200, 20  # rows of a reference that is sampled, and of a stretch of it
 SPACINGS = (0.2, 0.1, 0.05)  # [s] of a smooth reference's knots: the widest that leave, in the median,
 FOLLOWS = 1.1  # times its noise, or what the finest leave: a median of 1,000 samples scatters by 4%
 FURTHEST, GRID = 0.25, 0.01  # [s] that a sensor is late at most, and steps in which that is sought
@@ -136,7 +136,7 @@ def _sampled(time: Array, values: Array, noise: Array) -> tuple[_Piece, ...]:
     """Stretches of what is sampled, with noise of 1 sigma (M,); none of a table, or of a few rows."""
     found = []
     for at in segments(time) if time.size >= FEWEST else []:
-        if at.stop - at.start < SHORTEST or np.median(np.diff(time[at])) > SLOWEST:
+        if at.stop - at.start < SHORTEST or np.median(np.diff(time[at])) > SAMPLED:
             continue
         smooth = _smoothed(time[at], values[at], noise)
         if smooth is not None:
@@ -148,12 +148,12 @@ def _smoothed(time: Array, values: Array, noise: Array) -> BSpline | None:
     period = float(np.median(np.diff(time)))
     found: list[tuple[Array, BSpline]] = []
     for spacing in SPACINGS:
-        knots = uniform_knots(time, max(1, round((time[-1] - time[0]) / max(spacing, 3.0 * period))))
+        intervals = max(1, round((time[-1] - time[0]) / max(spacing, 3.0 * period)))
         try:
-            spline = make_lsq_spline(time, values, knots, DEGREE, method="norm-eq")
+            spline = uniform_spline(time, values, intervals)
         except (ValueError, np.linalg.LinAlgError):  # hardly a sample between two knots
             continue
-        freedom = max(1, time.size - len(knots) + DEGREE + 1)
+        freedom = max(1, time.size - intervals - DEGREE)
         left = np.median(np.abs(values - spline(time)), axis=0) / 0.6745
         found.append((left * np.sqrt(time.size / freedom), spline))
     # noise that finer knots follow would be taken for the second derivative
@@ -203,10 +203,14 @@ class _Record:
 
     def _left(self, late: float) -> float:
         """Log of the determinant of what gain and offset leave where the sensor is so late."""
-        moved, inside = self.moved(np.array([late, 0.5 * late**2, 0.0]), self.time)
+        reference, then = np.full((self.time.size, 6), np.nan), self.time - late
+        for piece in self.reference:
+            here = piece.holds(self.time) & piece.holds(then)
+            reference[here] = piece.between(then[here])
+        inside = np.isfinite(reference[:, 0])
         if inside.sum() < FEWEST:
             return np.inf
-        w, raw = (x - x.mean(axis=0) for x in (moved[inside, :, 0], self.raw[inside]))
+        w, raw = (x - x.mean(axis=0) for x in (reference[inside], self.raw[inside]))
         left = raw - w @ np.linalg.lstsq(w.T @ w, w.T @ raw, rcond=None)[0]
         return float(np.log(np.mean(left**2, axis=0).clip(1e-300)).sum())
 

@@ -12,23 +12,25 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench import _core
+
 __all__ = ["in_packets", "with_even_stamps"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-APART = 250_000_000
+APART = _core.PACKETS_APART
 """[ns] between packets at most: what is silent for longer is a gap."""
 
-CLOSE = 0.1
+CLOSE = _core.PACKETS_CLOSE
 """Of the mean interval, below which two samples came together."""
 
-SHARE = 0.4
+SHARE = _core.PACKETS_SHARE
 """Of the intervals that are so short, from which on samples come in packets, of two and more: stamps that
 scatter by the period itself have 0.1."""
 
 FEWEST = 8  # packets
-SAMPLES = 64  # of a piece, below which nothing is done
+SAMPLES = _core.PACKETS_LEARNED  # of a piece, below which nothing is done
 WAITED = 4  # intervals in a row that are so short, in a stream that comes one by one: of a stall
 
 LOST = 0.5

@@ -169,11 +169,16 @@ def of_references(logs: Sequence[Log], clocks: Sequence[ReferenceClock | None]) 
         if clock is None:
             continue
         s, std, where = clock.late, clock.late_std, log_name(logs, k)
-        first, second = ("sensor", "reference") if s > 0.0 else ("reference", "sensor")
-        words = f"the {first} is {_pm(1e3 * abs(s), 1e3 * std)} ms late against the {second}"
+        words = _late(s, std, "reference", "is")
         what = _what(("clock", "delay", "filter"), "how late the sensor is against the reference, s")
         found += [Assumed(what, where, s, std, words), *_rate(clock.rate, where, "reference's")]
     return tuple(found)
+
+
+def _late(s: float, std: float, other: str, verb: str) -> str:
+    """Whether the sensor is late, or what it is compared with, which `verb` goes with."""
+    first, second, said = ("sensor", other, "is") if s > 0.0 else (other, "sensor", verb)
+    return f"the {first} {said} {_pm(1e3 * abs(s), 1e3 * std)} ms late against the {second}"
 
 
 def _rate(rate: float, where: str, whose: str) -> Iterator[Assumed]:
@@ -211,10 +216,8 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
         s += undone
         seen = ("filter", "delay", "clock") if undone else ("clock", "delay", "filter")
         kinds = ("clock", "delay") if tau > 0.0 else seen
-        first, second = ("sensor", stream) if s > 0.0 else (stream, "sensor")
-        verb = "is" if first == "sensor" else "are"
         within = f", within the stated {1e3 * clock.stated:.3g} ms" if abs(s) <= clock.stated else ""
-        words = f"the {first} {verb} {_pm(1e3 * abs(s), 1e3 * std)} ms late against the {second}{within}"
+        words = _late(s, std, stream, "are") + within
         yield Assumed(_what(kinds, f"how late the sensor is against the {stream}, s"), where, s, std, words)
 
 

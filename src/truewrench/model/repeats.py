@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 
 from truewrench.model.log import Log
 
-__all__ = ["without_repeats"]
+__all__ = ["SAMPLED", "without_repeats"]
 
 Array = NDArray[np.float64]
+
+SAMPLED = 0.1
+"""[s] that a value of a sampled reference stays; loads that are held or noted stay for longer."""
 
 _TOGETHER = 0.9  # share of the columns that change where any does: words for "all"
 _HELD = 0.2  # share of the values that are held, from which on the stream is slower than its rows
@@ -27,7 +30,6 @@ _LONGEST = 3.0  # times as long as the others: what repeats longer is at rest, o
 # 80, 94, 99 and 100% are told.
 _HUNG = 4  # repeats from which on a stream may hang, and
 _JUMP = 3.0  # times as large as any other change of a column, with which it then goes on
-_WEIGHED = 1e8  # [ns] that a value of a sampled reference stays; one of weights for longer
 _RESTS = 0.1  # share of the other rows that repeat, from which on repeats are a stream's own way
 
 _STREAMS = {
@@ -53,7 +55,7 @@ def without_repeats(log: Log) -> Log:
     }
     for name, stream in streams.items():
         held = stream.held() if name in _STREAMS else stream.rows[:0]
-        if name == "reference" and not stream.usual(log.time_ns) <= _WEIGHED:  # loads stay for longer
+        if name == "reference" and not 1e-9 * stream.usual(log.time_ns) <= SAMPLED:
             held = held[:0]
         if held.size:
             changed[name] = stream.values.copy()
