@@ -107,7 +107,9 @@ TEST(EvenStamps, OneByOneStaysAndPacketsLieOnALine) {
       const std::int64_t found = even.stamp(time);
       EXPECT_GT(found, before);
       before = found;
-      if (i > 1000) EXPECT_LT(std::abs(found - i * 2'000'000LL - 250'000), 300'000) << size << " " << i;
+      if (i > 1000) {
+        EXPECT_LT(std::abs(found - i * 2'000'000LL - 250'000), 300'000) << size << " " << i;
+      }
     }
     EXPECT_TRUE(even.packets());
   }
@@ -119,7 +121,9 @@ TEST(EvenStamps, TheLineBeginsAnewWherePacketsAreLost) {
     if (i / 8 % 50 == 49) continue;
     const int last = (i / 8 + 1) * 8 - 1;
     const std::int64_t found = even.stamp(last * 2'000'000LL - (last - i) * 20'000LL);
-    if (i > 200 && i / 8 % 50 > 1) EXPECT_LT(std::abs(found - i * 2'000'000LL), 300'000) << i;
+    if (i > 200 && i / 8 % 50 > 1) {
+      EXPECT_LT(std::abs(found - i * 2'000'000LL), 300'000) << i;
+    }
   }
 }
 
