@@ -77,12 +77,12 @@ def test_dwells_are_no_packets() -> None:
 def test_two_publishers_are_two_streams() -> None:
     """Parts of an arm that are published one shortly after the other."""
     time = np.sort(np.concatenate([PERIOD * np.arange(500), PERIOD * np.arange(500) + 50_000]))
-    values = np.full((1_000, 2), np.nan)
-    values[::2, 0], values[1::2, 1] = 1.0, 2.0
-    stamps, out, notes = with_even_stamps(time, ("q_a", "q_b"), values)
+    columns = {"q_a": np.full(1_000, np.nan), "q_b": np.full(1_000, np.nan)}
+    columns["q_a"][::2], columns["q_b"][1::2] = 1.0, 2.0
+    stamps, out, notes = with_even_stamps(time, columns)
     assert notes == ()
     assert stamps is time
-    assert out is values
+    assert out is columns
 
 
 @pytest.mark.parametrize("of_motion", [False, True])

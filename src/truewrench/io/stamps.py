@@ -7,7 +7,7 @@ the estimate finds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,28 +38,29 @@ LOST = 0.5
 
 
 def with_even_stamps(
-    time_ns: Stamps, columns: Sequence[str], values: Array
-) -> tuple[Stamps, Array, tuple[str, ...]]:
+    time_ns: Stamps, columns: dict[str, Array]
+) -> tuple[Stamps, dict[str, Array], tuple[str, ...]]:
     """A table in which the samples of each stream that comes in packets are spaced evenly.
 
     Args:
         time_ns: (N,) increasing [ns].
-        columns: their M names; those that share half of their rows are one stream.
-        values: (N, M), NaN where there is no sample.
+        columns: (N,) by name, NaN where there is no sample; those that share half of their rows are one
+            stream.
 
     Returns:
-        Stamps, values and what is said of it; the same ones where no stream comes in packets.
+        Stamps, columns and what is said of it; the same ones where no stream comes in packets.
     """
-    rows, of = _streams(values)
+    rows, of = _streams(columns.values())
     even = [in_packets(time_ns[at]) for at in rows]
     if all(found is None for found in even):
-        return time_ns, values, ()
+        return time_ns, columns, ()
     stamps = [time_ns[at] if found is None else found for at, found in zip(rows, even, strict=True)]
     merged = np.unique(np.concatenate(stamps))
-    out = np.full((merged.size, len(columns)), np.nan)
-    for j, i in enumerate(of):
-        out[np.searchsorted(merged, stamps[i]), j] = values[rows[i], j]
-    notes = [_said(i, columns, of, found) for i, found in enumerate(even) if found is not None]
+    out = {}
+    for (name, values), i in zip(columns.items(), of, strict=True):
+        out[name] = np.full(merged.size, np.nan)
+        out[name][np.searchsorted(merged, stamps[i])] = values[rows[i]]
+    notes = [_said(i, list(columns), of, found) for i, found in enumerate(even) if found is not None]
     return merged, out, tuple(notes)
 
 
@@ -137,11 +138,11 @@ def _line(time: Array, begin: int, last: NDArray[np.intp], period: float, apart:
     return np.asarray(np.interp(index, last, ends))
 
 
-def _streams(values: Array) -> tuple[list[NDArray[np.intp]], list[int]]:
+def _streams(columns: Iterable[Array]) -> tuple[list[NDArray[np.intp]], list[int]]:
     """Rows of every stream, and which one each column is of."""
     known: list[NDArray[np.bool_]] = []
     of = []
-    for column in values.T:
+    for column in columns:
         here = np.isfinite(column)
         shared = (i for i, rows in enumerate(known) if 2 * np.sum(here & rows) >= np.sum(here))
         stream = next(shared, len(known))

@@ -82,7 +82,8 @@ class _Stream:
     def __init__(self, values: Array) -> None:
         self.values = values
         self.rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-        self.same = values[self.rows[1:]] == values[self.rows[:-1]]
+        there = values if self.rows.size == len(values) else values[self.rows]
+        self.same = there[1:] == there[:-1]
         self.same = self.same[:, ~self.same.all(axis=0)]  # of columns that are alive
         self.repeats = np.append(False, self.same.all(axis=1) & (self.same.shape[1] > 0))[: self.rows.size]
 
