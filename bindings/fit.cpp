@@ -2,6 +2,7 @@
 #include "bindings.hpp"
 
 #include "truewrench/estimation/estimator.hpp"
+#include "truewrench/estimation/part.hpp"
 #include "truewrench/estimation/samples.hpp"
 
 #include <nanobind/eigen/dense.h>
@@ -235,6 +236,7 @@ void bind_fit(nb::module_& m) {
       .def_ro("dropped", &Estimate::dropped)
       .def_ro("fits", &Estimate::fits);
   m.attr("MOST_LOST") = constants::most_lost;
+  m.attr("DEPARTURE_FLOOR") = constants::departure_floor;
   m.attr("DOUBT") = constants::doubt;
   m.attr("UNDETERMINED") = constants::undetermined;
   m.attr("NOISE_TOLD") = constants::noise_told;
@@ -246,6 +248,17 @@ void bind_fit(nb::module_& m) {
       },
       nb::arg("rig"), nb::arg("logs"), nb::arg("settings"), nb::keep_alive<0, 2>(),
       nb::call_guard<nb::gil_scoped_release>());
+  nb::class_<Part>(m, "Part", "The fit of a part of a long record, put away.")
+      .def("settle", &Part::settle, nb::arg("log"), nb::arg("first"),
+           nb::call_guard<nb::gil_scoped_release>(),
+           "At these values of the first parameters, with a step of all from there.")
+      .def_prop_ro(
+          "theta", [](const Part& p) { return Eigen::VectorXd(p.fit().theta + p.fit().step()); },
+          "Where the step leads.")
+      .def_prop_ro("covariance", [](const Part& p) { return p.fit().covariance(); });
+  m.def(
+      "put_away", [](Estimate& found) { return Part(std::move(*found.fit)); }, nb::arg("found"),
+      "The fit behind an estimate of one log, which has none from here on.");
 }
 
 }  // namespace truewrench::python

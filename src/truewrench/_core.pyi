@@ -1016,6 +1016,8 @@ class Estimate:
 
 MOST_LOST: float = 0.2
 
+DEPARTURE_FLOOR: float = 0.0001
+
 DOUBT: float = 0.001
 
 UNDETERMINED: float = 0.5
@@ -1025,6 +1027,24 @@ NOISE_TOLD: float = 2.0
 MASK_SHORTEST: float = 0.03
 
 def estimate(rig: Statement, logs: Sequence[RecordedLog], settings: Settings) -> Estimate: ...
+
+class Part:
+    """The fit of a part of a long record, put away."""
+
+    def settle(self, log: RecordedLog, first: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> bool:
+        """
+        At these values of the first parameters, with a step of all from there.
+        """
+
+    @property
+    def theta(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Where the step leads."""
+
+    @property
+    def covariance(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]: ...
+
+def put_away(found: Estimate) -> Part:
+    """The fit behind an estimate of one log, which has none from here on."""
 
 class IncrementalSettings:
     """Of the estimator as samples arrive."""

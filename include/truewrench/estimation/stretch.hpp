@@ -75,7 +75,13 @@ class Stretch {
                 end + 0.5 * period) {}
   // Those of a spline's span that lie between two times.
   Stretch(const RecordedLog& log, const Statement& rig, const Spline& on, double begin, double end)
-      : spline(on), log_(&log), rig_(&rig), M_(log.components()), n_(static_cast<int>(rig.noise.size())) {
+      : spline(on),
+        log_(&log),
+        rig_(&rig),
+        M_(log.components()),
+        n_(static_cast<int>(rig.noise.size())),
+        begin_(begin),
+        end_(end) {
     for (Eigen::Index k = 0; k < log.time.size(); ++k) {
       if (log.time[k] < begin || log.time[k] > end) continue;
       if (finite_in(log.raw, k) == 0) continue;
@@ -128,6 +134,28 @@ class Stretch {
     }
     c = RowMatrix::Zero(spline.size(), M_);
     e = RowMatrix::Zero(spline.size(), n_);
+  }
+
+  // Leaves nothing but spline, coefficients and mask; and makes the rest anew, if the log has the same samples.
+  void put_away() {
+    const std::vector<char> masked = std::move(raw.masked);
+    raw = RawRows();
+    raw.masked = masked;
+    motion = std::vector<MotionRows>();
+    now = Prediction();
+    mapped = MappedMotion();
+    mapped_at_ = RowMatrix();
+    log_ = nullptr;
+    rig_ = nullptr;
+  }
+  bool take_up(const RecordedLog& log, const Statement& rig) {
+    Stretch anew(log, rig, spline, begin_, end_);
+    if (anew.raw.masked.size() != raw.masked.size()) return false;
+    anew.raw.masked = std::move(raw.masked);
+    anew.c = std::move(c);
+    anew.e = std::move(e);
+    *this = std::move(anew);
+    return true;
   }
 
   const RecordedLog& log() const { return *log_; }
@@ -225,7 +253,8 @@ class Stretch {
   const RecordedLog* log_ = nullptr;
   const Statement* rig_ = nullptr;
   int M_ = 6, n_ = 6;
-  RowMatrix mapped_at_;  // the coefficients that `mapped` is of
+  double begin_ = 0.0, end_ = 0.0;  // [s] of the samples
+  RowMatrix mapped_at_;             // the coefficients that `mapped` is of
 
   // twist = nu(t + s) + (kappa - 1/2) s^2 nuddot + sigma_v eps                                                     (10.4)
   void predict_motion(const Columns& columns, const Eigen::VectorXd& theta) {

@@ -28,7 +28,14 @@ from truewrench.estimation.estimator import unsolved
 from truewrench.estimation.evidence import Evidence
 from truewrench.judging import Comparisons, findings, judge, setup_errors
 from truewrench.judging.channels import still_motion
-from truewrench.judging.validation.comparison import Comparison, compare_held_out, compare_in_sample
+from truewrench.judging.validation.comparison import (
+    BLOCKS,
+    SHARE,
+    Comparison,
+    compare_held_out,
+    compare_in_sample,
+    compare_on,
+)
 from truewrench.model.calibration import Calibration, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -67,13 +74,6 @@ def calibrate_from_motion(
     clock.append(time.perf_counter())
     provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
 
-    def without_the_part(kept: Sequence[Log]) -> Calibration | None:
-        others = [log for k, log in enumerate(logs) if k not in pooled.moving or not known_payload(rig, log)]
-        again = estimate_pooled(rig, [*kept, *others], threads=threads or 0, online=online).estimate
-        return (
-            assemble_motion(rig, [*kept, *others], estimator, again, Verdict(True)) if again.solved else None
-        )
-
     compared: Comparison | str = "not asked for"
     if not estimate.solved:
         compared = "nothing of the record could be fitted"
@@ -83,10 +83,7 @@ def calibrate_from_motion(
         compared = "no payload is known, by which the gains could be compared"
     elif held_out:
         report("comparing", None)
-        undisturbed = [
-            _undisturbed(logs[k], estimate, k) for k in pooled.moving if known_payload(rig, logs[k])
-        ]
-        compared = compare_held_out(rig, undisturbed, without_the_part)
+        compared = _compare_on_unseen(rig, logs, pooled, estimator, threads or 0)
     if isinstance(compared, str):
         compared = compare_in_sample(rig, logs, estimate, provisional.inverse, compared)
     clock.append(time.perf_counter())
@@ -120,9 +117,38 @@ def calibrate_from_motion(
     )
 
 
+def _compare_on_unseen(
+    rig: Rig, logs: Sequence[Log], pooled: Pooled, estimator: Literal["map", "online"], threads: int
+) -> Comparison | str:
+    """With a part held out, of the logs that move with a known payload."""
+    known = [k for k in pooled.moving if known_payload(rig, logs[k])]
+
+    def assembled(of: Sequence[Log], again: Estimate) -> Calibration | None:
+        return assemble_motion(rig, of, estimator, again, Verdict(True)) if again.solved else None
+
+    if pooled.parts is not None:
+        parts = pooled.parts
+        out = parts.held_out([pooled.moving.index(k) for k in known], SHARE, BLOCKS)
+        if not out:
+            return "too few parts of the record follow their motion to hold one out"
+        share = sum(parts.parts[i].samples for i in out) / sum(part.samples for part in parts.parts)
+        without = assembled(parts.logs, parts.estimate(out))
+        return compare_on(rig, [parts.log_of(parts.parts[i]) for i in out], without, share)
+
+    def without_the_part(kept: Sequence[Log]) -> Calibration | None:
+        of = [*kept, *(log for k, log in enumerate(logs) if k not in known)]
+        again = estimate_pooled(rig, of, threads=threads, online=estimator == "online")
+        return assembled(of, again.estimate)
+
+    return compare_held_out(rig, [_undisturbed(logs[k], pooled.estimate, k) for k in known], without_the_part)
+
+
 def _at_one_rate(rig: Rig, logs: Sequence[Log], threads: int, online: bool) -> tuple[Sequence[Log], Pooled]:
     """The estimate, anew while clocks are found to run at different rates, and its logs."""
     pooled = estimate_pooled(rig, logs, threads=threads, online=online)
+    if pooled.parts is not None:  # which have set them
+        told = dict(zip(pooled.moving, pooled.parts.logs, strict=True))
+        return [told.get(k, log) for k, log in enumerate(logs)], pooled
     before = np.zeros(len(logs))
     for _ in range(_RATES):
         rates = clock_rates(rig, logs, pooled.estimate)

@@ -31,6 +31,7 @@ from truewrench.calibrating.still_poses import (
 from truewrench.estimation.estimate import Estimate, no_rows, of_joint
 from truewrench.estimation.estimator import estimate as estimate_motion
 from truewrench.estimation.joint import Joint, body_part, explained
+from truewrench.estimation.parts import InParts, is_long
 from truewrench.model.calibration import LogReport
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -53,12 +54,14 @@ class Pooled:
         moving: which of them move.
         still: what the poses of the others said beyond it; None without any.
         agreement: p of the poses' departure from what motion told; 1 without poses.
+        parts: of the logs that move, where they are long.
     """
 
     estimate: Estimate
     moving: tuple[int, ...]
     still: StillEstimate | None = None
     agreement: float = 1.0
+    parts: InParts | None = None
 
     def reports(self, logs: Sequence[Log], reports: Sequence[LogReport]) -> tuple[LogReport, ...]:
         """Those of motion, with the poses' in their places."""
@@ -103,15 +106,20 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
         InputError: for logs that do not hold what the rig says.
     """
     moving = moving_logs(rig, logs)
-    found = estimate_motion(rig, [logs[k] for k in moving], threads=threads, online=online)
+    in_motion, parts = [logs[k] for k in moving], None
+    if not online and is_long(rig, in_motion):
+        parts = InParts(rig, in_motion, threads)
+        found = parts.estimate()
+    else:
+        found = estimate_motion(rig, in_motion, threads=threads, online=online)
     if len(moving) == len(logs):
-        return Pooled(found, moving)
+        return Pooled(found, moving, parts=parts)
     at_rest = [k for k in range(len(logs)) if k not in moving]
     if found.joint is None:
         offsets = np.zeros((len(at_rest), rig.sensor.n))
         std = np.tile(rig.sensor.offset_prior_array, (len(at_rest), 1))
-        return Pooled(_spread(found, len(logs), moving, offsets, std), moving)
-    largest = logs[max(zip(moving, found.rows, strict=True), key=lambda pair: pair[1].rows.size)[0]]
+        return Pooled(_spread(found, len(logs), moving, offsets, std), moving, parts=parts)
+    largest = logs[max(zip(moving, found.rows, strict=True), key=lambda pair: pair[1].samples)[0]]
     before = Known.of_motion(rig, found.joint, largest.payload)
     still_logs = [logs[k] for k in at_rest]
     still = estimate_still(rig, still_logs, before)
@@ -130,7 +138,8 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
         joint=joint,
     )
     alone = estimate_still(rig, still_logs)
-    return Pooled(whole, moving, still, _agreement(estimate_still(rig, still_logs, before, alone.sizes)))
+    agreement = _agreement(estimate_still(rig, still_logs, before, alone.sizes))
+    return Pooled(whole, moving, still, agreement, parts)
 
 
 def moving_logs(rig: Rig, logs: Sequence[Log]) -> tuple[int, ...]:

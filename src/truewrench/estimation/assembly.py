@@ -80,7 +80,7 @@ def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
     for event in estimate.events[k]:
         masked["contact" if event.lasting else "outliers"] += event.samples
     sensed = int(np.isfinite(log.raw).any(axis=1).sum())
-    outside = max(0, sensed - rows.rows.size)
+    outside = max(0, sensed - rows.samples)
     return LogReport(
         log.path,
         log.sha256,
@@ -88,7 +88,7 @@ def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
         estimate.offsets[k],
         estimate.offsets_std[k],
         time_offset=float(estimate.time_offsets[k]),
-        used=int(np.count_nonzero(~rows.masked)),
+        used=rows.samples - rows.left_out,
         masked=dict(masked),
         rejected={"outside every stretch of motion": outside} if outside else {},
         disturbances=tuple((e.begin, e.end) for e in estimate.events[k]),

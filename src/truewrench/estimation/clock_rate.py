@@ -18,7 +18,7 @@ from truewrench.estimation.estimate import Estimate, LogRows
 from truewrench.model.log import Log, Tracking
 from truewrench.model.rig import Rig
 
-__all__ = ["clock_rates", "with_rate"]
+__all__ = ["LEFT", "TOLD", "clock_rates", "told_rate", "with_rate"]
 
 Array = NDArray[np.float64]
 
@@ -61,6 +61,18 @@ def _rate(rows: LogRows, gain: Array, least: float) -> float:
     spread = np.sum((S + late[:, None] * J) ** 2 / J) / (PARTS * (SHORTER - 1))  # 1 where residuals are white
     weight = J.sum(axis=1) / max(spread, 1.0)
     middle = np.array([time[at].mean() for at in parts]).reshape(PARTS, SHORTER).mean(axis=1)
+    return told_rate(middle, late, weight, least)
+
+
+def told_rate(middle: Array, late: Array, weight: Array, least: float) -> float:
+    """The slope of a lateness that grows along a straight line, 0 where that is not told.
+
+    Args:
+        middle: (P,) of parts of a record [s].
+        late: (P,) how late the sensor is in them [s].
+        weight: (P,) information on that [1/s^2].
+        least: sigma from which on it is told.
+    """
     apart = middle - weight @ middle / weight.sum()
     late = late - weight @ late / weight.sum()
     r = float(weight * apart @ late / (weight @ apart**2))
@@ -68,7 +80,7 @@ def _rate(rows: LogRows, gain: Array, least: float) -> float:
     total, crooked = weight @ late**2, weight @ (late - r * apart) ** 2
     sums, weights = np.cumsum(weight * late)[:-1], np.cumsum(weight)[:-1]
     of_step = total - np.max(sums**2 / weights + sums**2 / (weight.sum() - weights))  # a clock that was set
-    straight = crooked < min(max(STRAIGHT * total, 3.0 * (PARTS - 2)), of_step)
+    straight = crooked < min(max(STRAIGHT * total, 3.0 * (late.size - 2)), of_step)
     return r if told and straight else 0.0
 
 
@@ -82,10 +94,17 @@ def _rates_of(rows: LogRows, felt: Array) -> Array:
     return out
 
 
-def with_rate(log: Log, rate: float) -> Log:
-    """The log with its sensor's stamps as the motion's clock would have them, at rows of their own."""
+def with_rate(log: Log, rate: float, middle: float | None = None) -> Log:
+    """The log with its sensor's stamps as the motion's clock would have them, at rows of their own.
+
+    Args:
+        log: whose sensor's clock runs faster.
+        rate: by that much.
+        middle: where both agree [ns]; by default that of the sensor's samples.
+    """
     sensed = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
-    middle = 0.5 * float(log.time_ns[sensed[0]] + log.time_ns[sensed[-1]])
+    if middle is None:
+        middle = 0.5 * float(log.time_ns[sensed[0]] + log.time_ns[sensed[-1]])
     stamps = log.time_ns[sensed] - np.rint(rate * (log.time_ns[sensed] - middle)).astype(np.int64)
     union = np.unique(np.concatenate([stamps, log.time_ns]))
     places = np.searchsorted(union, log.time_ns)

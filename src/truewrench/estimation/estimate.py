@@ -143,7 +143,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogRows:
-    """The sensor's samples of one log that the fit holds, and what it says at them.
+    """The sensor's samples of one log that the fit holds, and what it says at them; of a long log some.
 
     Attributes:
         rows: (K,) of the log.
@@ -155,6 +155,9 @@ class LogRows:
         twist: (K, 6) of the logged point (joints: of the sensor).
         acceleration: (K, 6) its component-wise derivative.
         stretch: (K,) which gap-free stretch each belongs to.
+        samples: how many the fit holds.
+        left_out: how many of them are masked.
+        every: one of so many is here.
     """
 
     rows: NDArray[np.int64]
@@ -166,15 +169,17 @@ class LogRows:
     twist: Array
     acceleration: Array
     stretch: NDArray[np.int64]
+    samples: int
+    left_out: int
+    every: int = 1
 
 
 def no_rows(n: int) -> LogRows:
     """Of a log of n channels that holds no motion."""
     none = np.zeros(0, np.int64)
     empty = np.zeros((0, 6))
-    return LogRows(
-        none, np.zeros(0), np.zeros(0, bool), np.zeros((0, n)), np.zeros((0, n)), empty, empty, empty, none
-    )
+    left = np.zeros((0, n))
+    return LogRows(none, np.zeros(0), np.zeros(0, bool), left, left, empty, empty, empty, none, 0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -275,8 +280,7 @@ class Estimate:
 
     def masked_share(self) -> float:
         """Share of the sensor's samples that were left out."""
-        total = sum(r.masked.size for r in self.rows)
-        return float(sum(r.masked.sum() for r in self.rows)) / max(total, 1)
+        return float(sum(r.left_out for r in self.rows)) / max(sum(r.samples for r in self.rows), 1)
 
 
 def without_motion(n: int, count: int, **found: Any) -> Estimate:

@@ -27,7 +27,7 @@ from truewrench.estimation.record import recorded_logs
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["estimate", "unsolved"]
+__all__ = ["estimate", "solved", "unsolved"]
 
 Array = NDArray[np.float64]
 
@@ -58,17 +58,32 @@ def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = 
         found = _core.estimate(statement, records, settings)
     if found.status != _core.Status.ok:
         return unsolved(rig, logs, found)
-    return _solved(rig, assumed, logs, found, records)
+    return solved(rig, assumed, logs, found, records)
 
 
-def _solved(
-    rig: Rig, assumed: Assumptions, logs: Sequence[Log], found: Any, records: Sequence[Any]
+def solved(
+    rig: Rig,
+    assumed: Assumptions,
+    logs: Sequence[Log],
+    found: Any,
+    records: Sequence[Any],
+    rows: Sequence[LogRows] | None = None,
 ) -> Estimate:
+    """What the core found, in SI and raw units.
+
+    Args:
+        rig: sensor and payloads.
+        assumed: every number.
+        logs: the record.
+        found: what the core's `estimate` returns, or what has its attributes.
+        records: the logs' streams.
+        rows: of the logs, else those of the fit.
+    """
     fit, n = found.fit, rig.sensor.n
     scale, span = assumed.channel_scale, rig.sensor.range_array
     covariance = np.array(found.covariance)
     columns = [fit.columns(k) for k in range(len(logs))]
-    rows = tuple(_rows(rig, log, fit.rows(k)) for k, log in enumerate(logs))
+    rows = tuple(rows or [_rows(rig, fit.rows(k)) for k in range(len(logs))])
     carried = _carried(rig, logs, columns, np.asarray(fit.theta), rows)
     prior = np.asarray(fit.prior)[: 6 * n]
     theta = np.asarray(fit.theta) + _core.to_the_middle(covariance, prior, span, carried)
@@ -179,17 +194,20 @@ def unsolved(rig: Rig, logs: Sequence[Log], found: Any = None) -> Estimate:
     )
 
 
-def _rows(rig: Rig, log: Log, of: Any) -> LogRows:
+def _rows(rig: Rig, of: Any) -> LogRows:
+    masked = np.asarray(of["masked"]).ravel() > 0.0
     return LogRows(
         rows=np.asarray(of["source"], np.int64),
         time=np.asarray(of["time"]).ravel(),
-        masked=np.asarray(of["masked"]).ravel() > 0.0,
+        masked=masked,
         residual=np.asarray(of["residual"]),
         discrepancy=np.asarray(of["d"]),
         wrench=np.asarray(of["w"]) * rig.sensor.range_array,
         twist=np.asarray(of["nu"]),
         acceleration=np.asarray(of["a"]),
         stretch=np.asarray(of["stretch"], np.int64),
+        samples=masked.size,
+        left_out=int(masked.sum()),
     )
 
 
@@ -255,7 +273,7 @@ def _carried(
     """The payloads of the logs as theta has them, and what the sensor felt of them."""
     felt: dict[str, Array] = {}
     for log, of in zip(logs, rows, strict=True):
-        felt[log.payload] = felt.get(log.payload, 0.0) + of.wrench.T @ of.wrench
+        felt[log.payload] = felt.get(log.payload, 0.0) + of.every * of.wrench.T @ of.wrench
     out = []
     for log, c in zip(logs, columns, strict=True):
         if log.payload not in felt:

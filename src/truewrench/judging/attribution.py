@@ -191,7 +191,9 @@ def fast_looks(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Looks
 
 
 def _vibration(rows: LogRows) -> Iterator[Looks]:
-    """The highest peak of the residuals' spectrum above `FAST`."""
+    """The highest peak of the residuals' spectrum above `FAST`; of a selection none: it would be folded."""
+    if rows.every > 1:
+        return
     for stretch in np.unique(rows.stretch):
         at = rows.stretch == stretch
         t, r = rows.time[at], np.where(rows.masked[at, None], 0.0, np.nan_to_num(rows.residual[at]))

@@ -15,7 +15,7 @@ from scipy.special import pdtrc
 
 from truewrench import _core
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
-from truewrench.estimation.estimate import Clock, Estimate, LogRows, Slow
+from truewrench.estimation.estimate import Clock, Estimate, Slow
 from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.judging.attribution import WALK, Looks, fast_looks, slow_looks
 from truewrench.model.calibration_parts import Assumed
@@ -294,7 +294,7 @@ def _fine(estimate: Estimate, logs: Sequence[Log], k: int, fast: Sequence[str]) 
     h, rows = float(estimate.spacing[k]), estimate.rows[k]
     if rows.time.size < 2:
         return
-    coarsest = max(0.05, 2.5 * float(np.median(np.diff(rows.time))))
+    coarsest = max(0.05, 2.5 * float(np.median(np.diff(rows.time))) / rows.every)
     if h < FINE * coarsest:
         kinds = [kind for kind in fast if kind in ("vibration", "jitter")] or ["vibration", "jitter"]
         words = f"the motion is resolved in steps of {1e3 * h:.2g} ms, not {1e3 * coarsest:.2g} ms"
@@ -365,13 +365,9 @@ def _events(
         words = f"{len(rest)} more contacts, {seconds:.3g} s in all, left out"
         yield Assumed("contact: left out, s", where, seconds, None, words)
     outliers = sum(event.samples for event in estimate.events[k] if not event.lasting)
-    if outliers and pdtrc(outliers - 1, CLEAN_OUTLIERS * _samples(rows)) < CHANCE:
-        words = f"{outliers} single samples left out of {_samples(rows)}"
+    if outliers and pdtrc(outliers - 1, CLEAN_OUTLIERS * rows.samples) < CHANCE:
+        words = f"{outliers} single samples left out of {rows.samples}"
         yield Assumed("outliers: samples left out", where, float(outliers), None, words)
-
-
-def _samples(rows: LogRows) -> int:
-    return int(rows.masked.size)
 
 
 def _pm(value: float, sigma: float) -> str:

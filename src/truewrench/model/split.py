@@ -60,8 +60,8 @@ def between_jumps(log: Log) -> list[Log]:
     return [replace(part, offset_jumps_ns=()) for part in pieces]
 
 
-def rows_of(log: Log, rows: NDArray[np.bool_]) -> Log:
-    """The log with some of its rows."""
+def rows_of(log: Log, rows: NDArray[np.bool_] | slice) -> Log:
+    """The log with some of its rows; views of those of a slice."""
 
     def pick(values: Array | None) -> Array | None:
         return None if values is None else values[rows]

@@ -165,7 +165,9 @@ def _of_estimate(calibration: Calibration, placed: Series, log: Log, k: int, est
             left[channels] = np.clip(np.nanmean(squares), _LEAST_LEFT, 1.0)
     slow = rows.discrepancy * scale
     outside = np.any(np.isfinite(log.raw), axis=1)
-    outside[rows.rows] = False
+    for stretch in np.unique(rows.stretch):
+        held = rows.rows[rows.stretch == stretch]
+        outside[held[0] : held[-1] + 1] = False
     whole = replace(
         placed,
         time=rows.time,

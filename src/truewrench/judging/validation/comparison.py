@@ -23,11 +23,11 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import between_jumps, held_out
 
-__all__ = ["Comparison", "compare_held_out", "compare_in_sample"]
+__all__ = ["BLOCKS", "SHARE", "Comparison", "compare_held_out", "compare_in_sample", "compare_on"]
 
 Array = NDArray[np.float64]
 
-SHARE = 0.2  # of every log that is held out
+SHARE, BLOCKS = 0.2, 4  # of every log that is held out; in so many pieces at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +55,23 @@ def compare_held_out(
         logs: the whole record.
         calibrated: a calibration with some logs, None where they do not suffice for one.
     """
-    kept, out = held_out(logs, SHARE)
+    kept, out = held_out(logs, SHARE, BLOCKS)
     if not out:
         return "the record is too short to hold a part of it out (10 s and 1000 rows are needed)"
-    calibration = calibrated(kept)
+    return compare_on(rig, out, calibrated(kept), SHARE)
+
+
+def compare_on(
+    rig: Rig, out: Sequence[Log], calibration: Calibration | None, share: float
+) -> Comparison | str:
+    """Compare on logs that a calibration has not seen, or say why that cannot be.
+
+    Args:
+        rig: sensor, payloads and motion.
+        out: what was held out.
+        calibration: with the rest; None where that does not suffice for one.
+        share: of the record that was held out.
+    """
     if calibration is None or not np.isfinite(calibration.inverse).all():
         return "without the part to be held out, the record does not give a gain"
     try:
@@ -71,7 +84,7 @@ def compare_held_out(
         tuple(f"on the part of the record that was held out, {reason}" for reason in reasons),
         {
             "samples": found.samples,
-            "share": SHARE,
+            "share": share,
             "nis": {name: axis.nis for name, axis in found.axes.items()},
             "coverage": {name: axis.coverage for name, axis in found.axes.items()},
         },

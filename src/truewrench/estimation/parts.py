@@ -1,0 +1,481 @@
+"""Long records part by part, each with a spline, an offset, a delay and sizes of its own, then put together.
+
+The parts share gain, bodies, tilt and the kind of lateness and are independent beside them: what they say is
+added (together.py). Of a part nothing is kept but that and some of its rows: an hour takes the memory of
+minutes. The parts also tell whether clocks run at different rates, and judge what the others say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Hashable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truewrench import _core
+from truewrench.estimation.assumptions import Assumptions, statement
+from truewrench.estimation.clock_rate import LEFT, TOLD, told_rate, with_rate
+from truewrench.estimation.estimate import Clock, Estimate, Event, LogRows
+from truewrench.estimation.estimator import solved, unsolved
+from truewrench.estimation.pose import PoseShare, with_pose
+from truewrench.estimation.record import recorded
+from truewrench.estimation.together import Shared, Told
+from truewrench.model.errors import InputError
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
+
+__all__ = ["InParts", "is_long"]
+
+Array = NDArray[np.float64]
+
+LONG_ROWS, LONG = 600_000, 1_800.0
+"""Rows of all logs, and [s], from which on a record is taken part by part: 0.7 GB at once."""
+PART = 100.0  # [s]: 0.1 GB at 1 kHz
+SHOWN = 150_000  # rows of all logs that are kept
+ROUNDS = 3  # times that clocks are set, and
+SETTLED = 3  # that parts are looked at again, until
+MOVE = 0.05  # of a sigma (RMS) is the way to where all of them together are
+FEWEST = 4  # parts that tell a rate
+
+
+def is_long(rig: Rig, logs: Sequence[Log]) -> bool:
+    """Whether a record is to be taken part by part; joints known by velocities alone go on from one start."""
+    if rig.motion.source == "joints" and any(log.position is None for log in logs):
+        return False
+    seconds = sum(float(log.time[-1]) for log in logs if len(log.time_ns))
+    return sum(len(log.time_ns) for log in logs) > LONG_ROWS or seconds > LONG
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """What one part says.
+
+    Attributes:
+        log: which it is of.
+        begin: its first stamp [s] from that of the log.
+        end: its last one.
+        rows: of the log.
+        samples: of the sensor that were fitted.
+        masked: of them those left out, rows of the log.
+        found: what the core found, without the fit; None where nothing could be solved.
+        fit: put away; likewise.
+        estimate: the same in SI units.
+        record: its streams' names and sizes.
+    """
+
+    log: int
+    begin: float
+    end: float
+    rows: slice
+    samples: int
+    masked: NDArray[np.int64]
+    found: SimpleNamespace | None
+    fit: _core.Part | None
+    estimate: Estimate
+    record: SimpleNamespace
+
+    @property
+    def follows(self) -> bool:
+        """Whether the motion explains it and the samples resolve it."""
+        lost = self.estimate.unresolved.any() or (self.estimate.unexplained > _core.MOST_LOST).any()
+        return self.found is not None and not lost
+
+
+class InParts:
+    """The parts of some logs, estimated one by one.
+
+    Attributes:
+        logs: as given, with the rates of their clocks.
+        parts: in the order of the logs.
+    """
+
+    def __init__(self, rig: Rig, logs: Sequence[Log], threads: int) -> None:
+        self._rig, self._assumed, self._threads = rig, Assumptions.of(rig, logs), threads
+        self._statement = statement(self._assumed)
+        self._every = max(1, -(-sum(len(log.time_ns) for log in logs) // SHOWN))
+        self.logs = list(logs)
+        every: list[list[_Part]] = [self._parts_of(k) for k in range(len(logs))]
+        for _ in range(ROUNDS):
+            rates = [_rate(parts, log.clock_rate) for parts, log in zip(every, self.logs, strict=True)]
+            for k in np.flatnonzero(rates):
+                self.logs[k] = replace(self.logs[k], clock_rate=self.logs[k].clock_rate + rates[k])
+                every[k] = self._parts_of(int(k))
+            if not any(rates):
+                break
+        self.parts = [part for parts in every for part in parts]
+        if not self.parts:  # as of the whole, so that it says what is missing
+            recorded(rig, self._assumed, self.logs[0])
+        self._told = self._settled()
+
+    def log_of(self, part: _Part) -> Log:
+        """What a part was estimated from, what it left out apart, cut where its offset steps."""
+        log, _ = self._cut(part.log, part.rows)
+        raw = log.raw.copy()
+        raw[np.isin(self._origin(part.log, part.rows, log), part.masked)] = np.nan
+        at = (int(log.time_ns[0] + round(1e9 * step.time)) for step in part.estimate.steps[0])
+        return replace(log, raw=raw, offset_jumps_ns=tuple(at), sha256="", nan_counts={}, dropped_rows=0)
+
+    def held_out(self, logs: Collection[int], share: float, most: int) -> list[int]:
+        """Parts spread over some logs, to be held out: so large a share, and at most so many of each log."""
+        out: list[int] = []
+        for k in logs:
+            of = [i for i, part in enumerate(self.parts) if part.log == k and part.follows]
+            count = min(most, int(share * len(of)))
+            out += [of[int((j + 0.5) * len(of) / count)] for j in range(count)]
+        return out
+
+    def estimate(self, without: Collection[int] = ()) -> Estimate:
+        """Of all parts that their motion explains, some of them held out."""
+        parts = [part for i, part in enumerate(self.parts) if i not in without]
+        used = [part for part in parts if part.follows]
+        count = len(self.logs)
+        of = [[part for part in parts if part.log == k] for k in range(count)]
+        lost = SimpleNamespace(
+            unexplained=np.array([_unexplained(parts) for parts in of]),
+            unresolved=np.array([_unresolved(parts) for parts in of]),
+            dropped=np.array([sum(int(part.estimate.dropped.sum()) for part in parts) for parts in of]),
+            fits=sum(part.estimate.fits for part in parts),
+        )
+        last = [next((part for part in reversed(used) if part.log == k), None) for k in range(count)]
+        if any(part is None for part in last):
+            return unsolved(self._rig, self.logs, lost)
+        ends = [part for part in last if part is not None]
+        shared = Shared([told for i, told in self._told.items() if i not in without])
+        found = self._found([[part for part in used if part.log == k] for k in range(count)], ends, shared)
+        halves, quarters = _places(used)
+        found.halves = SimpleNamespace(p=shared.agreement(halves, 6 * self._rig.sensor.n))
+        found.quarters = SimpleNamespace(p=shared.agreement(quarters, 6 * self._rig.sensor.n))
+        vars(found).update(vars(lost))
+        rows = [_joined([part for part in parts if part.found is not None]) for parts in of]
+        whole = solved(self._rig, self._assumed, self.logs, found, [part.record for part in ends], rows)
+        return replace(
+            whole,
+            clocks=tuple(_clocks([p for p in used if p.log == k], self.logs[k]) for k in range(count)),
+            events=tuple(tuple(e for part in parts for e in _events(part)) for parts in of),
+            steps=tuple(
+                tuple(
+                    replace(s, time=s.time + p.begin) for p in used if p.log == k for s in p.estimate.steps[0]
+                )
+                for k in range(count)
+            ),
+        )
+
+    def _found(self, of: Sequence[Sequence[_Part]], ends: Sequence[_Part], shared: Shared) -> SimpleNamespace:
+        """What the core would have found of the whole."""
+        theta, covariance, places = shared.with_own([self._told[self.parts.index(part)] for part in ends])
+        weights = [np.array([part.samples for part in parts], float) for parts in of]
+        total = np.concatenate(weights)
+        every = [part.found for parts in of for part in parts if part.found is not None]
+
+        def mean(values: Sequence[Any]) -> Array:
+            return np.asarray(np.tensordot(total / total.sum(), np.array(values, float), 1))
+
+        columns = [_columns_at(part, at) for part, at in zip(ends, places, strict=True)]
+        of_logs = [
+            _sizes([part.found for part in parts if part.found is not None], weight)
+            for parts, weight in zip(of, weights, strict=True)
+        ]
+        n6 = 6 * self._rig.sensor.n
+        ww, A = mean([found.ww for found in every]), float(mean([found.A for found in every]))
+        discrepancy2 = mean([found.discrepancy2 for found in every])
+        added = (shared.covariance - shared.without_added)[:n6, :n6]
+        gain = covariance[:n6, :n6] + added
+        prior = np.zeros(len(theta))
+        prior[:n6] = every[0].prior[:n6]
+        stated = self._assumed.discrepancy
+        if stated != 0.0:
+            f2 = np.maximum(discrepancy2, stated**2) if stated > 0.0 else discrepancy2
+            gain = with_pose(gain, PoseShare(min(A, 1.0), np.full(6, np.nan), ww), np.sqrt(f2), prior[:n6])
+        fit = SimpleNamespace(
+            theta=theta,
+            prior=prior,
+            active={
+                int(place[j])
+                for part, place in zip(ends, places, strict=True)
+                if part.found is not None
+                for j in part.found.active
+            },
+            columns=columns.__getitem__,
+            sizes=lambda k: of_logs[k][0],
+            spacing=lambda k: float(np.median([part.estimate.spacing[0] for part in of[k]])),
+            converged=all(found.converged for found in every),
+            iterations=max(found.iterations for found in every),
+        )
+        return SimpleNamespace(
+            fit=fit,
+            covariance=covariance,
+            gain_covariance=gain,
+            added=added,
+            moments=[moments for _, moments in of_logs],
+            discrepancy2=discrepancy2,
+            pose=SimpleNamespace(A=A, ww=ww),
+        )
+
+    def _settled(self) -> dict[int, Told]:
+        """What the parts say, by their place, all at the values of what they share that are best for all.
+
+        Where each was where it alone is best, they would not agree on what is not told: of a gain and a
+        centre of mass that make up for each other, each would leave another mixture open, and the sum none.
+        """
+        told = {i: _told(part, self._rig) for i, part in enumerate(self.parts) if part.follows}
+        at: Array | None = None
+        for _ in range(SETTLED):
+            if not told:
+                break
+            shared = Shared(list(told.values()))
+            first = sum(isinstance(key, int) for key in shared.places)
+            std = np.sqrt(np.diag(shared.covariance)[:first])
+            if at is not None and np.sqrt(np.mean(((shared.mean[:first] - at) / std) ** 2)) < MOVE:
+                break
+            at = shared.mean[:first]
+            for i, before in told.items():
+                part = self.parts[i]
+                log, _ = self._cut(part.log, part.rows)
+                fit = part.fit
+                assert fit is not None
+                if fit.settle(recorded(self._rig, self._assumed, log).streams, at):
+                    told[i] = replace(before, theta=np.array(fit.theta), covariance=np.array(fit.covariance))
+        return told
+
+    def _parts_of(self, k: int) -> list[_Part]:
+        log = self.logs[k]
+        count = max(1, round(float(log.time[-1]) / PART)) if len(log.time_ns) else 1
+        edges = np.searchsorted(log.time, np.linspace(0.0, float(log.time[-1]), count + 1)[1:-1])
+        bounds = [0, *edges.tolist(), len(log.time_ns)]
+        found = [self._part(k, slice(a, b)) for a, b in pairwise(bounds) if b > a]
+        return [part for part in found if part is not None]
+
+    def _cut(self, k: int, rows: slice) -> tuple[Log, float]:
+        """Some rows of a log on one clock, and when they begin [s]."""
+        log = self.logs[k]
+        part = rows_of(log, rows)
+        if log.clock_rate != 0.0 and np.isfinite(part.raw).any():
+            middle = 0.5 * float(log.time_ns[0] + log.time_ns[-1])
+            part = with_rate(replace(part, clock_rate=0.0), log.clock_rate, middle)
+        return part, float((part.time_ns[0] - log.time_ns[0]) * 1e-9)
+
+    def _origin(self, k: int, rows: slice, part: Log) -> NDArray[np.int64]:
+        """Which row of the log each row of its part is of, for those with a sample of the sensor."""
+        out = np.full(len(part.time_ns), -1, np.int64)
+        sensed = np.isfinite(self.logs[k].raw[rows]).any(axis=1)
+        out[np.isfinite(part.raw).any(axis=1)] = rows.start + np.flatnonzero(sensed)
+        return out
+
+    def _part(self, k: int, rows: slice) -> _Part | None:
+        """None where the part holds no motion, or nothing of the sensor."""
+        log, begin = self._cut(k, rows)
+        try:
+            record = recorded(self._rig, self._assumed, log).streams
+        except InputError:
+            return None
+        settings = _core.Settings()
+        settings.threads, settings.discrepancy = self._threads, self._assumed.discrepancy
+        found = _core.estimate(self._statement, [record], settings)
+        ok = found.status == _core.Status.ok
+        if not ok:
+            estimate = unsolved(self._rig, [log], found)
+        else:
+            estimate = solved(self._rig, self._assumed, [log], found, [record])
+        held = estimate.rows[0]
+        origin = self._origin(k, rows, log)[held.rows]
+        end = begin + float(log.time[-1])
+        streams = [
+            SimpleNamespace(derivative=m.derivative, time_offset_prior=m.time_offset_prior)
+            for m in record.motion
+        ]
+        return _Part(
+            k,
+            begin,
+            end,
+            rows,
+            held.samples,
+            origin[held.masked],
+            _without_fit(found) if ok else None,
+            _core.put_away(found) if ok else None,
+            replace(estimate, rows=(_some(held, origin, begin, self._every),)),
+            SimpleNamespace(source=record.source, motion=streams),
+        )
+
+
+def _without_fit(found: Any) -> SimpleNamespace:
+    fit = found.fit
+    sizes = fit.sizes(0)
+    return SimpleNamespace(
+        columns=fit.columns(0),
+        theta=np.array(fit.theta),
+        mean=np.array(fit.mean),
+        prior=np.array(fit.prior),
+        active=frozenset(fit.active),
+        covariance=np.array(found.covariance),
+        added=np.array(found.added),
+        discrepancy2=np.array(found.discrepancy2),
+        A=float(found.pose.A),
+        ww=np.array(found.pose.ww),
+        sizes=SimpleNamespace(
+            raw_factor=np.array(sizes.raw_factor),
+            motion_factor=[np.array(x) for x in sizes.motion_factor],
+            form=sizes.form,
+            delta=np.array(sizes.delta),
+            k=float(sizes.k),
+            cap=np.array(sizes.cap),
+        ),
+        moments=[SimpleNamespace(tau=m.tau, delta2=m.delta2, sd=m.sd, z=m.z) for m in found.moments[0]],
+        converged=bool(fit.converged),
+        iterations=int(fit.iterations),
+    )
+
+
+def _some(held: LogRows, origin: NDArray[np.int64], begin: float, every: int) -> LogRows:
+    """One of so many rows, and the ends of every stretch, in rows and seconds of the whole log."""
+    edge = np.diff(held.stretch, prepend=-1, append=-1) != 0
+    at = np.flatnonzero((np.arange(held.rows.size) % every == 0) | edge[:-1] | edge[1:])
+    return LogRows(
+        rows=origin[at],
+        time=held.time[at] + begin,
+        masked=held.masked[at],
+        residual=held.residual[at],
+        discrepancy=held.discrepancy[at],
+        wrench=held.wrench[at],
+        twist=held.twist[at],
+        acceleration=held.acceleration[at],
+        stretch=held.stretch[at],
+        samples=held.samples,
+        left_out=held.left_out,
+        every=every,
+    )
+
+
+def _joined(parts: Sequence[_Part]) -> LogRows:
+    rows = [part.estimate.rows[0] for part in parts]
+    begins = np.cumsum([0, *(int(r.stretch.max(initial=-1)) + 1 for r in rows)])
+    names = ("rows", "time", "masked", "residual", "discrepancy", "wrench", "twist", "acceleration")
+    return LogRows(
+        **{name: np.concatenate([getattr(r, name) for r in rows]) for name in names},
+        stretch=np.concatenate([r.stretch + b for r, b in zip(rows, begins[:-1], strict=True)]),
+        samples=sum(r.samples for r in rows),
+        left_out=sum(r.left_out if part.follows else r.samples for r, part in zip(rows, parts, strict=True)),
+        every=rows[0].every,
+    )
+
+
+def _unexplained(parts: Sequence[_Part]) -> float:
+    """Of the raw output of a log: of the parts left out, where they are too many."""
+    lost, kept = ([p for p in parts if p.follows == way] for way in (False, True))
+    share = sum(p.samples for p in lost) / max(sum(p.samples for p in parts), 1)
+    of = lost if share > _core.MOST_LOST or not kept else kept
+    return float(np.mean([p.estimate.unexplained[0] for p in of])) if of else 0.0
+
+
+def _unresolved(parts: Sequence[_Part]) -> bool:
+    lost = sum(p.samples for p in parts if p.estimate.unresolved.any())
+    return lost > _core.MOST_LOST * sum(p.samples for p in parts)
+
+
+def _told(part: _Part, rig: Rig) -> Told:
+    """What a part says, and of it what it shares with others: of its log, or of all."""
+    assert part.found is not None
+    columns = part.found.columns
+    at = np.array(columns.at)
+    first = int(at[columns.b]) + (rig.sensor.n if rig.sensor.pool_offsets else 0)
+    keys: dict[int, Hashable] = {j: j for j in range(first)}
+    keys |= {int(at[place + 1]): ("kappa", part.log, i) for i, place in enumerate(columns.clock)}
+    if columns.gamma >= 0:
+        keys[int(at[columns.gamma])] = ("gamma", part.log)
+    u = slice(int(at[columns.u]), int(at[columns.u]) + rig.sensor.n)
+    found = part.found
+    return Told(keys, u, found.theta, found.mean, found.prior, found.covariance, found.added)
+
+
+def _places(parts: Sequence[_Part]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether each part lies in the first half of its log; and in its first or third quarter."""
+    end = [max(p.end for p in parts if p.log == part.log) for part in parts]
+    middle = np.array([0.5 * (p.begin + p.end) / max(e, 1e-9) for p, e in zip(parts, end, strict=True)])
+    return middle < 0.5, (4.0 * middle).astype(int) % 2 == 0
+
+
+def _columns_at(part: _Part, place: NDArray[np.int64]) -> SimpleNamespace:
+    """Where the parameters of a log stand in theta of all."""
+    assert part.found is not None
+    columns = part.found.columns
+    names = ("C", "b", "u", "body", "slope", "tilt", "gamma", "clock", "bias", "steps", "step_times")
+    return SimpleNamespace(
+        **{name: getattr(columns, name) for name in names}, at=place[np.array(columns.at)].tolist()
+    )
+
+
+def _sizes(parts: Sequence[SimpleNamespace], weight: Array) -> tuple[SimpleNamespace, list[SimpleNamespace]]:
+    """Sizes and moments of a log: means of its parts, of a slow disturbance of those in which it is alike."""
+    weight = weight / weight.sum()
+
+    def rms(values: Sequence[Array]) -> Array:
+        return np.asarray(np.sqrt(np.einsum("i,i...->...", weight, np.square(values))))
+
+    forms = {part.sizes.form: 0.0 for part in parts}
+    for part, w in zip(parts, weight, strict=True):
+        forms[part.sizes.form] += w
+    form = max(forms, key=lambda f: forms[f])
+    alike = [part.sizes for part in parts if part.sizes.form == form]
+    sizes = SimpleNamespace(
+        raw_factor=rms([part.sizes.raw_factor for part in parts]),
+        motion_factor=[rms(x) for x in zip(*(part.sizes.motion_factor for part in parts), strict=True)],
+        form=form,
+        delta=np.sqrt(np.mean([np.square(x.delta) for x in alike], axis=0)),
+        k=float(np.mean([x.k for x in alike])),
+        cap=np.mean([x.cap for x in alike], axis=0),
+    )
+    moments = [
+        SimpleNamespace(
+            tau=float(weight @ [m.tau for m in of]),
+            delta2=float(weight @ [m.delta2 for m in of]),
+            sd=float(np.sqrt(weight**2 @ [m.sd**2 for m in of])),
+            z=float(np.sum([m.z for m in of]) / np.sqrt(len(of))),
+        )
+        for of in zip(*(part.moments for part in parts), strict=True)
+    ]
+    return sizes, moments
+
+
+def _clocks(parts: Sequence[_Part], log: Log) -> tuple[Clock, ...]:
+    """How late the sensor is: of each stream the mean of the parts, its 1 sigma as they scatter."""
+    out = []
+    for of in zip(*(part.estimate.clocks[0] for part in parts), strict=True):
+        late, std = np.array([c.late for c in of]), np.array([c.std for c in of])
+        if not (std > 0.0).all():
+            out.append(of[-1])
+            continue
+        weight = std**-2.0 / np.sum(std**-2.0)
+        mean = float(weight @ late)
+        scatter = np.sum(((late - mean) / std) ** 2) / max(len(of) - 1, 1)
+        sigma = float(np.sqrt(max(scatter, 1.0) / np.sum(std**-2.0)))
+        out.append(replace(of[-1], late=mean, std=sigma))
+    return tuple(out)
+
+
+def _events(part: _Part) -> list[Event]:
+    """What a part left out; all of it where its motion does not explain it."""
+    if part.follows:
+        return [
+            replace(e, begin=e.begin + part.begin, end=e.end + part.begin) for e in part.estimate.events[0]
+        ]
+    if part.found is None:
+        return []
+    size = np.nanmax(np.abs(np.nan_to_num(part.estimate.rows[0].residual)), axis=0, initial=0.0)
+    return [Event(part.begin, part.end, part.samples, True, size)]
+
+
+def _rate(parts: Sequence[_Part], before: float) -> float:
+    """How much faster than the motion's the sensor's clock still runs; 0 where none is told."""
+    of = [part for part in parts if part.follows and part.estimate.clocks[0]]
+    if len(of) < FEWEST:
+        return 0.0
+    clocks = [part.estimate.clocks[0][0] for part in of]
+    late, std = np.array([c.late for c in clocks]), np.array([c.std for c in clocks])
+    if not (std > 0.0).all():
+        return 0.0
+    middle = np.array([0.5 * (part.begin + part.end) for part in of])
+    return told_rate(middle, late, std**-2.0, TOLD if before == 0.0 else LEFT)

@@ -1,0 +1,194 @@
+"""Independent fits that share some of their parameters: information adds (METHOD 9).
+
+Of y, what they share less its prior mean, with N(0, D) beforehand and N(m_i, V_i) after fit i alone,
+
+    V^-1 = D^-1 + sum_i (V_i^-1 - D_i^-1),     V^-1 y = sum_i V_i^-1 m_i.
+
+D and D_i differ in the size of the channels' departure from linear alone, which each fit finds anew (10.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from truewrench import _core
+
+__all__ = ["Shared", "Told"]
+
+Array = NDArray[np.float64]
+
+_RANK = 1e-9  # of eigenvalues, relative to the largest: tolerance
+_ROUNDS = 200  # of the size of a departure
+_SETTLED = 1e-3  # its relative change
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What one fit says.
+
+    Attributes:
+        keys: what stands at those places of theta that are shared, the gain first.
+        u: the places of the quadratic term, among them.
+        theta: (p,) estimate.
+        mean: (p,) beforehand.
+        prior: (p,) variances beforehand, as the fit has them.
+        covariance: (p, p).
+        added: (6n, 6n) of the gain by (10.9).
+    """
+
+    keys: Mapping[int, Hashable]
+    u: slice
+    theta: Array
+    mean: Array
+    prior: Array
+    covariance: Array
+    added: Array
+
+
+class Shared:
+    """What fits that share parameters say together.
+
+    Attributes:
+        places: where each shared parameter stands.
+        mean: (s,) their estimate.
+        covariance: (s, s) with (10.9).
+        without_added: (s, s) without it.
+    """
+
+    def __init__(self, fits: Sequence[Told]) -> None:
+        self.places = {
+            key: i for i, key in enumerate(dict.fromkeys(key for fit in fits for key in fit.keys.values()))
+        }
+        size = len(self.places)
+        unit, mean, D = np.full(size, np.inf), np.zeros(size), np.full(size, np.inf)
+        for fit in fits:
+            at, to = self._at(fit)
+            unit[to] = np.minimum(unit[to], np.sqrt(np.diag(fit.covariance)[at]))
+            mean[to], D[to] = fit.mean[at], np.minimum(D[to], fit.prior[at])
+        self._unit = unit  # in which nothing is much larger than 1
+        self._information, self._pulls, bare = [], [], []
+        for fit in fits:
+            wide = fit.covariance.copy()
+            wide[: len(fit.added), : len(fit.added)] += fit.added
+            information, pull = self._of(fit, wide)
+            self._information.append(information)
+            self._pulls.append(pull)
+            bare.append(self._of(fit, fit.covariance)[0] if fit.added.any() else information)
+        L, pull = np.sum(self._information, axis=0), np.sum(self._pulls, axis=0)
+        u = np.array([self.places[fits[0].keys[j]] for j in range(fits[0].u.start, fits[0].u.stop)])
+        D[u] = _departure(L, pull, D / unit**2, u, unit)
+        prior = np.diag(unit**2 / D)
+        self._P = _inverse(L + prior)
+        self._y = self._P @ pull
+        self.mean = mean + unit * self._y
+        self.covariance = self._P * np.outer(unit, unit)
+        self.without_added = _inverse(np.sum(bare, axis=0) + prior) * np.outer(unit, unit)
+
+    def _at(self, fit: Told) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        return np.array(list(fit.keys)), np.array([self.places[key] for key in fit.keys.values()])
+
+    def _of(self, fit: Told, covariance: Array) -> tuple[Array, Array]:
+        """V_i^-1 - D_i^-1 and V_i^-1 m_i at the places of all, in `unit`."""
+        at, to = self._at(fit)
+        information, pull = np.zeros((len(self.places),) * 2), np.zeros(len(self.places))
+        unit = self._unit[to]
+        V_inverse = _inverse(covariance[np.ix_(at, at)] / np.outer(unit, unit))
+        value, vector = np.linalg.eigh(V_inverse - np.diag(unit**2 / fit.prior[at]))
+        # rounding, or (10.9) in directions that nothing tells, leaves some below zero
+        information[np.ix_(to, to)] = (vector * np.maximum(value, 0.0)) @ vector.T
+        pull[to] = V_inverse @ ((fit.theta[at] - fit.mean[at]) / unit)
+        return information, pull
+
+    def agreement(self, first: NDArray[np.bool_], gains: int) -> float:
+        """How likely the gain moves as far by some of the fits (10.11).
+
+        That is P s, with s = sum (V_i^-1 m_i - L_i y) over them, which is N(0, L - L P L).
+
+        Args:
+            first: (N,) which fits.
+            gains: how many of the first parameters are compared.
+        """
+        if first.all() or not first.any():
+            return 1.0
+        P, y = self._P, self._y
+        some = np.flatnonzero(first)
+        L = np.sum([self._information[i] for i in some], axis=0)
+        moved = P @ (np.sum([self._pulls[i] for i in some], axis=0) - L @ y)
+        V = P @ (L - L @ P @ L) @ P
+        scale = np.sqrt(np.diag(P)[:gains])
+        value, vector = np.linalg.eigh(V[:gains, :gains] / np.outer(scale, scale))
+        along, told = vector.T @ (moved[:gains] / scale), value > _RANK
+        if not told.any():
+            return 1.0
+        return float(chdtrc(int(told.sum()), float(np.sum(along[told] ** 2 / value[told]))))
+
+    def with_own(self, fits: Sequence[Told]) -> tuple[Array, Array, list[NDArray[np.int64]]]:
+        """The same with what some fits have of their own.
+
+        That hangs on the shared by x = K y + what does not depend on y, K = P_xy P_yy^-1, as in the fit.
+
+        Returns:
+            Estimate, covariance without (10.9), and where the parameters of each of these fits stand.
+        """
+        known = len(self.places)
+        mean, blocks, rest, places = [self.mean], [np.eye(known)], [], []
+        start = known
+        for fit in fits:
+            at, to = self._at(fit)
+            own = np.setdiff1d(np.arange(len(fit.theta)), at)
+            P = fit.covariance
+            K = P[np.ix_(own, at)] @ _inverse(P[np.ix_(at, at)])
+            mean.append(fit.theta[own] + K @ (self.mean[to] - fit.theta[at]))
+            block = np.zeros((own.size, known))
+            block[:, to] = K
+            blocks.append(block)
+            rest.append(P[np.ix_(own, own)] - K @ P[np.ix_(at, own)])
+            place = np.zeros(len(fit.theta), np.int64)
+            place[at], place[own] = to, start + np.arange(own.size)
+            places.append(place)
+            start += own.size
+        T = np.vstack(blocks)
+        covariance = T @ self.without_added @ T.T
+        row = known
+        for own_share in rest:
+            to_row = row + len(own_share)
+            covariance[row:to_row, row:to_row] += own_share
+            row = to_row
+        return np.concatenate(mean), covariance, places
+
+
+def _inverse(matrix: Array) -> Array:
+    scale = np.sqrt(np.diag(matrix))
+    out = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
+    return np.asarray(0.5 * (out + out.T))
+
+
+def _departure(L: Array, pull: Array, D: Array, u: NDArray[np.int64], unit: Array) -> float:
+    """The variance of the channels' departures from linear: (10.6) with R = E, as in the core.
+
+    Args:
+        L: (s, s) information, in `unit`.
+        pull: (s,) likewise.
+        D: (s,) prior variances of all, likewise; those of the departures do not count.
+        u: their places.
+        unit: (s,).
+    """
+    others = np.setdiff1d(np.arange(len(D)), u)
+    inner = L[np.ix_(others, others)] + np.diag(1.0 / D[others])
+    K = L[np.ix_(u, others)] @ _inverse(inner)
+    told = (L[np.ix_(u, u)] - K @ L[np.ix_(others, u)]) / np.outer(unit[u], unit[u])
+    pull = (pull[u] - K @ pull[others]) / unit[u]
+    size = 1.0
+    for _ in range(_ROUNDS):
+        P = np.linalg.inv(told + np.eye(u.size) / size)
+        freedom = max(u.size - np.trace(P) / size, 0.05)
+        to = max(float(np.sum((P @ pull) ** 2)) / freedom, _core.DEPARTURE_FLOOR**2)
+        ratio, size = to / size, to
+        if abs(np.log(ratio)) < _SETTLED:
+            break
+    return size
