@@ -133,7 +133,7 @@ def _compare_on_unseen(
             return "too few parts of the record follow their motion to hold one out"
         share = sum(parts.parts[i].samples for i in out) / sum(part.samples for part in parts.parts)
         without = assembled(parts.logs, parts.estimate(out))
-        return compare_on(rig, [parts.log_of(parts.parts[i]) for i in out], without, share)
+        return compare_on(rig, [parts.unseen(parts.parts[i]) for i in out], without, share)
 
     def without_the_part(kept: Sequence[Log]) -> Calibration | None:
         of = [*kept, *(log for k, log in enumerate(logs) if k not in known)]

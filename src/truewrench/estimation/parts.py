@@ -37,6 +37,7 @@ LONG_ROWS, LONG = 600_000, 1_800.0
 """Rows of all logs, and [s], from which on a record is taken part by part: 0.7 GB at once."""
 PART = 100.0  # [s]: 0.1 GB at 1 kHz
 SHOWN = 150_000  # rows of all logs that are kept
+COMPARED = 30_000  # of a part that was held out
 ROUNDS = 3  # times that clocks are set, and
 SETTLED = 3  # that parts are looked at again, until
 MOVE = 0.05  # of a sigma (RMS) is the way to where all of them together are
@@ -112,13 +113,15 @@ class InParts:
             recorded(rig, self._assumed, self.logs[0])
         self._told = self._settled()
 
-    def log_of(self, part: _Part) -> Log:
-        """What a part was estimated from, what it left out apart, cut where its offset steps."""
+    def unseen(self, part: _Part) -> Log:
+        """The middle of a part, what it left out apart, cut where its offset steps: to judge others by."""
         log, _ = self._cut(part.log, part.rows)
         raw = log.raw.copy()
         raw[np.isin(self._origin(part.log, part.rows, log), part.masked)] = np.nan
         at = (int(log.time_ns[0] + round(1e9 * step.time)) for step in part.estimate.steps[0])
-        return replace(log, raw=raw, offset_jumps_ns=tuple(at), sha256="", nan_counts={}, dropped_rows=0)
+        more = max(0, len(log.time_ns) - COMPARED)
+        log = replace(log, raw=raw, offset_jumps_ns=tuple(at), sha256="", nan_counts={}, dropped_rows=0)
+        return rows_of(log, slice(more // 2, len(log.time_ns) - (more - more // 2)))
 
     def held_out(self, logs: Collection[int], share: float, most: int) -> list[int]:
         """Parts spread over some logs, to be held out: so large a share, and at most so many of each log."""
@@ -168,21 +171,20 @@ class InParts:
     def _found(self, of: Sequence[Sequence[_Part]], ends: Sequence[_Part], shared: Shared) -> SimpleNamespace:
         """What the core would have found of the whole."""
         theta, covariance, places = shared.with_own([self._told[self.parts.index(part)] for part in ends])
-        weights = [np.array([part.samples for part in parts], float) for parts in of]
-        total = np.concatenate(weights)
         every = [part.found for parts in of for part in parts if part.found is not None]
-
-        def mean(values: Sequence[Any]) -> Array:
-            return np.asarray(np.tensordot(total / total.sum(), np.array(values, float), 1))
-
+        n6 = 6 * self._rig.sensor.n
+        of_channels = shared.weights(n6).reshape(len(every), -1, 6).mean(axis=2)
+        weight = of_channels.mean(axis=1)
+        weights = np.split(weight, np.cumsum([len(parts) for parts in of])[:-1])
         columns = [_columns_at(part, at) for part, at in zip(ends, places, strict=True)]
         of_logs = [
             _sizes([part.found for part in parts if part.found is not None], weight)
             for parts, weight in zip(of, weights, strict=True)
         ]
-        n6 = 6 * self._rig.sensor.n
-        ww, A = mean([found.ww for found in every]), float(mean([found.A for found in every]))
-        discrepancy2 = mean([found.discrepancy2 for found in every])
+        ww = np.tensordot(weight, [found.ww for found in every], 1)
+        A = float(weight @ [found.A for found in every])
+        # a force that follows the pose does so in all of them: its errors add, and not their squares
+        discrepancy2 = np.sum(of_channels * np.sqrt([found.discrepancy2 for found in every]), axis=0) ** 2
         added = (shared.covariance - shared.without_added)[:n6, :n6]
         gain = covariance[:n6, :n6] + added
         prior = np.zeros(len(theta))
@@ -409,7 +411,12 @@ def _columns_at(part: _Part, place: NDArray[np.int64]) -> SimpleNamespace:
 
 
 def _sizes(parts: Sequence[SimpleNamespace], weight: Array) -> tuple[SimpleNamespace, list[SimpleNamespace]]:
-    """Sizes and moments of a log: means of its parts, of a slow disturbance of those in which it is alike."""
+    """Sizes and moments of a log: means of its parts, of a slow disturbance of those in which it is alike.
+
+    Args:
+        parts: what was found of them.
+        weight: how much the gain rests on each.
+    """
     weight = weight / weight.sum()
 
     def rms(values: Sequence[Array]) -> Array:
@@ -433,7 +440,7 @@ def _sizes(parts: Sequence[SimpleNamespace], weight: Array) -> tuple[SimpleNames
             tau=float(weight @ [m.tau for m in of]),
             delta2=float(weight @ [m.delta2 for m in of]),
             sd=float(np.sqrt(weight**2 @ [m.sd**2 for m in of])),
-            z=float(np.sum([m.z for m in of]) / np.sqrt(len(of))),
+            z=float(weight @ [m.z for m in of] / np.sqrt(weight @ weight)),
         )
         for of in zip(*(part.moments for part in parts), strict=True)
     ]

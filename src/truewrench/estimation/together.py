@@ -104,6 +104,12 @@ class Shared:
         pull[to] = V_inverse @ ((fit.theta[at] - fit.mean[at]) / unit)
         return information, pull
 
+    def weights(self, gains: int) -> Array:
+        """How much of each of the first parameters rests on each of the fits (N, gains): diag P L_i, to 1."""
+        share = np.array([np.einsum("ij,ji->i", self._P[:gains], L[:, :gains]) for L in self._information])
+        share = np.maximum(share, _RANK)
+        return np.asarray(share / share.sum(axis=0))
+
     def agreement(self, first: NDArray[np.bool_], gains: int) -> float:
         """How likely the gain moves as far by some of the fits (10.11).
 
