@@ -90,13 +90,23 @@ class _Part:
 class InParts:
     """The parts of some logs, estimated one by one.
 
+    Args:
+        rig: sensor, payloads, motion.
+        logs: of motion.
+        threads: of the core.
+        seconds: that a part lasts about, by default `PART`.
+
     Attributes:
         logs: as given, with the rates of their clocks.
         parts: in the order of the logs.
+
+    Raises:
+        InputError: no part has both motion and samples of the sensor.
     """
 
-    def __init__(self, rig: Rig, logs: Sequence[Log], threads: int) -> None:
+    def __init__(self, rig: Rig, logs: Sequence[Log], threads: int = 0, seconds: float | None = None) -> None:
         self._rig, self._assumed, self._threads = rig, Assumptions.of(rig, logs), threads
+        self._seconds = PART if seconds is None else seconds
         self._statement = statement(self._assumed)
         self._every = max(1, -(-sum(len(log.time_ns) for log in logs) // SHOWN))
         self.logs = list(logs)
@@ -246,7 +256,7 @@ class InParts:
 
     def _parts_of(self, k: int) -> list[_Part]:
         log = self.logs[k]
-        count = max(1, round(float(log.time[-1]) / PART)) if len(log.time_ns) else 1
+        count = max(1, round(float(log.time[-1]) / self._seconds)) if len(log.time_ns) else 1
         edges = np.searchsorted(log.time, np.linspace(0.0, float(log.time[-1]), count + 1)[1:-1])
         bounds = [0, *edges.tolist(), len(log.time_ns)]
         found = [self._part(k, slice(a, b)) for a, b in pairwise(bounds) if b > a]
@@ -283,6 +293,9 @@ class InParts:
             estimate = unsolved(self._rig, [log], found)
         else:
             estimate = solved(self._rig, self._assumed, [log], found, [record])
+            if np.max(found.fit.sizes(0).raw_factor) > _core.NOISE_TOLD:
+                unexplained = max(float(estimate.unexplained[0]), _noise_share(estimate, self._assumed))
+                estimate = replace(estimate, unexplained=np.array([unexplained]))
         held = estimate.rows[0]
         origin = self._origin(k, rows, log)[held.rows]
         end = begin + float(log.time[-1])
@@ -350,6 +363,17 @@ def _some(held: LogRows, origin: NDArray[np.int64], begin: float, every: int) ->
         left_out=held.left_out,
         every=every,
     )
+
+
+def _noise_share(part: Estimate, assumed: Assumptions) -> float:
+    """Share of the raw output that is noise, of the best channel: of an unplugged sensor, all."""
+    rows = part.rows[0]
+    used = ~rows.masked & np.isfinite(rows.residual).all(axis=1)
+    if not used.any():
+        return 1.0
+    left = (rows.residual + rows.discrepancy)[used].var(axis=0)
+    felt = (rows.wrench[used] @ part.gain.T / assumed.channel_scale).var(axis=0)
+    return float(np.min(left / (left + felt)))
 
 
 def _joined(parts: Sequence[_Part]) -> LogRows:

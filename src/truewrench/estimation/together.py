@@ -58,6 +58,7 @@ class Shared:
         mean: (s,) their estimate.
         covariance: (s, s) with (10.9).
         without_added: (s, s) without it.
+        departure: variance of the channels' departures from linear beforehand, as found.
     """
 
     def __init__(self, fits: Sequence[Told]) -> None:
@@ -81,7 +82,7 @@ class Shared:
             bare.append(self._of(fit, fit.covariance)[0] if fit.added.any() else information)
         L, pull = np.sum(self._information, axis=0), np.sum(self._pulls, axis=0)
         u = np.array([self.places[fits[0].keys[j]] for j in range(fits[0].u.start, fits[0].u.stop)])
-        D[u] = _departure(L, pull, D / unit**2, u, unit)
+        D[u] = self.departure = _departure(L, pull, D / unit**2, u, unit)
         prior = np.diag(unit**2 / D)
         self._P = _inverse(L + prior)
         self._y = self._P @ pull
