@@ -25,6 +25,7 @@ SMALLEST: dict[str, str] = {
     "imperfect_tools.py": "--runs 2",
     "live.py": "--duration 3 --rate 200",
     "live_tool.py": "--duration 3 --rate 200",
+    "long_records.py": "--hours 0.01 --records 1",
     "plans.py": "",
     "rates.py": "--runs 1",
     "recordings.py": "--duration 3 --repeat 1 --size 0.02",

@@ -155,9 +155,8 @@ class LogRows:
         twist: (K, 6) of the logged point (joints: of the sensor).
         acceleration: (K, 6) its component-wise derivative.
         stretch: (K,) which gap-free stretch each belongs to.
-        samples: how many the fit holds.
-        left_out: how many of them are masked.
-        every: one of so many is here.
+        every: one of so many samples is here.
+        whole: how many the fit holds, and how many of them are masked, where these are some of them.
     """
 
     rows: NDArray[np.int64]
@@ -169,9 +168,18 @@ class LogRows:
     twist: Array
     acceleration: Array
     stretch: NDArray[np.int64]
-    samples: int
-    left_out: int
     every: int = 1
+    whole: tuple[int, int] | None = None
+
+    @property
+    def samples(self) -> int:
+        """How many the fit holds."""
+        return self.masked.size if self.whole is None else self.whole[0]
+
+    @property
+    def left_out(self) -> int:
+        """How many of them are masked."""
+        return int(self.masked.sum()) if self.whole is None else self.whole[1]
 
 
 def no_rows(n: int) -> LogRows:
@@ -179,7 +187,7 @@ def no_rows(n: int) -> LogRows:
     none = np.zeros(0, np.int64)
     empty = np.zeros((0, 6))
     left = np.zeros((0, n))
-    return LogRows(none, np.zeros(0), np.zeros(0, bool), left, left, empty, empty, empty, none, 0, 0)
+    return LogRows(none, np.zeros(0), np.zeros(0, bool), left, left, empty, empty, empty, none)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

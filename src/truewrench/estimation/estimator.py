@@ -195,19 +195,16 @@ def unsolved(rig: Rig, logs: Sequence[Log], found: Any = None) -> Estimate:
 
 
 def _rows(rig: Rig, of: Any) -> LogRows:
-    masked = np.asarray(of["masked"]).ravel() > 0.0
     return LogRows(
         rows=np.asarray(of["source"], np.int64),
         time=np.asarray(of["time"]).ravel(),
-        masked=masked,
+        masked=np.asarray(of["masked"]).ravel() > 0.0,
         residual=np.asarray(of["residual"]),
         discrepancy=np.asarray(of["d"]),
         wrench=np.asarray(of["w"]) * rig.sensor.range_array,
         twist=np.asarray(of["nu"]),
         acceleration=np.asarray(of["a"]),
         stretch=np.asarray(of["stretch"], np.int64),
-        samples=masked.size,
-        left_out=int(masked.sum()),
     )
 
 

@@ -359,9 +359,8 @@ def _some(held: LogRows, origin: NDArray[np.int64], begin: float, every: int) ->
         twist=held.twist[at],
         acceleration=held.acceleration[at],
         stretch=held.stretch[at],
-        samples=held.samples,
-        left_out=held.left_out,
         every=every,
+        whole=(held.samples, held.left_out),
     )
 
 
@@ -379,13 +378,13 @@ def _noise_share(part: Estimate, assumed: Assumptions) -> float:
 def _joined(parts: Sequence[_Part]) -> LogRows:
     rows = [part.estimate.rows[0] for part in parts]
     begins = np.cumsum([0, *(int(r.stretch.max(initial=-1)) + 1 for r in rows)])
+    left_out = sum(r.left_out if part.follows else r.samples for r, part in zip(rows, parts, strict=True))
     names = ("rows", "time", "masked", "residual", "discrepancy", "wrench", "twist", "acceleration")
     return LogRows(
         **{name: np.concatenate([getattr(r, name) for r in rows]) for name in names},
         stretch=np.concatenate([r.stretch + b for r, b in zip(rows, begins[:-1], strict=True)]),
-        samples=sum(r.samples for r in rows),
-        left_out=sum(r.left_out if part.follows else r.samples for r, part in zip(rows, parts, strict=True)),
         every=rows[0].every,
+        whole=(sum(r.samples for r in rows), left_out),
     )
 
 
