@@ -33,8 +33,8 @@ __all__ = ["InParts", "is_long"]
 
 Array = NDArray[np.float64]
 
-LONG_ROWS, LONG = 600_000, 1_800.0
-"""Rows of all logs, and [s], from which on a record is taken part by part: 0.7 GB at once."""
+LONG_ROWS, LONG = 300_000, 600.0
+"""Rows of all logs, and [s], from which on a record is taken part by part: 0.9 GB at once."""
 PART = 100.0  # [s]: 0.1 GB at 1 kHz
 SHOWN = 150_000  # rows of all logs that are kept
 COMPARED = 30_000  # of a part that was held out

@@ -22,7 +22,8 @@ __all__ = ["Shared", "Told"]
 
 Array = NDArray[np.float64]
 
-_RANK = 1e-9  # of eigenvalues, relative to the largest: tolerance
+_LEAST = 1e-9  # share of a gain that a fit has at least: tolerance
+_TOLD = 1e-3  # of a direction's variance, 1/4 where halves tell it alike: what less of it moves is not asked
 _ROUNDS = 200  # of the size of a departure
 _SETTLED = 1e-3  # its relative change
 
@@ -108,7 +109,7 @@ class Shared:
     def weights(self, gains: int) -> Array:
         """How much of each of the first parameters rests on each of the fits (N, gains): diag P L_i, to 1."""
         share = np.array([np.einsum("ij,ji->i", self._P[:gains], L[:, :gains]) for L in self._information])
-        share = np.maximum(share, _RANK)
+        share = np.maximum(share, _LEAST)
         return np.asarray(share / share.sum(axis=0))
 
     def agreement(self, first: NDArray[np.bool_], gains: int) -> float:
@@ -129,7 +130,7 @@ class Shared:
         V = P @ (L - L @ P @ L) @ P
         scale = np.sqrt(np.diag(P)[:gains])
         value, vector = np.linalg.eigh(V[:gains, :gains] / np.outer(scale, scale))
-        along, told = vector.T @ (moved[:gains] / scale), value > _RANK
+        along, told = vector.T @ (moved[:gains] / scale), value > _TOLD
         if not told.any():
             return 1.0
         return float(chdtrc(int(told.sum()), float(np.sum(along[told] ** 2 / value[told]))))

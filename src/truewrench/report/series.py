@@ -128,6 +128,8 @@ def record_of(calibration: Calibration, evidence: Evidence) -> Record:
         if isinstance(estimate, Estimate):
             source = "fit"
             found.append(_of_estimate(calibration, empty, log, k, estimate))
+            if (every := estimate.rows[k].every) > 1:
+                part = f"one of {every} samples"
         elif isinstance(estimate, KnownWrenchEstimate):
             source = "reference"
             found.append(_of_known_wrench(calibration, empty, log, k, estimate))
