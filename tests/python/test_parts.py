@@ -183,6 +183,21 @@ def test_a_part_that_follows_no_motion_is_left_out() -> None:
     assert lost.unexplained[0] > _core.MOST_LOST or lost.unresolved[0]
 
 
+@pytest.mark.parametrize("known", [slice(0, 9_000), slice(9_000, None)])
+def test_a_stream_that_only_some_parts_have(known: slice) -> None:
+    """Accelerations that were logged for a while, up to the middle or from there on."""
+    rig, log, gain = record(7)
+    settings = rig.to_mapping()
+    settings["motion"]["acceleration_noise"] = [0.05] * 6
+    assert log.twist is not None
+    told = np.full_like(log.twist, np.nan)
+    rate = np.gradient(log.twist, log.time, axis=0)
+    told[known] = rate[known] + 0.03 * np.random.default_rng(1).standard_normal(rate.shape)[known]
+    found = InParts(Rig.from_mapping(settings), [replace(log, acceleration=told)], seconds=PART).estimate()
+    assert np.abs(z(found, gain)).max() < 4.5
+    assert len(found.clocks[0]) == (1 if known.stop else 2)
+
+
 def test_parts_without_motion_are_passed_over() -> None:
     rig, log, gain = record(4)
     assert log.twist is not None

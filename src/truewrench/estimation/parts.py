@@ -7,11 +7,10 @@ minutes. The parts also tell whether clocks run at different rates, and judge wh
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,12 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions, statement
 from truewrench.estimation.clock_rate import LEFT, TOLD, told_rate, with_rate
-from truewrench.estimation.estimate import Clock, Estimate, Event, LogRows
+from truewrench.estimation.estimate import Clock, Estimate, LogRows
 from truewrench.estimation.estimator import solved, unsolved
+from truewrench.estimation.part import Found, Part, Place, events_of, part_of, told_by
 from truewrench.estimation.pose import PoseShare, with_pose
 from truewrench.estimation.record import recorded
 from truewrench.estimation.together import Shared, Told
-from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
@@ -52,41 +51,6 @@ def is_long(rig: Rig, logs: Sequence[Log]) -> bool:
     return sum(len(log.time_ns) for log in logs) > LONG_ROWS or seconds > LONG
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """What one part says.
-
-    Attributes:
-        log: which it is of.
-        begin: its first stamp [s] from that of the log.
-        end: its last one.
-        rows: of the log.
-        samples: of the sensor that were fitted.
-        masked: of them those left out, rows of the log.
-        found: what the core found, without the fit; None where nothing could be solved.
-        fit: put away; likewise.
-        estimate: the same in SI units.
-        record: its streams' names and sizes.
-    """
-
-    log: int
-    begin: float
-    end: float
-    rows: slice
-    samples: int
-    masked: NDArray[np.int64]
-    found: SimpleNamespace | None
-    fit: _core.Part | None
-    estimate: Estimate
-    record: SimpleNamespace
-
-    @property
-    def follows(self) -> bool:
-        """Whether the motion explains it and the samples resolve it."""
-        lost = self.estimate.unresolved.any() or (self.estimate.unexplained > _core.MOST_LOST).any()
-        return self.found is not None and not lost
-
-
 class InParts:
     """The parts of some logs, estimated one by one.
 
@@ -109,11 +73,12 @@ class InParts:
         self._seconds = PART if seconds is None else seconds
         self._statement = statement(self._assumed)
         self._every = max(1, -(-sum(len(log.time_ns) for log in logs) // SHOWN))
-        self.logs = list(logs)
-        every: list[list[_Part]] = [self._parts_of(k) for k in range(len(logs))]
+        self.logs, self._rates = list(logs), [0.0] * len(logs)
+        every: list[list[Part]] = [self._parts_of(k) for k in range(len(logs))]
         for _ in range(ROUNDS):
-            rates = [_rate(parts, log.clock_rate) for parts, log in zip(every, self.logs, strict=True)]
+            rates = [_rate(parts, rate) for parts, rate in zip(every, self._rates, strict=True)]
             for k in np.flatnonzero(rates):
+                self._rates[k] += rates[k]
                 self.logs[k] = replace(self.logs[k], clock_rate=self.logs[k].clock_rate + rates[k])
                 every[k] = self._parts_of(int(k))
             if not any(rates):
@@ -123,7 +88,7 @@ class InParts:
             recorded(rig, self._assumed, self.logs[0])
         self._told = self._settled()
 
-    def unseen(self, part: _Part) -> Log:
+    def unseen(self, part: Part) -> Log:
         """The middle of a part, what it left out apart, cut where its offset steps: to judge others by."""
         log, _ = self._cut(part.log, part.rows)
         raw = log.raw.copy()
@@ -168,8 +133,8 @@ class InParts:
         whole = solved(self._rig, self._assumed, self.logs, found, [part.record for part in ends], rows)
         return replace(
             whole,
-            clocks=tuple(_clocks([p for p in used if p.log == k], self.logs[k]) for k in range(count)),
-            events=tuple(tuple(e for part in parts for e in _events(part)) for parts in of),
+            clocks=tuple(_clocks([p for p in used if p.log == k]) for k in range(count)),
+            events=tuple(tuple(e for part in parts for e in events_of(part)) for parts in of),
             steps=tuple(
                 tuple(
                     replace(s, time=s.time + p.begin) for p in used if p.log == k for s in p.estimate.steps[0]
@@ -178,7 +143,7 @@ class InParts:
             ),
         )
 
-    def _found(self, of: Sequence[Sequence[_Part]], ends: Sequence[_Part], shared: Shared) -> SimpleNamespace:
+    def _found(self, of: Sequence[Sequence[Part]], ends: Sequence[Part], shared: Shared) -> SimpleNamespace:
         """What the core would have found of the whole."""
         theta, covariance, places = shared.with_own([self._told[self.parts.index(part)] for part in ends])
         every = [part.found for parts in of for part in parts if part.found is not None]
@@ -234,7 +199,7 @@ class InParts:
         Where each was where it alone is best, they would not agree on what is not told: of a gain and a
         centre of mass that make up for each other, each would leave another mixture open, and the sum none.
         """
-        told = {i: _told(part, self._rig) for i, part in enumerate(self.parts) if part.follows}
+        told = {i: told_by(part, self._rig) for i, part in enumerate(self.parts) if part.follows}
         at: Array | None = None
         for _ in range(SETTLED):
             if not told:
@@ -254,21 +219,30 @@ class InParts:
                     told[i] = replace(before, theta=np.array(fit.theta), covariance=np.array(fit.covariance))
         return told
 
-    def _parts_of(self, k: int) -> list[_Part]:
+    def _parts_of(self, k: int) -> list[Part]:
         log = self.logs[k]
         count = max(1, round(float(log.time[-1]) / self._seconds)) if len(log.time_ns) else 1
         edges = np.searchsorted(log.time, np.linspace(0.0, float(log.time[-1]), count + 1)[1:-1])
         bounds = [0, *edges.tolist(), len(log.time_ns)]
-        found = [self._part(k, slice(a, b)) for a, b in pairwise(bounds) if b > a]
+        settings = _core.Settings()
+        settings.threads, settings.discrepancy = self._threads, self._assumed.discrepancy
+        found = []
+        for a, b in pairwise(bounds):
+            if a == b:
+                continue
+            cut, begin = self._cut(k, slice(a, b))
+            place = Place(k, begin, slice(a, b), self._origin(k, slice(a, b), cut))
+            found.append(
+                part_of(self._rig, self._assumed, self._statement, settings, cut, place, self._every)
+            )
         return [part for part in found if part is not None]
 
     def _cut(self, k: int, rows: slice) -> tuple[Log, float]:
         """Some rows of a log on one clock, and when they begin [s]."""
         log = self.logs[k]
         part = rows_of(log, rows)
-        if log.clock_rate != 0.0 and np.isfinite(part.raw).any():
-            middle = 0.5 * float(log.time_ns[0] + log.time_ns[-1])
-            part = with_rate(replace(part, clock_rate=0.0), log.clock_rate, middle)
+        if self._rates[k] != 0.0 and np.isfinite(part.raw).any():
+            part = with_rate(part, self._rates[k], 0.5 * float(log.time_ns[0] + log.time_ns[-1]))
         return part, float((part.time_ns[0] - log.time_ns[0]) * 1e-9)
 
     def _origin(self, k: int, rows: slice, part: Log) -> NDArray[np.int64]:
@@ -278,104 +252,8 @@ class InParts:
         out[np.isfinite(part.raw).any(axis=1)] = rows.start + np.flatnonzero(sensed)
         return out
 
-    def _part(self, k: int, rows: slice) -> _Part | None:
-        """None where the part holds no motion, or nothing of the sensor."""
-        log, begin = self._cut(k, rows)
-        try:
-            record = recorded(self._rig, self._assumed, log).streams
-        except InputError:
-            return None
-        settings = _core.Settings()
-        settings.threads, settings.discrepancy = self._threads, self._assumed.discrepancy
-        found = _core.estimate(self._statement, [record], settings)
-        ok = found.status == _core.Status.ok
-        if not ok:
-            estimate = unsolved(self._rig, [log], found)
-        else:
-            estimate = solved(self._rig, self._assumed, [log], found, [record])
-            if np.max(found.fit.sizes(0).raw_factor) > _core.NOISE_TOLD:
-                unexplained = max(float(estimate.unexplained[0]), _noise_share(estimate, self._assumed))
-                estimate = replace(estimate, unexplained=np.array([unexplained]))
-        held = estimate.rows[0]
-        origin = self._origin(k, rows, log)[held.rows]
-        end = begin + float(log.time[-1])
-        streams = [
-            SimpleNamespace(derivative=m.derivative, time_offset_prior=m.time_offset_prior)
-            for m in record.motion
-        ]
-        return _Part(
-            k,
-            begin,
-            end,
-            rows,
-            held.samples,
-            origin[held.masked],
-            _without_fit(found) if ok else None,
-            _core.put_away(found) if ok else None,
-            replace(estimate, rows=(_some(held, origin, begin, self._every),)),
-            SimpleNamespace(source=record.source, motion=streams),
-        )
 
-
-def _without_fit(found: Any) -> SimpleNamespace:
-    fit = found.fit
-    sizes = fit.sizes(0)
-    return SimpleNamespace(
-        columns=fit.columns(0),
-        theta=np.array(fit.theta),
-        mean=np.array(fit.mean),
-        prior=np.array(fit.prior),
-        active=frozenset(fit.active),
-        covariance=np.array(found.covariance),
-        added=np.array(found.added),
-        discrepancy2=np.array(found.discrepancy2),
-        A=float(found.pose.A),
-        ww=np.array(found.pose.ww),
-        sizes=SimpleNamespace(
-            raw_factor=np.array(sizes.raw_factor),
-            motion_factor=[np.array(x) for x in sizes.motion_factor],
-            form=sizes.form,
-            delta=np.array(sizes.delta),
-            k=float(sizes.k),
-            cap=np.array(sizes.cap),
-        ),
-        moments=[SimpleNamespace(tau=m.tau, delta2=m.delta2, sd=m.sd, z=m.z) for m in found.moments[0]],
-        converged=bool(fit.converged),
-        iterations=int(fit.iterations),
-    )
-
-
-def _some(held: LogRows, origin: NDArray[np.int64], begin: float, every: int) -> LogRows:
-    """One of so many rows, and the ends of every stretch, in rows and seconds of the whole log."""
-    edge = np.diff(held.stretch, prepend=-1, append=-1) != 0
-    at = np.flatnonzero((np.arange(held.rows.size) % every == 0) | edge[:-1] | edge[1:])
-    return LogRows(
-        rows=origin[at],
-        time=held.time[at] + begin,
-        masked=held.masked[at],
-        residual=held.residual[at],
-        discrepancy=held.discrepancy[at],
-        wrench=held.wrench[at],
-        twist=held.twist[at],
-        acceleration=held.acceleration[at],
-        stretch=held.stretch[at],
-        every=every,
-        whole=(held.samples, held.left_out),
-    )
-
-
-def _noise_share(part: Estimate, assumed: Assumptions) -> float:
-    """Share of the raw output that is noise, of the best channel: of an unplugged sensor, all."""
-    rows = part.rows[0]
-    used = ~rows.masked & np.isfinite(rows.residual).all(axis=1)
-    if not used.any():
-        return 1.0
-    left = (rows.residual + rows.discrepancy)[used].var(axis=0)
-    felt = (rows.wrench[used] @ part.gain.T / assumed.channel_scale).var(axis=0)
-    return float(np.min(left / (left + felt)))
-
-
-def _joined(parts: Sequence[_Part]) -> LogRows:
+def _joined(parts: Sequence[Part]) -> LogRows:
     rows = [part.estimate.rows[0] for part in parts]
     begins = np.cumsum([0, *(int(r.stretch.max(initial=-1)) + 1 for r in rows)])
     left_out = sum(r.left_out if part.follows else r.samples for r, part in zip(rows, parts, strict=True))
@@ -388,7 +266,7 @@ def _joined(parts: Sequence[_Part]) -> LogRows:
     )
 
 
-def _unexplained(parts: Sequence[_Part]) -> float:
+def _unexplained(parts: Sequence[Part]) -> float:
     """Of the raw output of a log: of the parts left out, where they are too many."""
     lost, kept = ([p for p in parts if p.follows == way] for way in (False, True))
     share = sum(p.samples for p in lost) / max(sum(p.samples for p in parts), 1)
@@ -396,34 +274,19 @@ def _unexplained(parts: Sequence[_Part]) -> float:
     return float(np.mean([p.estimate.unexplained[0] for p in of])) if of else 0.0
 
 
-def _unresolved(parts: Sequence[_Part]) -> bool:
+def _unresolved(parts: Sequence[Part]) -> bool:
     lost = sum(p.samples for p in parts if p.estimate.unresolved.any())
     return lost > _core.MOST_LOST * sum(p.samples for p in parts)
 
 
-def _told(part: _Part, rig: Rig) -> Told:
-    """What a part says, and of it what it shares with others: of its log, or of all."""
-    assert part.found is not None
-    columns = part.found.columns
-    at = np.array(columns.at)
-    first = int(at[columns.b]) + (rig.sensor.n if rig.sensor.pool_offsets else 0)
-    keys: dict[int, Hashable] = {j: j for j in range(first)}
-    keys |= {int(at[place + 1]): ("kappa", part.log, i) for i, place in enumerate(columns.clock)}
-    if columns.gamma >= 0:
-        keys[int(at[columns.gamma])] = ("gamma", part.log)
-    u = slice(int(at[columns.u]), int(at[columns.u]) + rig.sensor.n)
-    found = part.found
-    return Told(keys, u, found.theta, found.mean, found.prior, found.covariance, found.added)
-
-
-def _places(parts: Sequence[_Part]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _places(parts: Sequence[Part]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Whether each part lies in the first half of its log; and in its first or third quarter."""
     end = [max(p.end for p in parts if p.log == part.log) for part in parts]
     middle = np.array([0.5 * (p.begin + p.end) / max(e, 1e-9) for p, e in zip(parts, end, strict=True)])
     return middle < 0.5, (4.0 * middle).astype(int) % 2 == 0
 
 
-def _columns_at(part: _Part, place: NDArray[np.int64]) -> SimpleNamespace:
+def _columns_at(part: Part, place: NDArray[np.int64]) -> SimpleNamespace:
     """Where the parameters of a log stand in theta of all."""
     assert part.found is not None
     columns = part.found.columns
@@ -433,7 +296,7 @@ def _columns_at(part: _Part, place: NDArray[np.int64]) -> SimpleNamespace:
     )
 
 
-def _sizes(parts: Sequence[SimpleNamespace], weight: Array) -> tuple[SimpleNamespace, list[SimpleNamespace]]:
+def _sizes(parts: Sequence[Found], weight: Array) -> tuple[SimpleNamespace, list[SimpleNamespace]]:
     """Sizes and moments of a log: means of its parts, of a slow disturbance of those in which it is alike.
 
     Args:
@@ -442,8 +305,9 @@ def _sizes(parts: Sequence[SimpleNamespace], weight: Array) -> tuple[SimpleNames
     """
     weight = weight / weight.sum()
 
-    def rms(values: Sequence[Array]) -> Array:
-        return np.asarray(np.sqrt(np.einsum("i,i...->...", weight, np.square(values))))
+    def rms(values: Sequence[Array], stream: int = 0) -> Array:
+        has = [len(part.sizes.motion_factor) > stream for part in parts]
+        return np.asarray(np.sqrt(np.average(np.square(values), axis=0, weights=weight[has])))
 
     forms = {part.sizes.form: 0.0 for part in parts}
     for part, w in zip(parts, weight, strict=True):
@@ -452,7 +316,10 @@ def _sizes(parts: Sequence[SimpleNamespace], weight: Array) -> tuple[SimpleNames
     alike = [part.sizes for part in parts if part.sizes.form == form]
     sizes = SimpleNamespace(
         raw_factor=rms([part.sizes.raw_factor for part in parts]),
-        motion_factor=[rms(x) for x in zip(*(part.sizes.motion_factor for part in parts), strict=True)],
+        motion_factor=[
+            rms([part.sizes.motion_factor[i] for part in parts if len(part.sizes.motion_factor) > i], i)
+            for i in range(len(parts[-1].sizes.motion_factor))
+        ],
         form=form,
         delta=np.sqrt(np.mean([np.square(x.delta) for x in alike], axis=0)),
         k=float(np.mean([x.k for x in alike])),
@@ -470,10 +337,12 @@ def _sizes(parts: Sequence[SimpleNamespace], weight: Array) -> tuple[SimpleNames
     return sizes, moments
 
 
-def _clocks(parts: Sequence[_Part], log: Log) -> tuple[Clock, ...]:
-    """How late the sensor is: of each stream the mean of the parts, its 1 sigma as they scatter."""
+def _clocks(parts: Sequence[Part]) -> tuple[Clock, ...]:
+    """How late the sensor is: of each stream the mean of the parts that have it, 1 sigma as they scatter."""
     out = []
-    for of in zip(*(part.estimate.clocks[0] for part in parts), strict=True):
+    every = [part.estimate.clocks[0] for part in parts]
+    for i in range(len(every[-1])):
+        of = [clocks[i] for clocks in every if len(clocks) > i]
         late, std = np.array([c.late for c in of]), np.array([c.std for c in of])
         if not (std > 0.0).all():
             out.append(of[-1])
@@ -486,19 +355,7 @@ def _clocks(parts: Sequence[_Part], log: Log) -> tuple[Clock, ...]:
     return tuple(out)
 
 
-def _events(part: _Part) -> list[Event]:
-    """What a part left out; all of it where its motion does not explain it."""
-    if part.follows:
-        return [
-            replace(e, begin=e.begin + part.begin, end=e.end + part.begin) for e in part.estimate.events[0]
-        ]
-    if part.found is None:
-        return []
-    size = np.nanmax(np.abs(np.nan_to_num(part.estimate.rows[0].residual)), axis=0, initial=0.0)
-    return [Event(part.begin, part.end, part.samples, True, size)]
-
-
-def _rate(parts: Sequence[_Part], before: float) -> float:
+def _rate(parts: Sequence[Part], before: float) -> float:
     """How much faster than the motion's the sensor's clock still runs; 0 where none is told."""
     of = [part for part in parts if part.follows and part.estimate.clocks[0]]
     if len(of) < FEWEST:
