@@ -111,6 +111,7 @@ def test_information_adds_as_in_one_regression() -> None:
         fits.append(
             Told(
                 {j: j for j in range(gains + u)},
+                gains + u,
                 slice(gains, gains + u),
                 P @ X.T @ y,
                 np.zeros(size),
@@ -229,6 +230,29 @@ def test_a_calibration_of_a_long_record(monkeypatch: pytest.MonkeyPatch) -> None
     assert sum(found.logs[0].masked.values()) >= 80
     words = " ".join(a.evidence for a in found.assumed)
     assert "steps by 2% of range at 90 s" in words
+
+
+def test_a_temperature_that_some_parts_lack() -> None:
+    """The slope of the offset stands before gravity's tilt, where there is one."""
+    rig, _, gain = record(8, seconds=120.0)
+    settings = rig.to_mapping()
+    settings["gravity"], settings["gravity_tilt_prior"] = [0, 0, -9.81], 5e-3
+    settings["simulate"] |= {"gain": gain.tolist()}
+    settings["temperature"] = {"prior": 1e-3}
+    rig = Rig.from_mapping(settings)
+    rng = np.random.default_rng(3)
+    size, frequency = rng.uniform(0.05, 0.1, (6, 6)), rng.uniform(0.1, 1, (6, 6))
+    size[:, 3:] *= frequency[:, 3:]
+    log = tw.simulate(rig, HarmonicTwist(size, frequency, rng.uniform(0, 6, (6, 6)), 120), seed=1).log
+    warm = 25.0 + 2.0 * np.sin(0.1 * log.time)
+    warm[: 1 + np.searchsorted(log.time, PART)] = np.nan
+    slope = 1e-3 * rig.sensor.channel_scale
+    raw = log.raw + np.nan_to_num(warm - 25.0)[:, None] * slope
+    found = InParts(rig, [replace(log, temperature=warm, raw=raw)], seconds=PART).estimate()
+    assert np.abs(z(found, gain)).max() < 4.0
+    assert found.tilt is not None
+    assert np.abs(found.tilt).max() < 4e-3
+    assert found.offset_temperature == pytest.approx(slope, rel=0.1)
 
 
 def test_logs_with_payloads_and_offsets_of_their_own() -> None:

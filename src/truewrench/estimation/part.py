@@ -213,13 +213,16 @@ def told_by(part: Part, rig: Rig) -> Told:
     columns = part.found.columns
     at = np.array(columns.at)
     first = int(at[columns.b]) + (rig.sensor.n if rig.sensor.pool_offsets else 0)
-    keys: dict[int, Hashable] = {j: j for j in range(first)}
+    keys: dict[int, Hashable] = {j: j for j in range(first)}  # but for those that some logs lack
+    for name, place in (("slope", columns.slope), ("tilt", columns.tilt), ("b", columns.b)):
+        begin = int(at[place]) if place >= 0 else first
+        keys |= {j: (name, j - begin) for j in range(begin, first)}
     keys |= {int(at[place + 1]): ("kappa", part.log, i) for i, place in enumerate(columns.clock)}
     if columns.gamma >= 0:
         keys[int(at[columns.gamma])] = ("gamma", part.log)
     u = slice(int(at[columns.u]), int(at[columns.u]) + rig.sensor.n)
     found = part.found
-    return Told(keys, u, found.theta, found.mean, found.prior, found.covariance, found.added)
+    return Told(keys, first, u, found.theta, found.mean, found.prior, found.covariance, found.added)
 
 
 def events_of(part: Part) -> list[Event]:

@@ -205,17 +205,17 @@ class InParts:
             if not told:
                 break
             shared = Shared(list(told.values()))
-            first = sum(isinstance(key, int) for key in shared.places)
-            std = np.sqrt(np.diag(shared.covariance)[:first])
-            if at is not None and np.sqrt(np.mean(((shared.mean[:first] - at) / std) ** 2)) < MOVE:
+            std = np.sqrt(np.diag(shared.covariance))
+            of_all = np.unique(np.concatenate([shared.of_all(fit) for fit in told.values()]))
+            if at is not None and np.sqrt(np.mean(((shared.mean - at) / std)[of_all] ** 2)) < MOVE:
                 break
-            at = shared.mean[:first]
+            at = shared.mean
             for i, before in told.items():
                 part = self.parts[i]
                 log, _ = self._cut(part.log, part.rows)
                 fit = part.fit
                 assert fit is not None
-                if fit.settle(recorded(self._rig, self._assumed, log).streams, at):
+                if fit.settle(recorded(self._rig, self._assumed, log).streams, at[shared.of_all(before)]):
                     told[i] = replace(before, theta=np.array(fit.theta), covariance=np.array(fit.covariance))
         return told
 

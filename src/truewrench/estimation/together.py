@@ -34,6 +34,7 @@ class Told:
 
     Attributes:
         keys: what stands at those places of theta that are shared, the gain first.
+        first: how many of the first parameters are shared by all.
         u: the places of the quadratic term, among them.
         theta: (p,) estimate.
         mean: (p,) beforehand.
@@ -43,6 +44,7 @@ class Told:
     """
 
     keys: Mapping[int, Hashable]
+    first: int
     u: slice
     theta: Array
     mean: Array
@@ -105,6 +107,10 @@ class Shared:
         information[np.ix_(to, to)] = (vector * np.maximum(value, 0.0)) @ vector.T
         pull[to] = V_inverse @ ((fit.theta[at] - fit.mean[at]) / unit)
         return information, pull
+
+    def of_all(self, fit: Told) -> NDArray[np.int64]:
+        """Where the first parameters of a fit stand, those that are shared by all."""
+        return np.array([self.places[fit.keys[j]] for j in range(fit.first)])
 
     def weights(self, gains: int) -> Array:
         """How much of each of the first parameters rests on each of the fits (N, gains): diag P L_i, to 1."""
