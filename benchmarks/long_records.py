@@ -34,6 +34,7 @@ from truewrench.estimation.parts import InParts
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import Body, HarmonicTwist
 from truewrench.simulation.free_body import simulate, wrench_on_sensor
+from truewrench.simulation.truth import nees
 
 Array = NDArray[np.float64]
 
@@ -112,9 +113,9 @@ def compare(records: int) -> None:
     print("| record | NEES / 36 | 95% intervals that hold the gain | sigma over at once | apart, sigma | s |")
     print("|---|---|---|---|---|---|")
     first = ways["at once"]
-    sigma = np.array([x[1] for x in ways["at once"]])
+    sigma = np.array([x[1] for x in first])
     for way, of in ways.items():
-        nees = np.array([x[0] for x in of])
+        squares = np.array([x[0] for x in of])
         inside = int(sum(np.sum(np.abs(x[2]) < 1.96) for x in of))
         ratio = np.array([x[1] for x in of]) / sigma
         words = interval(inside, 36 * records)
@@ -122,16 +123,17 @@ def compare(records: int) -> None:
             np.mean([np.mean(((x[4] - y[4]) / y[1]) ** 2) for x, y in zip(of, first, strict=True)])
         )
         seconds = np.mean([x[3] for x in of])
-        print(f"| {way} | {nees.mean():.2f} | {words} | {ratio.mean():.3f} | {apart:.2f} | {seconds:.1f} |")
+        print(
+            f"| {way} | {squares.mean():.2f} | {words} | {ratio.mean():.3f} | {apart:.2f} | {seconds:.1f} |"
+        )
 
 
 def _told(found: Estimate, gain: Array) -> tuple[float, Array, Array]:
     """NEES per gain, sigma, and errors over it."""
     P, error = found.covariance[:36, :36], (found.gain - gain).ravel()
+    squared, freedom = nees(error, P)
     sigma = np.sqrt(np.diag(P))
-    correlation = P / np.outer(sigma, sigma)
-    z = error / sigma
-    return float(z @ np.linalg.solve(correlation, z)) / 36, sigma, z
+    return squared / freedom, sigma, error / sigma
 
 
 def memory(hours: float) -> None:

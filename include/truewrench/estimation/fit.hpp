@@ -293,32 +293,25 @@ class Fit {
 
   // With the first parameters held: the motion and the other parameters where they are best; then a step of all from there.
   bool settle(const Eigen::VectorXd& first) {
-    const Eigen::Index held = first.size();
-    theta.head(held) = first;
+    theta.head(first.size()) = first;
     predict();
     reweigh();
-    for (int round = 0; round < 2;
-         ++round) {  // of a spline whose wrench is quadratic in it, near where it was
-      if (!linearise() || !solve(true)) return false;
-      std::vector<int> others = active_places();
-      others.erase(others.begin(), std::lower_bound(others.begin(), others.end(), static_cast<int>(held)));
-      Eigen::MatrixXd P;
-      double logdet = 0.0;
-      if (!dense::invert(gather(S_, others), P, logdet)) return false;
-      const Eigen::VectorXd all = pull();
-      step_.setZero();
-      for (std::size_t i = 0; i < others.size(); ++i)
-        for (std::size_t j = 0; j < others.size(); ++j)
-          step_[others[i]] += P(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) * all[others[j]];
-      advance();
+    const std::vector<char> all = active;
+    std::fill_n(active.begin(), first.size(), char{0});
+    bool solved = true;
+    // twice: the wrench is quadratic in the motion, which is near where it was
+    for (int round = 0; round < 2 && solved; ++round) {
+      solved = linearise() && solve(true);
+      if (solved) advance();
     }
-    return linearise() && solve(true);
+    active = all;
+    return solved && linearise() && solve(true);
   }
 
   // Gives back the memory of the factorisation; the next linearisation takes it again.
   void release() {
-    for (LogFit& l : logs_)
-      l.sweeps = std::vector<Sweep>(l.stretches.size());  // assigned one by one, each keeps its room
+    // not assign(): its elements would keep their room
+    for (LogFit& l : logs_) l.sweeps = std::vector<Sweep>(l.stretches.size());
   }
 
   // -2 log L (10.7), with the Student-t sum in place of the rows' r^2 / sigma^2 where robust.

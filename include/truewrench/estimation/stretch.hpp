@@ -138,9 +138,9 @@ class Stretch {
 
   // Leaves nothing but spline, coefficients and mask; and makes the rest anew, if the log has the same samples.
   void put_away() {
-    const std::vector<char> masked = std::move(raw.masked);
+    std::vector<char> masked = std::move(raw.masked);
     raw = RawRows();
-    raw.masked = masked;
+    raw.masked = std::move(masked);
     motion = std::vector<MotionRows>();
     now = Prediction();
     mapped = MappedMotion();

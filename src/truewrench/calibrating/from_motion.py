@@ -23,7 +23,7 @@ from truewrench.calibrating.unknown_bodies import (
 from truewrench.estimation.assembly import assemble_motion, motion_figures
 from truewrench.estimation.clock_rate import clock_rates, with_rate
 from truewrench.estimation.colour import without_filters
-from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.estimate import Estimate, undisturbed
 from truewrench.estimation.estimator import unsolved
 from truewrench.estimation.evidence import Evidence
 from truewrench.judging import Comparisons, findings, judge, setup_errors
@@ -140,7 +140,10 @@ def _compare_on_unseen(
         again = estimate_pooled(rig, of, threads=threads, online=estimator == "online")
         return assembled(of, again.estimate)
 
-    return compare_held_out(rig, [_undisturbed(logs[k], pooled.estimate, k) for k in known], without_the_part)
+    found = pooled.estimate
+    left_out = {k: found.rows[k].rows[found.rows[k].masked] for k in known}
+    whole = [undisturbed(logs[k], left_out[k], found.steps[k]) for k in known]
+    return compare_held_out(rig, whole, without_the_part)
 
 
 def _at_one_rate(rig: Rig, logs: Sequence[Log], threads: int, online: bool) -> tuple[Sequence[Log], Pooled]:
@@ -181,11 +184,3 @@ def _comparisons(
         else (),
         hopeless=tuple(refused),
     )
-
-
-def _undisturbed(log: Log, estimate: Estimate, k: int) -> Log:
-    """The log without the samples that were left out, cut where its offset steps."""
-    raw = log.raw.copy()
-    raw[estimate.rows[k].rows[estimate.rows[k].masked]] = np.nan
-    jumps = tuple(int(log.time_ns[0] + round(1e9 * step.time)) for step in estimate.steps[k])
-    return replace(log, raw=raw, offset_jumps_ns=jumps)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.estimation.joint import Joint, body_part
+from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "no_rows",
     "of_joint",
     "payload_departure",
+    "undisturbed",
     "without_motion",
 ]
 
@@ -289,6 +291,20 @@ class Estimate:
     def masked_share(self) -> float:
         """Share of the sensor's samples that were left out."""
         return float(sum(r.left_out for r in self.rows)) / max(sum(r.samples for r in self.rows), 1)
+
+
+def undisturbed(log: Log, left_out: NDArray[np.int64], steps: Sequence[Step]) -> Log:
+    """A log without the samples that were left out, cut where its offset steps.
+
+    Args:
+        log: the whole of it.
+        left_out: rows.
+        steps: of it.
+    """
+    raw = log.raw.copy()
+    raw[left_out] = np.nan
+    jumps = tuple(int(log.time_ns[0] + round(1e9 * step.time)) for step in steps)
+    return replace(log, raw=raw, offset_jumps_ns=jumps)
 
 
 def without_motion(n: int, count: int, **found: Any) -> Estimate:

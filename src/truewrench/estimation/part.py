@@ -71,8 +71,7 @@ class Part:
         begin: its first stamp [s] from that of the log.
         end: its last one.
         rows: of the log.
-        samples: of the sensor that were fitted.
-        masked: of them those left out, rows of the log.
+        masked: samples of the sensor that were left out, rows of the log.
         found: by the core, without the fit; None where nothing could be solved.
         fit: put away; likewise.
         estimate: the same in SI units.
@@ -83,12 +82,16 @@ class Part:
     begin: float
     end: float
     rows: slice
-    samples: int
     masked: NDArray[np.int64]
     found: Found | None
     fit: _core.Part | None
     estimate: Estimate
     record: SimpleNamespace
+
+    @property
+    def samples(self) -> int:
+        """Of the sensor that were fitted."""
+        return self.estimate.rows[0].samples
 
     @property
     def follows(self) -> bool:
@@ -140,7 +143,6 @@ def part_of(
         place.begin,
         place.begin + float(log.time[-1]),
         place.rows,
-        held.samples,
         origin[held.masked],
         _without_fit(found) if ok else None,
         _core.put_away(found) if ok else None,

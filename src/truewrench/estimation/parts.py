@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions, statement
 from truewrench.estimation.clock_rate import LEFT, TOLD, told_rate, with_rate
-from truewrench.estimation.estimate import Clock, Estimate, LogRows
+from truewrench.estimation.estimate import Clock, Estimate, LogRows, undisturbed
 from truewrench.estimation.estimator import solved, unsolved
 from truewrench.estimation.part import Found, Part, Place, events_of, part_of, told_by
 from truewrench.estimation.pose import PoseShare, with_pose
@@ -91,11 +91,10 @@ class InParts:
     def unseen(self, part: Part) -> Log:
         """The middle of a part, what it left out apart, cut where its offset steps: to judge others by."""
         log, _ = self._cut(part.log, part.rows)
-        raw = log.raw.copy()
-        raw[np.isin(self._origin(part.log, part.rows, log), part.masked)] = np.nan
-        at = (int(log.time_ns[0] + round(1e9 * step.time)) for step in part.estimate.steps[0])
+        left_out = np.flatnonzero(np.isin(self._origin(part.log, part.rows, log), part.masked))
         more = max(0, len(log.time_ns) - COMPARED)
-        log = replace(log, raw=raw, offset_jumps_ns=tuple(at), sha256="", nan_counts={}, dropped_rows=0)
+        log = undisturbed(log, left_out, part.estimate.steps[0])
+        log = replace(log, sha256="", nan_counts={}, dropped_rows=0)
         return rows_of(log, slice(more // 2, len(log.time_ns) - (more - more // 2)))
 
     def held_out(self, logs: Collection[int], share: float, most: int) -> list[int]:
