@@ -119,7 +119,7 @@ void bind_fit(nb::module_& m) {
       .def_rw("prior", &Fit::prior)
       .def_rw("robust", &Fit::robust)
       .def_rw("lagged", &Fit::lagged)
-      .def_ro("deviance", &Fit::deviance)
+      .def_prop_ro("deviance", &Fit::deviance)
       .def_ro("iterations", &Fit::iterations)
       .def_ro("converged", &Fit::converged)
       .def_ro("failed", &Fit::failed)

@@ -128,12 +128,31 @@ inline bool same_times(const Eigen::VectorXd& a, const Eigen::VectorXd& b) {
   return a.size() == b.size() && std::equal(a.data(), a.data() + a.size(), b.data());
 }
 
+// [A, B]^T [C, D] of tall matrices whose product is symmetric.
+inline Eigen::MatrixXd tall_product(const RowMatrix& A, const RowMatrix& B, const RowMatrix& C,
+                                    const RowMatrix& D) {
+  const Eigen::Index a = A.cols(), b = B.cols();
+  Eigen::MatrixXd out(a + b, a + b);
+  out.topLeftCorner(a, a) = tall_product(A, C);
+  out.topRightCorner(a, b) = tall_product(A, D);
+  out.bottomLeftCorner(b, a) = out.topRightCorner(a, b).transpose();
+  out.bottomRightCorner(b, b) = tall_product(B, D);
+  return out;
+}
+
+// A correlation, and what it makes of [w, 1], which the channels with samples at the same times share.
+struct Correlated {
+  Correlation K;
+  RowMatrix KW;
+};
+
 // (10.9) for the groups of one log, from the residuals of a fit without d.
 inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
   const int groups = raw_groups(fit.channels());
   std::vector<Moment> out(static_cast<std::size_t>(groups));
-  Eigen::VectorXd time;  // that the correlations are of
-  std::vector<Correlation> K;
+  Eigen::VectorXd time;  // of what is shared
+  RowMatrix W;           // [w, 1]
+  std::vector<Correlated> shared;
   for (int group = 0; group < groups; ++group) {
     constexpr std::size_t count = std::size(constants::taus);
     std::array<double, count> num{}, t1{}, t2{};
@@ -145,49 +164,42 @@ inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
       if (n < 10.0) continue;
       if (!same_times(rows.time, time)) {
         time = rows.time;
-        K.clear();
-        for (const double tau : constants::taus) K.emplace_back(time, rows.root, tau);
-      }
-      // [Q, r]: an orthonormal basis of X, and the residuals less what lies in it
-      Eigen::MatrixXd XX = tall_product(rows.X, rows.X);
-      Eigen::VectorXd length(8);
-      for (int c = 0; c < 8; ++c) length[c] = std::sqrt(std::max(XX(c, c), 1e-300));
-      for (int c = 0; c < 8; ++c)
-        for (int d = 0; d < 8; ++d) XX(c, d) /= length[c] * length[d];
-      const dense::Spectrum spectrum = dense::eigen(XX);
-      std::vector<int> kept;
-      for (int c = 0; c < 8; ++c)
-        if (spectrum.values[c] > 1e-12) kept.push_back(c);
-      const auto rank = static_cast<Eigen::Index>(kept.size());
-      RowMatrix both(rows.X.rows(), rank + 1);
-      Eigen::VectorXd inside = Eigen::VectorXd::Zero(rank);
-      for (Eigen::Index k = 0; k < both.rows(); ++k)
-        for (Eigen::Index q = 0; q < rank; ++q) {
-          const int c = kept[static_cast<std::size_t>(q)];
-          double sum = 0.0;
-          for (int d = 0; d < 8; ++d) sum += rows.X(k, d) / length[d] * spectrum.vectors(d, c);
-          both(k, q) = sum / std::sqrt(spectrum.values[c]);
-          inside[q] += both(k, q) * rows.residual[k];
+        W = rows.X.leftCols<7>();
+        shared.clear();
+        for (const double tau : constants::taus) {
+          const Correlation K(time, rows.root, tau);
+          shared.push_back({K, K.times(W)});
         }
-      double squares = 0.0;
-      for (Eigen::Index k = 0; k < both.rows(); ++k) {
-        double r = rows.residual[k];
-        for (Eigen::Index q = 0; q < rank; ++q) r -= both(k, q) * inside[q];
-        both(k, rank) = r;
-        squares += r * r;
       }
+      RowMatrix own(rows.X.rows(), 2);  // [(C w)_i^2, r]
+      own << rows.X.col(7), rows.residual;
+      // Q = X T: an orthonormal basis of X; M r = [X, r] m
+      const Eigen::MatrixXd products = tall_product(W, own, W, own);
+      Eigen::MatrixXd scaled(8, 8);
+      const auto length = [&](Eigen::Index c) { return std::sqrt(std::max(products(c, c), 1e-300)); };
+      for (Eigen::Index c = 0; c < 8; ++c)
+        for (Eigen::Index d = 0; d < 8; ++d) scaled(c, d) = products(c, d) / (length(c) * length(d));
+      const dense::Spectrum spectrum = dense::eigen(scaled);
+      const Eigen::Index rank = (spectrum.values.array() > 1e-12).count();
+      Eigen::MatrixXd T = Eigen::MatrixXd::Zero(9, rank);
+      for (Eigen::Index c = 0, q = 0; c < 8; ++c) {
+        if (!(spectrum.values[c] > 1e-12)) continue;
+        for (Eigen::Index d = 0; d < 8; ++d)
+          T(d, q) = spectrum.vectors(d, c) / (length(d) * std::sqrt(spectrum.values[c]));
+        ++q;
+      }
+      Eigen::VectorXd m = -dense::times(T, dense::transposed_times(T, products.col(8)));
+      m[8] += 1.0;
+      const double squares = m.dot(dense::times(products, m));
       for (std::size_t t = 0; t < count; ++t) {
-        const RowMatrix KQ = K[t].times(both);
-        const Eigen::MatrixXd S = tall_product(both, KQ), KK = tall_product(KQ, KQ);
-        num[t] += S(rank, rank);  // r^T M K M r
-        double trace = 0.0, norm = 0.0, outside = 0.0;
-        for (Eigen::Index q = 0; q < rank; ++q) {
-          trace += S(q, q);
-          outside += KK(q, q);
-          for (Eigen::Index p = 0; p < rank; ++p) norm += S(p, q) * S(p, q);
-        }
-        t1[t] += rows.root.squaredNorm() - trace;        // tr M K
-        t2[t] += K[t].squares() - 2.0 * outside + norm;  // tr M K M K
+        const auto& [K, KW] = shared[t];
+        const RowMatrix Kown = K.times(own);
+        const Eigen::MatrixXd XKX = tall_product(W, own, KW, Kown), XKKX = tall_product(KW, Kown, KW, Kown),
+                              S = dense::transposed_times(T, dense::transposed_times(XKX, T));
+        num[t] += m.dot(dense::times(XKX, m));  // r^T M K M r
+        const double outside = dense::transposed_times(T, dense::transposed_times(XKKX, T)).trace();
+        t1[t] += rows.root.squaredNorm() - S.trace();                    // tr M K
+        t2[t] += K.squares() - 2.0 * outside + S.cwiseProduct(S).sum();  // tr M K M K
       }
       nu += n - static_cast<double>(rank);
       rss += squares;

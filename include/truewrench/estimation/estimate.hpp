@@ -50,11 +50,28 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
   Fit& fit = *best.fit;
   out.fit = best.fit;
   out.moments = best.moments;
-  if (fit.failed || !fit.linearise() || !fit.solve()) {
+  if (fit.failed || !fit.stands()) {
     out.status = Status::not_factorizable;
     return;
   }
   const int n = fit.channels();
+  // the parts of the record
+  const std::vector<std::vector<Moment>> found =
+      best.found ? std::vector<std::vector<Moment>>{} : best.moments;
+  const auto place = [&fit](std::size_t l, std::size_t s, Eigen::Index k) {  // 0 ... 1 within the log
+    const auto& stretches = fit.logs()[l].stretches;
+    const double begin = stretches.front().spline.begin(), end = stretches.back().spline.end();
+    return (stretches[s].raw.time[k] - begin) / (end - begin);
+  };
+  out.halves = agreement(fit, found,
+                         [&](std::size_t l, std::size_t s, Eigen::Index k) { return place(l, s, k) < 0.5; });
+  out.quarters = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
+    return static_cast<int>(std::floor(4.0 * place(l, s, k))) % 2 == 0;
+  });
+  if (!fit.linearise() || !fit.solve()) {
+    out.status = Status::not_factorizable;
+    return;
+  }
   out.covariance = fit.covariance();
   out.added = best.added;
   out.pose = pose_share(fit);
@@ -81,21 +98,6 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
     if (settings.discrepancy > 0.0) f2 = f2.cwiseMax(settings.discrepancy * settings.discrepancy);
     out.gain_covariance = add_pose(out.gain_covariance, fit.prior.head(6 * n), f2, out.pose);
   }
-  // the parts of the record
-  const std::vector<std::vector<Moment>> found =
-      best.found ? std::vector<std::vector<Moment>>{} : best.moments;
-  const auto place = [&fit](std::size_t l, std::size_t s, Eigen::Index k) {  // 0 ... 1 within the log
-    const auto& stretches = fit.logs()[l].stretches;
-    const double begin = stretches.front().spline.begin(), end = stretches.back().spline.end();
-    return (stretches[s].raw.time[k] - begin) / (end - begin);
-  };
-  out.halves = agreement(fit, found,
-                         [&](std::size_t l, std::size_t s, Eigen::Index k) { return place(l, s, k) < 0.5; });
-  out.quarters = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
-    return static_cast<int>(std::floor(4.0 * place(l, s, k))) % 2 == 0;
-  });
-  fit.linearise();
-  fit.solve(true);
 }
 
 }  // namespace truewrench

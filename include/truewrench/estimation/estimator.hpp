@@ -62,6 +62,7 @@ class Estimator {
       hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
     if (hopeful) seek_steps(robust, steps, out);
     set_mask(*robust);
+    leave_in(*robust);
     const auto plain = with_masked(plain_fit(bare(*robust), *robust, steps, out), *robust, steps, out);
     Candidate best = with_slow(plain, steps, out, hopeful ? Slow::asked : Slow::never);
     if (hopeful) repair(best, steps, out);
@@ -225,7 +226,7 @@ class Estimator {
         trial_steps[l].push_back(*t);
         std::sort(trial_steps[l].begin(), trial_steps[l].end());
         auto trial = robust_from(*robust, trial_steps, out);
-        if (trial->failed || !(trial->deviance <= robust->deviance - 2.0 * robust->channels())) break;
+        if (trial->failed || !(trial->deviance() <= robust->deviance() - 2.0 * robust->channels())) break;
         robust = trial;
         steps = trial_steps;
       }
@@ -258,9 +259,14 @@ class Estimator {
     auto plain = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
     bridge_walks(*plain);
     plain->start_from(like).run();
-    plain->release();
     ++out.fits;
     return plain;
+  }
+
+  // Masked samples are left in where they cannot add so much to the noise that they would not be left in by with_masked.
+  static void leave_in(Fit& robust) {
+    for (std::size_t l = 0; l < robust.logs().size(); ++l)
+      if (masked_variance(robust, l) <= 0.1 * (constants::mask_worth - 1.0)) clear_mask(robust.logs()[l]);
   }
 
   // FIT of the masked samples, too, where the noise that it finds is hardly larger; else the one without them. Bursts of jerk that
@@ -274,6 +280,7 @@ class Estimator {
       if (added > 0.0 && added <= 1.0) asked.push_back(l);
     }
     if (asked.empty()) return plain;
+    plain->release();
     std::vector<LogFit> logs = bare(robust);
     for (const std::size_t l : asked) clear_mask(logs[l]);
     auto trial = plain_fit(std::move(logs), robust, steps, out);
@@ -302,6 +309,7 @@ class Estimator {
     const Eigen::MatrixXd P = plain->covariance();
     for (int i = 0; i < 6 * n; ++i) rows.share = std::max(rows.share, rows.added(i, i) / P(i, i));
     if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;
+    plain->release();
     for (const Form form : {Form::matern, Form::walk}) {
       auto d = std::make_shared<Fit>(rig_, bare(*plain), steps, settings_.threads);
       for (LogFit& log : d->logs()) log.sizes.form = form;
@@ -322,11 +330,13 @@ class Estimator {
         }
       }
       d->run();
-      d->release();
       ++out.fits;
+      std::shared_ptr<Fit> loser = d;
       const bool plain_stands = rows.fit == plain;
-      if (!d->failed && std::isfinite(d->deviance) && (plain_stands || d->deviance < rows.fit->deviance))
-        rows.fit = d;
+      if (!d->failed && std::isfinite(d->deviance()) &&
+          (plain_stands || d->deviance() < rows.fit->deviance()))
+        std::swap(rows.fit, loser);
+      loser->release();
     }
     rows.found = rows.fit != plain;
     if (rows.found) rows.added.setZero();
@@ -357,7 +367,8 @@ class Estimator {
       const Candidate bare_ = fit_rows(*robust, steps, out, Slow::always);
       double blocks = 0.0;
       for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
-      if (trial.fit->failed || !(trial.fit->deviance <= bare_.fit->deviance - 2.0 * std::log(blocks))) return;
+      if (trial.fit->failed || !(trial.fit->deviance() <= bare_.fit->deviance() - 2.0 * std::log(blocks)))
+        return;
       best = trial;
       steps = trial_steps;
     }

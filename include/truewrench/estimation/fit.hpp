@@ -60,7 +60,6 @@ class Fit {
   std::vector<char> active;      // kappa and gamma may be held (10.1)
   RowMatrix lagged;              // C_0 of (10.3)
   bool robust = false;
-  double deviance = std::numeric_limits<double>::quiet_NaN();  // -2 log L (10.7)
   int iterations = 0;
   bool converged = false;
   bool failed = false;  // a factorisation: the record says nothing finite
@@ -264,12 +263,13 @@ class Fit {
   }
 
   // Gauss-Newton and (10.6) until theta moves by less than 0.05 sigma (RMS) and the sizes by less than 5 %; or until it is as
-  // near to where another fit of the same rows has ended: then without a deviance.
+  // near to where another fit of the same rows has ended.
   Fit& run(const Fit* known = nullptr) {
     lagged = Eigen::Map<const RowMatrix>(theta.data() + layout_.C, n_, 6);
     predict();
     reweigh();
-    converged = false;
+    converged = near_ = stands_ = false;
+    deviance_ = std::numeric_limits<double>::quiet_NaN();
     for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
       compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
       if (iterations > 1 && !robust) find_slopes();
@@ -283,13 +283,25 @@ class Fit {
         converged = true;
         break;
       }
-      if (known && near(*known)) return *this;
+      if (known && (near_ = near(*known))) return *this;
     }
+    if (robust) return *this;  // whose deviance is rarely asked for
     if (!linearise() || !solve()) return *this;
+    stands_ = true;
     advance();
-    deviance = likelihood();
+    deviance_ = likelihood();
     return *this;
   }
+
+  // -2 log L (10.7) where the fit has ended; nan where it failed, or came near to another.
+  double deviance() {
+    if (robust && !near_ && !failed && std::isnan(deviance_) && linearise() && solve(true))
+      deviance_ = likelihood();
+    return deviance_;
+  }
+
+  // Whether there is a factorisation of the fit at its end, its last step apart.
+  bool stands() { return stands_ || (stands_ = linearise() && solve()); }
 
   // With the first parameters held: the motion and the other parameters where they are best; then a step of all from there.
   bool settle(const Eigen::VectorXd& first) {
@@ -310,6 +322,7 @@ class Fit {
 
   // Gives back the memory of the factorisation; the next linearisation takes it again.
   void release() {
+    stands_ = false;
     // not assign(): its elements would keep their room
     for (LogFit& l : logs_) l.sweeps = std::vector<Sweep>(l.stretches.size());
   }
@@ -411,6 +424,8 @@ class Fit {
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
   std::vector<DelaySums> delays_;  // of each log, at the begin of an iteration
   bool imitated_ = false;
+  double deviance_ = std::numeric_limits<double>::quiet_NaN();
+  bool near_ = false, stands_ = false;
 
   template <typename Work>
   void each_stretch(const Work& work) {

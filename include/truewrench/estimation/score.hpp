@@ -5,19 +5,22 @@
 #include "truewrench/estimation/discrepancy.hpp"
 #include "truewrench/math/chi_square.hpp"
 
+#include <algorithm>
 #include <optional>
+#include <utility>
+#include <vector>
 
 namespace truewrench {
 
 // Neighbouring blocks of knots of one log, as a source of scores. Together they last about as long as one block at the coarsest
-// h, since the scan's time grows with the cube of their number.
+// h, since the scan's time grows with the cube of their number. Row by row, a row padded(n) long.
 struct ScoredBlock {
   double begin = 0.0;              // [s]
   Eigen::VectorXd z, information;  // (n) D^T V^-1 r, diag D^T V^-1 D
   int samples = 0;
-  Eigen::MatrixXd b;  // (nt, n) D^T V^-1 J_theta with the motion eliminated, by the root of P
-  std::vector<std::pair<std::size_t, Eigen::MatrixXd>>
-      y;  // by block from here on: R^-T J_x^T V^-1 D, as far as it is felt
+  std::vector<double> b;  // (nt, n) J_theta^T V^-1 D with the motion eliminated, by the root of P
+  std::vector<std::pair<std::size_t, std::vector<double>>>
+      y;  // (W, n) by block from here on: R^-T J_x^T V^-1 D, as far as it is felt
 };
 
 // J_x^T V^-1 D (rows of two blocks) and J_theta^T V^-1 D of a constant wrench D on one block, `columns` a row.
@@ -86,36 +89,23 @@ inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
                           block);
         double *here = J.data(), *next = here + W * width;
         sweep.descend(at, here, at + 1 < sweep.blocks() ? next : nullptr, T.data(), width);
-        Eigen::MatrixXd rest(W, n);
         double most = 0.0;
-        for (int r = 0; r < W; ++r)
-          for (int i = 0; i < n; ++i) {
-            rest(r, i) = here[r * width + i];
-            most = std::max(most, std::abs(here[r * width + i]));
-          }
+        for (int x = 0; x < W * width; ++x) most = std::max(most, std::abs(here[x]));
         largest = std::max(largest, most);
-        block.y.emplace_back(before + static_cast<std::size_t>(at), std::move(rest));
+        block.y.emplace_back(before + static_cast<std::size_t>(at), std::vector<double>(here, next));
         if (at >= end && most < 1e-7 * largest) break;
         std::copy_n(next, W * width, here);
         std::fill_n(next, W * width, 0.0);
       }
-      block.b = Eigen::MatrixXd::Zero(nt, n);
+      block.b.assign(static_cast<std::size_t>(nt * width), 0.0);
       for (int k = 0; k < nt; ++k)
         for (int x = 0; x <= k; ++x)
-          for (int i = 0; i < n; ++i)
-            block.b(x, i) +=
-                root[static_cast<std::size_t>(k * ldr + x)] * T[static_cast<std::size_t>(k * width + i)];
+          dense::add(block.b.data() + x * width, root[static_cast<std::size_t>(k * ldr + x)],
+                     T.data() + k * width, width);
       out.push_back(std::move(block));
     }
     before += static_cast<std::size_t>(sweep.blocks());
   }
-  return out;
-}
-
-inline Eigen::MatrixXd symmetric_sum(const Eigen::MatrixXd& c) {
-  Eigen::MatrixXd out = c;
-  for (Eigen::Index i = 0; i < c.rows(); ++i)
-    for (Eigen::Index j = 0; j < c.cols(); ++j) out(i, j) += c(j, i);
   return out;
 }
 
@@ -125,98 +115,127 @@ struct Scan {
   double begin = 0.0;         // [s] of that suffix
 };
 
+// Information and score of the blocks of an interval, as they are added.
+struct IntervalSums {
+  IntervalSums(int channels, int width_, std::size_t rows)
+      : n(channels), width(width_), R(static_cast<std::size_t>(n * width)), b(rows), I(R.size()) {
+    clear();
+  }
+
+  void clear() {
+    std::fill(R.begin(), R.end(), 0.0);
+    std::fill(b.begin(), b.end(), 0.0);
+    z = information = Eigen::VectorXd::Zero(n);
+    samples = 0;
+  }
+
+  void add(const ScoredBlock& block) {
+    dense::add(b.data(), 1.0, block.b.data(), static_cast<int>(b.size()));
+    z += block.z;
+    information += block.information;
+    samples += block.samples;
+  }
+
+  // I = diag information - R - b^T b, (n, n) a row padded(n) long.
+  const std::vector<double>& finish() {
+    for (std::size_t x = 0; x < I.size(); ++x) I[x] = -R[x];
+    dense::subtract(I.data(), width, b.data(), 1, width, b.data(), width, n, width,
+                    static_cast<int>(b.size()) / width);
+    for (int i = 0; i < n; ++i) I[static_cast<std::size_t>(i * width + i)] += information[i];
+    return I;
+  }
+
+  int n, width, samples = 0;
+  std::vector<double> R, b;  // (n, n) sum of y^T y over all pairs of blocks; (nt, n) sum of theirs
+  Eigen::VectorXd z, information;
+
+ private:
+  std::vector<double> I;
+};
+
+// y_a^T y_b of every block with itself and, symmetric, with the next ones: (n, n).
+inline std::vector<std::vector<std::vector<double>>> crossed(const std::vector<ScoredBlock>& blocks, int n,
+                                                             int width) {
+  std::vector<std::vector<std::vector<double>>> out(blocks.size());
+  std::vector<double> sum(static_cast<std::size_t>(n * width));
+  for (std::size_t a = 0; a < blocks.size(); ++a) {
+    const auto& x = blocks[a].y;
+    for (std::size_t b = a; b < blocks.size() && blocks[b].y.front().first <= x.back().first; ++b) {
+      const auto& y = blocks[b].y;
+      std::fill(sum.begin(), sum.end(), 0.0);
+      for (std::size_t i = 0, j = 0; i < x.size() && j < y.size();) {
+        if (x[i].first != y[j].first) {
+          ++(x[i].first < y[j].first ? i : j);
+          continue;
+        }
+        const std::vector<double>&left = x[i++].second, &right = y[j++].second;
+        dense::subtract(sum.data(), width, left.data(), 1, width, right.data(), width, n, width,
+                        static_cast<int>(left.size()) / width);
+      }
+      std::vector<double> both(sum.size(), 0.0);
+      for (int i = 0; i < n; ++i)
+        for (int j = 0; j < n; ++j)
+          both[static_cast<std::size_t>(i * width + j)] =
+              -sum[static_cast<std::size_t>(i * width + j)] -
+              (a == b ? 0.0 : sum[static_cast<std::size_t>(j * width + i)]);
+      out[a].push_back(std::move(both));
+    }
+  }
+  return out;
+}
+
 // z^T I^-1 z of intervals of blocks up to 30 s long, and of all suffixes.
 inline Scan scan(const Fit& fit, std::size_t l) {
   const std::vector<ScoredBlock> blocks = scored_blocks(fit, l);
-  const int n = fit.channels();
-  const auto G = static_cast<int>(blocks.size());
+  const int n = fit.channels(), width = dense::padded(n);
+  const std::size_t G = blocks.size();
   Scan out;
   if (G < 2) return out;
-  const auto cross = [&](int a, int b) {  // y_a^T y_b, a <= b
-    Eigen::MatrixXd sum = Eigen::MatrixXd::Zero(n, n);
-    std::size_t i = 0, j = 0;
-    const auto &x = blocks[static_cast<std::size_t>(a)].y, &y = blocks[static_cast<std::size_t>(b)].y;
-    while (i < x.size() && j < y.size()) {
-      if (x[i].first < y[j].first)
-        ++i;
-      else if (y[j].first < x[i].first)
-        ++j;
-      else
-        sum += dense::transposed_times(x[i++].second, y[j++].second);
-    }
-    return sum;
-  };
-  // of each block: itself, and its symmetric products with the next ones
-  std::vector<std::vector<Eigen::MatrixXd>> with(static_cast<std::size_t>(G));
-  for (int a = 0; a < G; ++a) {
-    const std::size_t last = blocks[static_cast<std::size_t>(a)].y.back().first;
-    for (int b = a; b < G && blocks[static_cast<std::size_t>(b)].y.front().first <= last; ++b) {
-      const Eigen::MatrixXd c = cross(a, b);
-      with[static_cast<std::size_t>(a)].push_back(a == b ? c : symmetric_sum(c));
-    }
-  }
+  const auto with = crossed(blocks, n, width);
   const Stretch& front = fit.logs()[l].stretches.front();
   const double length = kBlock * front.spline.h() * scored_together(front);
-  const int longest = std::max(1, static_cast<int>(std::lround(constants::scan_longest / length)));
-  const auto nt = blocks.front().b.rows();
-  const auto suffix_info = [&](const Eigen::VectorXd& information, const Eigen::MatrixXd& R,
-                               const Eigen::MatrixXd& b) {
-    Eigen::MatrixXd out_ = -R - dense::transposed_times(b, b);
-    for (int i = 0; i < n; ++i) out_(i, i) += information[i];
-    return out_;
-  };
-  std::vector<Eigen::MatrixXd> suffixes(static_cast<std::size_t>(G + 1), Eigen::MatrixXd::Zero(n, n));
-  std::vector<Eigen::VectorXd> suffix_z(suffixes.size(), Eigen::VectorXd::Zero(n));
-  std::vector<int> suffix_samples(suffixes.size(), 0);
-  {
-    Eigen::MatrixXd R = Eigen::MatrixXd::Zero(n, n), b = Eigen::MatrixXd::Zero(nt, n);
-    Eigen::VectorXd information = Eigen::VectorXd::Zero(n);
-    for (int i = G - 1; i >= 0; --i) {
-      const auto iu = static_cast<std::size_t>(i);
-      for (const Eigen::MatrixXd& c : with[iu]) R += c;
-      b += blocks[iu].b;
-      information += blocks[iu].information;
-      suffixes[iu] = suffix_info(information, R, b);
-      suffix_z[iu] = suffix_z[iu + 1] + blocks[iu].z;
-      suffix_samples[iu] = suffix_samples[iu + 1] + blocks[iu].samples;
-    }
+  const auto longest = static_cast<std::size_t>(std::max(1.0, std::round(constants::scan_longest / length)));
+  IntervalSums sums(n, width, blocks.front().b.size());
+  std::vector<std::vector<double>> suffixes(G + 1, std::vector<double>(sums.R.size(), 0.0));
+  std::vector<Eigen::VectorXd> suffix_z(G + 1, Eigen::VectorXd::Zero(n));
+  std::vector<int> suffix_samples(G + 1, 0);
+  for (std::size_t i = G; i-- > 0;) {
+    for (const auto& c : with[i]) dense::add(sums.R.data(), 1.0, c.data(), n * width);
+    sums.add(blocks[i]);
+    suffixes[i] = sums.finish();
+    suffix_z[i] = sums.z;
+    suffix_samples[i] = sums.samples;
   }
   Eigen::VectorXd v(n);
   for (int i = 0; i < n; ++i) v[i] = std::pow(fit.sigma(l, i), -2.0);
   double best = 0.0, best_suffix = 0.0;
   double count = 0.0, count_suffix = 0.0;
-  const auto score = [&](const Eigen::VectorXd& z, Eigen::MatrixXd I, int i, int j) {
-    I.diagonal() += 1e-3 * v;  // an interval that tells nothing: I = 0
-    I += 1e-5 * (suffixes[static_cast<std::size_t>(i)] + suffixes[static_cast<std::size_t>(j)]);
-    return dense::quadratic_inverse(I, z);
+  std::vector<double> I(sums.R.size());
+  const auto score = [&](const Eigen::VectorXd& z, const std::vector<double>& of, std::size_t i,
+                         std::size_t j) {
+    const std::vector<double>&a = suffixes[i], &b = suffixes[j];
+    for (std::size_t x = 0; x < I.size(); ++x) I[x] = of[x] + 1e-5 * (a[x] + b[x]);
+    // an interval that tells nothing: I = 0
+    for (int c = 0; c < n; ++c) I[static_cast<std::size_t>(c * width + c)] += 1e-3 * v[c];
+    return dense::quadratic_inverse(I.data(), width, z);
   };
-  for (int i = 1; i < G; ++i) {
-    if (suffix_samples[static_cast<std::size_t>(i)] < 3) break;
-    const double x =
-        score(suffix_z[static_cast<std::size_t>(i)], suffixes[static_cast<std::size_t>(i)], i, G);
+  for (std::size_t i = 1; i < G; ++i) {
+    if (suffix_samples[i] < 3) break;
+    const double x = score(suffix_z[i], suffixes[i], i, G);
     count_suffix += 1.0;
     if (x <= best_suffix) continue;
     best_suffix = x;
-    out.begin = blocks[static_cast<std::size_t>(i)].begin;
+    out.begin = blocks[i].begin;
   }
-  for (int i = 0; i < G; ++i) {
-    Eigen::MatrixXd R = Eigen::MatrixXd::Zero(n, n), b = Eigen::MatrixXd::Zero(nt, n);
-    Eigen::VectorXd z = Eigen::VectorXd::Zero(n), information = z;
-    int samples = 0;
-    for (int j = i; j < std::min(G - 1, i + longest); ++j) {  // [i, j + 1)
-      const ScoredBlock& block = blocks[static_cast<std::size_t>(j)];
-      for (int a = j; a >= i; --a) {
-        const auto& c = with[static_cast<std::size_t>(a)];
-        if (static_cast<std::size_t>(j - a) >= c.size()) break;
-        R += c[static_cast<std::size_t>(j - a)];
-      }
-      b += block.b;
-      z += block.z;
-      information += block.information;
-      samples += block.samples;
-      if (samples < 3) continue;
+  for (std::size_t i = 0; i < G; ++i) {
+    sums.clear();
+    for (std::size_t j = i; j < std::min(G - 1, i + longest); ++j) {  // [i, j + 1)
+      for (std::size_t a = j + 1; a-- > i && j - a < with[a].size();)
+        dense::add(sums.R.data(), 1.0, with[a][j - a].data(), n * width);
+      sums.add(blocks[j]);
+      if (sums.samples < 3) continue;
       count += 1.0;
-      best = std::max(best, score(z, suffix_info(information, R, b), i, j + 1));
+      best = std::max(best, score(sums.z, sums.finish(), i, j + 1));
     }
   }
   best = std::max(best, best_suffix);
@@ -228,7 +247,7 @@ inline Scan scan(const Fit& fit, std::size_t l) {
 
 // The begin [s] of the best suffix of a log where the scan, and the suffixes alone, find p * intervals < level.
 inline std::optional<double> best_step(Fit& fit, std::size_t l) {
-  if (!fit.linearise() || !fit.solve()) return std::nullopt;
+  if (!fit.stands()) return std::nullopt;
   const Scan found = scan(fit, l);
   if (std::max(found.log_p, found.log_p_suffix) > std::log(constants::doubt)) return std::nullopt;
   return found.begin;

@@ -3,6 +3,7 @@
 
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/mask.hpp"
+#include "truewrench/estimation/regression.hpp"
 #include "truewrench/estimation/start.hpp"
 
 #include <cmath>
@@ -198,8 +199,9 @@ class SpacingSearch {
     // (10.7) may have a lower optimum in which the motion explains what seems to be the sensor's noise
     if (i > 0 && (!lower || shaken(*lower))) {
       const std::shared_ptr<Fit> other = started(i, false, lower.get());
-      if (other && (!lower || other->deviance < lower->deviance)) lower = other;
+      if (other && (!lower || other->deviance() < lower->deviance())) lower = other;
     }
+    if (lower) lower->release();
     return fits_[i] = lower;
   }
 
@@ -250,9 +252,11 @@ class SpacingSearch {
   }
   double cost_alone(std::size_t i) { return alone(i).cost; }
 
-  double cost(std::size_t i) const {
+  double cost(std::size_t i) {
     const auto& fit = fits_.at(i);
-    return fit ? priced(i, fit->deviance) : std::numeric_limits<double>::infinity();
+    const double deviance = fit ? fit->deviance() : std::numeric_limits<double>::infinity();
+    if (fit) fit->release();
+    return std::isfinite(deviance) ? priced(i, deviance) : std::numeric_limits<double>::infinity();
   }
 
   // From the motion alone and Cauchy weights, or (`cauchy` false) from none and the roughest motion.
@@ -266,9 +270,8 @@ class SpacingSearch {
     regress(*fit, cauchy);
     if (!cauchy) roughen(*fit);
     fit->run(known);
-    fit->release();
     ++count_;
-    return !fit->failed && std::isfinite(fit->deviance) ? fit : nullptr;
+    return fit->failed ? nullptr : fit;
   }
 
   bool follows(std::size_t i, std::size_t now) {

@@ -1,4 +1,4 @@
-// START of METHOD 10.3: the motion from its own measurements alone, then gain and offset by a robust regression.
+// START of METHOD 10.3: the motion from its own measurements alone, and its roughest.
 #pragma once
 
 #include "truewrench/estimation/fit.hpp"
@@ -207,112 +207,6 @@ inline void roughen(Fit& fit) {
       for (const MotionStream& m : log.log->motion)
         least = std::min(least, m.sigma[j] * std::pow(rate, p - m.derivative));
       log.sizes.q[j] = least * least * log.h;
-    }
-  }
-}
-
-// Gain and offsets by regression of raw on w, with the prior: Cauchy weights (1 + n) / (1 + chi^2_n), scale 1.48 median and at
-// least the stated sigma; or plain (`cauchy` false).
-inline void regress(Fit& fit, bool cauchy) {
-  const int n = fit.channels();
-  const Layout& layout = fit.layout();
-  fit.predict();
-  const auto logs = fit.logs().size();
-  std::vector<int> offset_of, offsets;  // place in theta of the offset of each log
-  for (std::size_t l = 0; l < logs; ++l)
-    offset_of.push_back(layout.log(l).global[static_cast<std::size_t>(layout.log(l).b)]);
-  offsets = offset_of;
-  offsets.erase(std::unique(offsets.begin(), offsets.end()), offsets.end());
-  const int m = static_cast<int>(offsets.size()), size = 6 + m;
-  struct Sample {                       // unmasked
-    const double *w, *raw, *remainder;  // the last of a row for more than a sample, else null
-    std::size_t log;
-    int column;  // of its offset
-    double size, weight;
-  };
-  std::vector<Sample> samples;
-  for (std::size_t l = 0; l < logs; ++l)
-    for (const Stretch& s : fit.logs()[l].stretches)
-      for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
-        if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
-          samples.push_back({s.now.w.data() + 6 * k, s.raw.value.data() + n * k,
-                             s.raw.size[k] > 1.0 ? s.raw.remainder.data() + n * k : nullptr, l,
-                             6 + static_cast<int>(std::find(offsets.begin(), offsets.end(), offset_of[l]) -
-                                                  offsets.begin()),
-                             s.raw.size[k], 1.0});
-  std::vector<std::vector<double>> scale(logs);
-  for (auto& v : scale) v.assign(fit.rig().noise.data(), fit.rig().noise.data() + n);
-  std::vector<double> found(static_cast<std::size_t>(n * size)), sizes;  // [C, offsets] of each channel
-  const auto residual = [&](const Sample& s, int i) {                    // its size; of a row, RMS
-    const double* x = found.data() + i * size;
-    double r = s.raw[i] - x[s.column];
-    for (int k = 0; k < 6; ++k) r -= x[k] * s.w[k];
-    return s.remainder ? std::sqrt(r * r + s.remainder[i] / s.size) : std::abs(r);
-  };
-  for (int round = 0; round < (cauchy ? 15 : 1); ++round) {
-    for (int i = 0; i < n; ++i) {
-      Eigen::MatrixXd A = Eigen::MatrixXd::Zero(size, size), inverse;
-      Eigen::VectorXd b = Eigen::VectorXd::Zero(size);
-      for (int k = 0; k < 6; ++k) A(k, k) = 1.0 / fit.prior[layout.C + 6 * i + k];
-      for (int o = 0; o < m; ++o) A(6 + o, 6 + o) = 1.0 / fit.prior[offsets[static_cast<std::size_t>(o)] + i];
-      const double* nominal = fit.rig().nominal.data() + 6 * i;
-      for (const Sample& s : samples) {
-        if (!std::isfinite(s.raw[i])) continue;
-        const double v = scale[s.log][static_cast<std::size_t>(i)], x = s.size * s.weight / (v * v);
-        double y = s.raw[i];
-        for (int k = 0; k < 6; ++k) y -= nominal[k] * s.w[k];
-        for (int k = 0; k < 6; ++k) {
-          dense::add<6>(A.data() + k * size, x * s.w[k], s.w);
-          A(k, s.column) += x * s.w[k];
-        }
-        dense::add<6>(b.data(), x * y, s.w);
-        A(s.column, s.column) += x;
-        b[s.column] += x * y;
-      }
-      for (int o = 6; o < size; ++o)
-        for (int k = 0; k < 6; ++k) A(o, k) = A(k, o);
-      double logdet = 0.0;
-      if (!dense::invert(A, inverse, logdet)) return;
-      const Eigen::VectorXd x = dense::times(inverse, b);
-      for (int k = 0; k < size; ++k)
-        found[static_cast<std::size_t>(i * size + k)] = x[k] + (k < 6 ? nominal[k] : 0.0);
-    }
-    if (!cauchy) break;
-    for (std::size_t l = 0; l < logs; ++l)
-      for (int i = 0; i < n; ++i) {
-        sizes.clear();
-        for (const Sample& s : samples)
-          if (s.log == l && std::isfinite(s.raw[i]))
-            sizes.push_back(residual(s, i) / (s.remainder ? 1.48 : 1.0));
-        if (sizes.empty()) continue;
-        const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
-        std::nth_element(sizes.begin(), middle, sizes.end());
-        scale[l][static_cast<std::size_t>(i)] = std::max(1.48 * *middle, fit.rig().noise[i]);
-      }
-    for (Sample& s : samples) {
-      double chi2 = 0.0;
-      int channels = 0;
-      for (int i = 0; i < n; ++i) {
-        if (!std::isfinite(s.raw[i])) continue;
-        const double z = residual(s, i) / scale[s.log][static_cast<std::size_t>(i)];
-        chi2 += z * z;
-        ++channels;
-      }
-      s.weight = (1.0 + channels) / (1.0 + chi2);
-    }
-  }
-  for (int i = 0; i < n; ++i) {
-    const double* x = found.data() + i * size;
-    std::copy_n(x, 6, fit.theta.data() + layout.C + 6 * i);
-    for (int o = 0; o < m; ++o) fit.theta[offsets[static_cast<std::size_t>(o)] + i] = x[6 + o];
-  }
-  if (!cauchy) return;
-  for (std::size_t l = 0; l < logs; ++l) {
-    Eigen::VectorXd& factor = fit.logs()[l].sizes.raw_factor;
-    factor.setZero();
-    for (int i = 0; i < n; ++i) {
-      double& f = factor[raw_group(i, n)];
-      f = std::max(f, scale[l][static_cast<std::size_t>(i)] / fit.rig().noise[i]);
     }
   }
 }

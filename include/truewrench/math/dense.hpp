@@ -205,16 +205,18 @@ inline std::vector<double> root(const Eigen::MatrixXd& P) {
   return out;
 }
 
-// z^T I^-1 z by L D L^T; directions in which a small symmetric matrix is not positive count nothing.
-inline double quadratic_inverse(Eigen::MatrixXd I, Eigen::VectorXd z) {
+// z^T I^-1 z by L D L^T, in place of the rows of I; directions in which it is not positive count nothing.
+inline double quadratic_inverse(double* I, std::ptrdiff_t ld, Eigen::VectorXd z) {
   double sum = 0.0;
   for (Eigen::Index k = 0; k < z.size(); ++k) {
-    if (!(I(k, k) > 0.0)) continue;
-    sum += z[k] * z[k] / I(k, k);
+    const double *pivot = I + k * ld, d = pivot[k];
+    if (!(d > 0.0)) continue;
+    sum += z[k] * z[k] / d;
     for (Eigen::Index i = k + 1; i < z.size(); ++i) {
-      const double l = I(i, k) / I(k, k);
+      double* row = I + i * ld;
+      const double l = row[k] / d;
       z[i] -= l * z[k];
-      for (Eigen::Index j = k + 1; j < z.size(); ++j) I(i, j) -= l * I(k, j);
+      for (Eigen::Index j = k + 1; j < z.size(); ++j) row[j] -= l * pivot[j];
     }
   }
   return sum;
