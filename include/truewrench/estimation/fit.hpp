@@ -283,7 +283,8 @@ class Fit {
         converged = true;
         break;
       }
-      if (known && (near_ = near(*known))) return *this;
+      near_ = known && near(*known);
+      if (near_) return *this;
     }
     if (robust) return *this;  // whose deviance is rarely asked for
     if (!linearise() || !solve()) return *this;
@@ -301,7 +302,10 @@ class Fit {
   }
 
   // Whether there is a factorisation of the fit at its end, its last step apart.
-  bool stands() { return stands_ || (stands_ = linearise() && solve()); }
+  bool stands() {
+    if (!stands_) stands_ = linearise() && solve();
+    return stands_;
+  }
 
   // With the first parameters held: the motion and the other parameters where they are best; then a step of all from there.
   bool settle(const Eigen::VectorXd& first) {

@@ -165,10 +165,12 @@ inline std::vector<std::vector<std::vector<double>>> crossed(const std::vector<S
       std::fill(sum.begin(), sum.end(), 0.0);
       for (std::size_t i = 0, j = 0; i < x.size() && j < y.size();) {
         if (x[i].first != y[j].first) {
-          ++(x[i].first < y[j].first ? i : j);
+          (x[i].first < y[j].first ? i : j) += 1;
           continue;
         }
-        const std::vector<double>&left = x[i++].second, &right = y[j++].second;
+        const std::vector<double>&left = x[i].second, &right = y[j].second;
+        ++i;
+        ++j;
         dense::subtract(sum.data(), width, left.data(), 1, width, right.data(), width, n, width,
                         static_cast<int>(left.size()) / width);
       }
@@ -230,8 +232,8 @@ inline Scan scan(const Fit& fit, std::size_t l) {
   for (std::size_t i = 0; i < G; ++i) {
     sums.clear();
     for (std::size_t j = i; j < std::min(G - 1, i + longest); ++j) {  // [i, j + 1)
-      for (std::size_t a = j + 1; a-- > i && j - a < with[a].size();)
-        dense::add(sums.R.data(), 1.0, with[a][j - a].data(), n * width);
+      for (std::size_t back = 0; back <= j - i && back < with[j - back].size(); ++back)
+        dense::add(sums.R.data(), 1.0, with[j - back][back].data(), n * width);
       sums.add(blocks[j]);
       if (sums.samples < 3) continue;
       count += 1.0;
