@@ -77,6 +77,13 @@ def test_parts_say_together_what_the_whole_says(seed: int) -> None:
         assert factor[0] == pytest.approx(factor[1], rel=0.01)
 
 
+def test_how_many_parts_are_in_hand_at_a_time_changes_no_bit() -> None:
+    rig, log, _ = record(7, seconds=120.0)
+    one, many = (InParts(rig, [log, log], threads, seconds=PART).estimate() for threads in (1, 3))
+    assert np.array_equal(one.gain, many.gain) and np.array_equal(one.covariance, many.covariance)
+    assert np.array_equal(one.rows[1].residual, many.rows[1].residual)
+
+
 def test_a_part_put_away_says_the_same_when_it_is_taken_up() -> None:
     rig, log, _ = record(seconds=40.0)
     assumed, statement, (streams,) = recorded_logs(rig, [log])

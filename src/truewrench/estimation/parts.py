@@ -1,4 +1,4 @@
-"""Long records part by part, each with a spline, an offset, a delay and sizes of its own, then put together.
+"""Long records in parts, each with a spline, an offset, a delay and sizes of its own, then put together.
 
 The parts share gain, bodies, tilt and the kind of lateness and are independent beside them: what they say is
 added (together.py). Of a part nothing is kept but that and some of its rows: an hour takes the memory of
@@ -7,10 +7,13 @@ minutes. The parts also tell whether clocks run at different rates, and judge wh
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import os
+from collections.abc import Callable, Collection, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +34,7 @@ from truewrench.model.split import rows_of
 __all__ = ["InParts", "is_long"]
 
 Array = NDArray[np.float64]
+_Result = TypeVar("_Result")
 
 LONG_ROWS, LONG = 300_000, 600.0
 """Rows of all logs, and [s], from which on a record is taken part by part: 0.9 GB at once."""
@@ -41,14 +45,19 @@ ROUNDS = 3  # times that clocks are set, and
 SETTLED = 3  # that parts are looked at again, until
 MOVE = 0.05  # of a sigma (RMS) is the way to where all of them together are
 FEWEST = 4  # parts that tell a rate
+ROOM, IN_HAND = 4_600_000, 10  # rows of the record, and ten times those of the parts in hand: 1 GB
 
 
 def is_long(rig: Rig, logs: Sequence[Log]) -> bool:
     """Whether a record is to be taken part by part; joints known by velocities alone go on from one start."""
     if rig.motion.source == "joints" and any(log.position is None for log in logs):
         return False
-    seconds = sum(float(log.time[-1]) for log in logs if len(log.time_ns))
-    return sum(len(log.time_ns) for log in logs) > LONG_ROWS or seconds > LONG
+    return sum(len(log.time_ns) for log in logs) > LONG_ROWS or _lasting(logs) > LONG
+
+
+def _lasting(logs: Sequence[Log]) -> float:
+    """Seconds from the first to the last stamp of all logs together."""
+    return sum(float(log.time[-1]) for log in logs if len(log.time_ns))
 
 
 class InParts:
@@ -57,7 +66,8 @@ class InParts:
     Args:
         rig: sensor, payloads, motion.
         logs: of motion.
-        threads: of the core.
+        threads: parts in hand at a time, 0: as many as there are processors and room for; no effect on the
+            result.
         seconds: that a part lasts about, by default `PART`.
 
     Attributes:
@@ -69,21 +79,25 @@ class InParts:
     """
 
     def __init__(self, rig: Rig, logs: Sequence[Log], threads: int = 0, seconds: float | None = None) -> None:
-        self._rig, self._assumed, self._threads = rig, Assumptions.of(rig, logs), threads
+        self._rig, self._assumed = rig, Assumptions.of(rig, logs)
         self._seconds = PART if seconds is None else seconds
+        rows, lasting = sum(len(log.time_ns) for log in logs), _lasting(logs)
+        room = (ROOM - rows) / (IN_HAND * rows * min(1.0, self._seconds / lasting)) if lasting > 0.0 else 1.0
+        self._workers = min(threads or os.cpu_count() or 1, max(1, int(room)))
         self._statement = statement(self._assumed)
-        self._every = max(1, -(-sum(len(log.time_ns) for log in logs) // SHOWN))
+        self._every = max(1, -(-rows // SHOWN))
         self.logs, self._rates = list(logs), [0.0] * len(logs)
-        every: list[list[Part]] = [self._parts_of(k) for k in range(len(logs))]
+        every = self._parts_of(range(len(logs)))
         for _ in range(ROUNDS):
-            rates = [_rate(parts, rate) for parts, rate in zip(every, self._rates, strict=True)]
-            for k in np.flatnonzero(rates):
+            rates = [_rate(every[k], rate) for k, rate in enumerate(self._rates)]
+            changed = [k for k, rate in enumerate(rates) if rate != 0.0]
+            if not changed:
+                break
+            for k in changed:
                 self._rates[k] += rates[k]
                 self.logs[k] = replace(self.logs[k], clock_rate=self.logs[k].clock_rate + rates[k])
-                every[k] = self._parts_of(int(k))
-            if not any(rates):
-                break
-        self.parts = [part for parts in every for part in parts]
+            every |= self._parts_of(changed)
+        self.parts = [part for parts in every.values() for part in parts]
         if not self.parts:  # as of the whole, so that it says what is missing
             recorded(rig, self._assumed, self.logs[0])
         self._told = self._settled()
@@ -209,32 +223,49 @@ class InParts:
             if at is not None and np.sqrt(np.mean(((shared.mean - at) / std)[of_all] ** 2)) < MOVE:
                 break
             at = shared.mean
-            for i, before in told.items():
-                part = self.parts[i]
-                log, _ = self._cut(part.log, part.rows)
-                fit = part.fit
-                assert fit is not None
-                if fit.settle(recorded(self._rig, self._assumed, log).streams, at[shared.of_all(before)]):
-                    told[i] = replace(before, theta=np.array(fit.theta), covariance=np.array(fit.covariance))
+            places = [at[shared.of_all(before)] for before in told.values()]
+            again = self._each(self._at, told, told.values(), places)
+            told = dict(zip(told, again, strict=True))
         return told
 
-    def _parts_of(self, k: int) -> list[Part]:
+    def _at(self, i: int, before: Told, place: Array) -> Told:
+        """What a part says where what it shares is at this place; as before where nothing could be solved."""
+        log, _ = self._cut(self.parts[i].log, self.parts[i].rows)
+        fit = self.parts[i].fit
+        assert fit is not None
+        if not fit.settle(recorded(self._rig, self._assumed, log).streams, place):
+            return before
+        return replace(before, theta=np.array(fit.theta), covariance=np.array(fit.covariance))
+
+    def _parts_of(self, logs: Iterable[int]) -> dict[int, list[Part]]:
+        """The parts of some logs, by log, in the order of time."""
+        places = [(k, slice(a, b)) for k in logs for a, b in pairwise(self._bounds(k)) if a < b]
+        found = self._each(self._part, [k for k, _ in places], [rows for _, rows in places])
+        out: dict[int, list[Part]] = {k: [] for k in logs}
+        for part in found:
+            if part is not None:
+                out[part.log].append(part)
+        return out
+
+    def _bounds(self, k: int) -> list[int]:
         log = self.logs[k]
-        count = max(1, round(float(log.time[-1]) / self._seconds)) if len(log.time_ns) else 1
+        if not len(log.time_ns):
+            return []
+        count = max(1, round(float(log.time[-1]) / self._seconds))
         edges = np.searchsorted(log.time, np.linspace(0.0, float(log.time[-1]), count + 1)[1:-1])
-        bounds = [0, *edges.tolist(), len(log.time_ns)]
+        return [0, *edges.tolist(), len(log.time_ns)]
+
+    def _part(self, k: int, rows: slice) -> Part | None:
+        cut, begin = self._cut(k, rows)
+        place = Place(k, begin, rows, self._origin(k, rows, cut))
         settings = _core.Settings()
-        settings.threads, settings.discrepancy = self._threads, self._assumed.discrepancy
-        found = []
-        for a, b in pairwise(bounds):
-            if a == b:
-                continue
-            cut, begin = self._cut(k, slice(a, b))
-            place = Place(k, begin, slice(a, b), self._origin(k, slice(a, b), cut))
-            found.append(
-                part_of(self._rig, self._assumed, self._statement, settings, cut, place, self._every)
-            )
-        return [part for part in found if part is not None]
+        settings.threads, settings.discrepancy = 1, self._assumed.discrepancy
+        return part_of(self._rig, self._assumed, self._statement, settings, cut, place, self._every)
+
+    def _each(self, work: Callable[..., _Result], *items: Iterable[Any]) -> list[_Result]:
+        """As `map`, some at a time."""
+        with ThreadPoolExecutor(self._workers) as pool:
+            return list(pool.map(work, *items))
 
     def _cut(self, k: int, rows: slice) -> tuple[Log, float]:
         """Some rows of a log on one clock, and when they begin [s]."""
