@@ -80,7 +80,8 @@ def test_parts_say_together_what_the_whole_says(seed: int) -> None:
 def test_how_many_parts_are_in_hand_at_a_time_changes_no_bit() -> None:
     rig, log, _ = record(7, seconds=120.0)
     one, many = (InParts(rig, [log, log], threads, seconds=PART).estimate() for threads in (1, 3))
-    assert np.array_equal(one.gain, many.gain) and np.array_equal(one.covariance, many.covariance)
+    assert np.array_equal(one.gain, many.gain)
+    assert np.array_equal(one.covariance, many.covariance)
     assert np.array_equal(one.rows[1].residual, many.rows[1].residual)
 
 

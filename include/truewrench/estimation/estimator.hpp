@@ -230,6 +230,7 @@ class Estimator {
         robust = trial;
         steps = trial_steps;
       }
+    robust->release();
   }
 
   static Status check_walk(const RecordedLog& log) {

@@ -41,6 +41,7 @@ class Fit {
     stated_ = layout_.sigma().cwiseMax(1e-9).cwiseMin(1e30).cwiseAbs2();
     prior = stated_;
     active.assign(static_cast<std::size_t>(layout_.size()), 1);
+    returns_.assign(active.size(), 0);
     n_ = static_cast<int>(rig_->noise.size());
     lagged = rig_->nominal;
     for (LogFit& l : logs_) {
@@ -269,6 +270,7 @@ class Fit {
     predict();
     reweigh();
     converged = near_ = stands_ = false;
+    returns_.assign(active.size(), 0);
     deviance_ = std::numeric_limits<double>::quiet_NaN();
     for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
       compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
@@ -430,6 +432,7 @@ class Fit {
   bool imitated_ = false;
   double deviance_ = std::numeric_limits<double>::quiet_NaN();
   bool near_ = false, stands_ = false;
+  std::vector<int> returns_;  // of what has been let go, in this run
 
   template <typename Work>
   void each_stretch(const Work& work) {
