@@ -10,6 +10,7 @@ import pytest
 from record_cases import RigOf, light_rig
 
 import truewrench as tw
+from truewrench.calibrating import from_motion
 from truewrench.estimation.clock_rate import clock_rates, with_rate
 from truewrench.estimation.estimator import estimate
 from truewrench.model.calibration import Calibration
@@ -61,6 +62,17 @@ def test_clean_clocks_and_one_that_was_set_have_no_rate() -> None:
         stamps = (late.time_ns + step)[order]
         late = replace(late, time_ns=stamps, **arrays)
         assert not clock_rates(rig, [late], estimate(rig, [late])).any()
+
+
+def test_a_rate_that_makes_the_record_less_likely_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors of a fast tumbling under a precise sensor look like one."""
+    rig = light_rig(seconds=20, rate=400, discrepancy=0)
+    log = run_of(rig, 0).log
+    plain = tw.calibrate(rig, log, held_out=False)
+    monkeypatch.setattr(from_motion, "clock_rates", lambda *_: np.array([3e-4]))
+    found = tw.calibrate(rig, log, held_out=False)
+    assert rate_told(found) == 0.0
+    assert np.array_equal(found.gain, plain.gain)
 
 
 def test_only_the_sensor_moves() -> None:

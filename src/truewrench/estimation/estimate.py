@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -233,6 +234,7 @@ class Estimate:
         converged: whether the last fit did.
         iterations: of it.
         fits: how many were made.
+        deviance: -2 log L of `map` (10.7), nan of `online` and of parts.
         history_time: (B,) [s] of the blocks of `online`; empty for `map`.
         history_log: (B,) which log each belongs to.
         history_gain: (B, n, 6) the gain after it.
@@ -277,6 +279,7 @@ class Estimate:
     history_log: NDArray[np.int64]
     history_gain: Array
     joint: Joint | None = None
+    deviance: float = math.nan
 
     @property
     def time_offsets(self) -> Array:

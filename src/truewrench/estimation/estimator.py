@@ -151,6 +151,7 @@ def solved(
         history_log=np.zeros(0, np.int64) if history is None else history.log,
         history_gain=np.zeros((0, n, 6)) if history is None else history.gain * unit,
         joint=joint,
+        deviance=float(fit.deviance),
     )
 
 

@@ -195,6 +195,7 @@ class InParts:
             spacing=lambda k: float(np.median([part.estimate.spacing[0] for part in of[k]])),
             converged=all(found.converged for found in every),
             iterations=max(found.iterations for found in every),
+            deviance=np.nan,
         )
         return SimpleNamespace(
             fit=fit,
