@@ -85,6 +85,14 @@ def test_how_many_parts_are_in_hand_at_a_time_changes_no_bit() -> None:
     assert np.array_equal(one.rows[1].residual, many.rows[1].residual)
 
 
+def test_a_rate_that_makes_the_parts_less_likely_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, log, _ = record(3, seconds=120.0)
+    monkeypatch.setattr(in_parts, "_rate", lambda *_: 3e-4)
+    parts = InParts(rig, [log], seconds=PART)
+    assert parts.logs[0].clock_rate == 0.0
+    assert parts.estimate().solved
+
+
 def test_a_part_put_away_says_the_same_when_it_is_taken_up() -> None:
     rig, log, _ = record(seconds=40.0)
     assumed, statement, (streams,) = recorded_logs(rig, [log])

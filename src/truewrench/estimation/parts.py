@@ -88,15 +88,18 @@ class InParts:
         self._every = max(1, -(-rows // SHOWN))
         self.logs, self._rates = list(logs), [0.0] * len(logs)
         every = self._parts_of(range(len(logs)))
+        told = every
         for _ in range(ROUNDS):
-            rates = [_rate(every[k], rate) for k, rate in enumerate(self._rates)]
-            changed = [k for k, rate in enumerate(rates) if rate != 0.0]
-            if not changed:
-                break
-            for k in changed:
-                self._rates[k] += rates[k]
-                self.logs[k] = replace(self.logs[k], clock_rate=self.logs[k].clock_rate + rates[k])
-            every |= self._parts_of(changed)
+            rates = {k: rate for k, parts in told.items() if (rate := _rate(parts, self._rates[k])) != 0.0}
+            before = {k: (self._rates[k], self.logs[k]) for k in rates}
+            for k, rate in rates.items():
+                self._rates[k] += rate
+                self.logs[k] = replace(self.logs[k], clock_rate=self.logs[k].clock_rate + rate)
+            told = self._parts_of(rates)
+            for k in [k for k, parts in told.items() if _deviance(parts) > _deviance(every[k])]:
+                self._rates[k], self.logs[k] = before[k]
+                del told[k]
+            every |= told
         self.parts = [part for parts in every.values() for part in parts]
         if not self.parts:  # as of the whole, so that it says what is missing
             recorded(rig, self._assumed, self.logs[0])
@@ -295,6 +298,10 @@ def _joined(parts: Sequence[Part]) -> LogRows:
         every=rows[0].every,
         whole=(sum(r.samples for r in rows), left_out),
     )
+
+
+def _deviance(parts: Sequence[Part]) -> float:
+    return sum(part.estimate.deviance for part in parts)
 
 
 def _unexplained(parts: Sequence[Part]) -> float:
