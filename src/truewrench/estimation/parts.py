@@ -268,6 +268,8 @@ class InParts:
 
     def _each(self, work: Callable[..., _Result], *items: Iterable[Any]) -> list[_Result]:
         """As `map`, some at a time."""
+        if self._workers == 1:  # a thread of its own has memory of its own
+            return list(map(work, *items))
         with ThreadPoolExecutor(self._workers) as pool:
             return list(pool.map(work, *items))
 
