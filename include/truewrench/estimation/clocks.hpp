@@ -78,10 +78,11 @@ inline bool Fit::hold(bool& moved) {
     moved = moved || theta[i] != layout_.mean()[i];
     theta[i] = layout_.mean()[i];
   };
+  constexpr int most = 2;  // returns: tolerance; a first motion is rough
   const auto judge = [&](int i) {
     const double own = std::max(1.0 / P(i, i) - 1.0 / prior[i], 0.0);
     int& returns = returns_[static_cast<std::size_t>(i)];
-    if (returns < 2 && own > told(constants::filter_prior)) return;
+    if (returns < most && own > told(constants::filter_prior)) return;
     if (iterations > 1 && before[static_cast<std::size_t>(i)] != 0) ++returns;
     rest(i);
   };

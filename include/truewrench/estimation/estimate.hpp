@@ -2,6 +2,7 @@
 #pragma once
 
 #include "truewrench/estimation/hyperparameters.hpp"
+#include "truewrench/estimation/pose.hpp"
 #include "truewrench/estimation/score.hpp"
 
 #include <cmath>

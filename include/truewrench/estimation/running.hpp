@@ -5,6 +5,7 @@
 #include "truewrench/estimation/delay.hpp"
 #include "truewrench/estimation/discrepancy.hpp"
 #include "truewrench/estimation/lag.hpp"
+#include "truewrench/estimation/pose.hpp"
 
 #include <array>
 #include <cmath>

@@ -61,7 +61,7 @@ def _lasting(logs: Sequence[Log]) -> float:
 
 
 class InParts:
-    """The parts of some logs, estimated one by one.
+    """The parts of some logs, each estimated alone.
 
     Args:
         rig: sensor, payloads, motion.
