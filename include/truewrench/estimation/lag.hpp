@@ -11,19 +11,17 @@
 // products.hpp.
 #pragma once
 
-#include "truewrench/estimation/intervals.hpp"
 #include "truewrench/estimation/lag_rows.hpp"
 #include "truewrench/estimation/products.hpp"
+#include "truewrench/estimation/row_sums.hpp"
+#include "truewrench/model/gravity.hpp"
 
 namespace truewrench {
 
 inline constexpr int kComponents = 6;
 inline constexpr int kWidth = kBlock * kComponents;  // coefficients of a block
-inline constexpr int kMostDense =
-    kBodyParameters + 5;                    // what every channel feels alike: body, s, kappa, gamma, tilt
-inline constexpr int kPadded = 32;          // of kWidth, for the tiles
-inline constexpr int kTheta = 2 * kPadded;  // theta's columns in a panel begin here
-inline constexpr int kKnotPairs = kLocal * (kLocal + 1) / 2;
+inline constexpr int kPadded = 32;                   // of kWidth, for the tiles
+inline constexpr int kTheta = 2 * kPadded;           // theta's columns in a panel begin here
 
 using BlockVector = Eigen::Matrix<double, kWidth, 1>;
 using Cursor = std::array<long, kMostStreams>;  // of each motion stream: the next row
@@ -72,12 +70,8 @@ class Lag {
     Channels remainder{};  // sum of squares within what the rows stand for
     double begin = 0.0, end = 0.0;
     std::array<RawRow, kMostRows> row;
-    // as linearised, for the traces
-    std::array<Gram, 3> m;                     // [order_pair]
-    std::array<double, 12 * kMostChannels> J;  // (n, 12)
-    Channels v{};
-    std::array<std::array<double, kKnotPairs * kComponents>, kMostStreams>
-        motion;  // sum of B B^T by component
+    RawSums sums;  // as linearised, for the traces
+    std::array<std::array<double, kPairs * kComponents>, kMostStreams> motion;  // sum of B B^T by component
   };
   struct Block {
     std::vector<double> panel;  // R of the pivot, R^-T of the next block's
@@ -104,8 +98,8 @@ class Lag {
 
   Front make_front() const {
     Front f;
-    f.panel.assign(static_cast<std::size_t>(kWidth * ld_ + 8), 0.0);
-    f.T.assign(static_cast<std::size_t>((nt_ + 1) * ldt_ + 8), 0.0);
+    f.panel.assign(static_cast<std::size_t>(kWidth * shape_.ld + 8), 0.0);
+    f.T.assign(static_cast<std::size_t>((nt_ + 1) * shape_.ldt + 8), 0.0);
     return f;
   }
   // theta's information alone: S (nt + 1, nt + 1), lower triangle, the
@@ -113,7 +107,7 @@ class Lag {
   void set_front(Front& f, const Eigen::MatrixXd& S) const {
     std::fill(f.panel.begin(), f.panel.end(), 0.0);
     for (int i = 0; i < nt_; ++i)
-      for (int j = i; j <= nt_; ++j) f.T[at(i, j)] = S(j, i);
+      for (int j = i; j <= nt_; ++j) f.T[shape_.tt(i, j)] = S(j, i);
     f.logdet = 0.0;
   }
 
@@ -123,7 +117,7 @@ class Lag {
     h_ = h;
     first_ = end_ = 0;
     for (auto& m : motion_) m.clear();
-    spline_ = UnitBasis(h);
+    spline_ = Spline(0.0, 2 * kBlock * h, h);  // for its bases and products alone
   }
   Eigen::VectorXd theta;
   RowMatrix lagged;  // C_0 of (10.3)
@@ -140,12 +134,12 @@ class Lag {
   double start_of(long block) const { return origin_ + h_ * static_cast<double>(kBlock * block); }
   long first() const { return first_; }
   long end() const { return end_; }
-  int gain_at() const { return C_; }
-  int offset_at() const { return b_; }
-  int quadratic_at() const { return u_; }
-  int body_at() const { return body_; }
-  int clock_at(std::size_t i) const { return clock_[i]; }
-  int gamma_at() const { return gamma_; }
+  int gain_at() const { return columns_.C; }
+  int offset_at() const { return columns_.b; }
+  int quadratic_at() const { return columns_.u; }
+  int body_at() const { return columns_.body; }
+  int clock_at(std::size_t i) const { return columns_.clock[i]; }
+  int gamma_at() const { return columns_.gamma; }
   Block& block(long g) { return blocks_[static_cast<std::size_t>(g) % blocks_.size()]; }
   const Block& block(long g) const { return blocks_[static_cast<std::size_t>(g) % blocks_.size()]; }
   Interval& interval(long i) { return intervals_[static_cast<std::size_t>(i) % intervals_.size()]; }
@@ -159,7 +153,7 @@ class Lag {
   double motion_noise(std::size_t i, int j) const {
     return about_.motion[i].sigma[j] * sizes.motion_factor[i][about_.motion[i].group[j]];
   }
-  double clock(std::size_t i) const { return theta[clock_[i]]; }
+  double clock(std::size_t i) const { return theta[columns_.clock[i]]; }
 
   // Rows of the sensor's samples [from, to) of one interval; what it leaves out
   // goes to `masked(begin, end)`.
@@ -234,98 +228,38 @@ class Lag {
   double objective(const Front& f, long g) const;
 
   // R_p of an interval (10.1).
-  Gram smoothness(int j) const { return spline_.gram(smoothness_order(about_.source, j)); }
+  Gram smoothness(int j) const { return spline_.smoothness(smoothness_order(about_.source, j)).inside; }
 
-  // B^(p) of uniform quintic splines of spacing h.
-  struct UnitBasis {
-    double h = 1.0;
-    std::array<double, 6> scale{};
-    UnitBasis() = default;
-    explicit UnitBasis(double h_) : h(h_) {
-      scale[0] = 1.0;
-      for (std::size_t p = 1; p < 6; ++p) scale[p] = scale[p - 1] / h;
-    }
-    Basis at(double u, int p) const {
-      Basis out;
-      if (p > kDegree5) {
-        for (int l = 0; l < kLocal; ++l) out[l] = 0.0;
-        return out;
-      }
-      const double* c =
-          SplineTable::get().derivative[static_cast<std::size_t>(p)].data();  // a column a power
-      for (int l = 0; l < kLocal; ++l) out[l] = c[kLocal * (kLocal - 1) + l];
-      for (int k = kLocal - 2; k >= 0; --k)
-        for (int l = 0; l < kLocal; ++l) out[l] = out[l] * u + c[kLocal * k + l];
-      for (int l = 0; l < kLocal; ++l) out[l] *= scale[static_cast<std::size_t>(p)];
-      return out;
-    }
-    Gram gram(int p) const {
-      const auto i = static_cast<std::size_t>(p);
-      Gram out = SplineTable::get().gram[i][i];
-      for (int k = 0; k < kLocal * kLocal; ++k) out.data()[k] *= scale[i] * scale[i] * h;
-      return out;
-    }
-  };
-  const UnitBasis& basis() const { return spline_; }
+  const Spline& basis() const { return spline_; }
 
  private:
   Statement rig_;
   RecordedLog about_;
   Layout layout_;
-  int n_ = 6, nt_ = 0, nd_ = 0, nf_ = 7, ldt_ = 64, ld_ = 128, ldx_ = 16, ldp_ = 0;
-  int C_ = 0, b_ = 0, u_ = 0, body_ = 0, slope_ = -1, tilt_ = -1, gamma_ = -1;
-  std::array<int, kMostStreams> clock_{}, bias_{};
+  Columns columns_;  // in theta
+  Shape shape_;
+  int n_ = 6, nt_ = 0;
   std::size_t streams_ = 0;
-  bool gravity_ = false;
+  bool felt_ = false;  // gravity
   Products products_;
-  std::vector<int> dense_;
+  RowSums sums_;
+  RawSums spare_;
   double origin_ = 0.0, h_ = 1.0;
-  UnitBasis spline_;
+  Spline spline_;
   long first_ = 0, end_ = 0;  // blocks that stand
   std::vector<Interval> intervals_;
   std::vector<Block> blocks_;
   std::array<Ring<MotionRow>, kMostStreams> motion_;
   Window<kNodes, kMostChannels> window_;
-  std::vector<double> scale_;
+  std::array<double, 6> scale_{};
   // the model at theta
-  Vector3 root_ = Vector3::Zero(),
-          point_ = Vector3::Zero();  // gravity; the twist's point seen from the centre
-  Eigen::Matrix<double, 3, 2> by_tilt_ = Eigen::Matrix<double, 3, 2>::Zero();
-  double s_ = 0.0, kappa_ = 0.5, late_ = 0.0;  // of (10.5)
-  std::vector<double> z_, lagged_;             // coordinates; C_0 by phi
+  Gravity gravity_;
+  Vector3 point_ = Vector3::Zero();  // the twist's, seen from the centre
+  std::vector<double> z_, lagged_;   // coordinates; C_0 by phi
 
-  // work space
-  std::vector<double> last_, T_, phi_, X_, weights_, G_, left_, of_dense_, VJ_, slopes_, full_, SV_, XX_,
-      here_, next_, inverse_, V_;
-
-  std::size_t at(int i, int j) const {
-    return static_cast<std::size_t>(i <= j ? i * ldt_ + j : j * ldt_ + i);
-  }
-  static int knot_pair(int k, int l) { return k * kLocal - k * (k - 1) / 2 + l - k; }
-
-  // Where the rows of a knot under interval o of a block begin, and their
-  // columns.
-  struct Places {
-    std::array<double*, kLocal> row;
-    std::array<std::array<int, kLocal>, kLocal> column;  // of knot l in the rows of knot k <= l
-  };
-  Places places(int o, double* P, double* N) const {
-    Places out;
-    for (int k = 0; k < kLocal; ++k) {
-      const bool here = o + k < kBlock;
-      out.row[static_cast<std::size_t>(k)] =
-          here ? P + (o + k) * kComponents * ld_ : N + (o + k - kBlock) * kComponents * ld_;
-      for (int l = k; l < kLocal; ++l)
-        out.column[static_cast<std::size_t>(k)][static_cast<std::size_t>(l)] =
-            kComponents * (!here || o + l < kBlock ? (here ? o + l : o + l - kBlock) : o + l - kBlock) +
-            (here && o + l >= kBlock ? kPadded : 0);
-    }
-    return out;
-  }
+  std::vector<double> last_, T_, full_, here_, next_, inverse_, V_;  // work space
 
   void refresh();
-  // Gravity that the sensor feels (10.5), at a row's motion.
-  Vector3 gravity_of(const RawRow& row) const;
   void jacobians(const RawRow& row, double* J, double* X) const;
 
   // One motion row against the coefficients of its block: which interval of the
@@ -344,14 +278,8 @@ class Lag {
   void add_smoothness(double* P, double* N, const double* xx, SizeSums* sums) const;
   void add_motion(Front& f, double* P, double* N, long g, bool last, const double* xx, SizeSums& sums);
   void add_raw(Front& f, Interval& v, const Places& at, SizeSums& sums);
-  void sum_rows(Front& f, Interval& v, int same, bool keep, const Places& at, SizeSums& sums);
-  void add_band(const std::array<Gram, 3>& m, const double* J, const Channels& v, const Places& at);
-  void add_theta(Front& f, const Channels& v);
+  void sum_rows(Front& f, const Interval& v, unsigned same, RawSums& out, const Places& at, SizeSums& sums);
   void turn(Front& f, double* panel, const double* x, double sign);
-  double smoothness_pair(int j, int k, int l) const {
-    const auto p = static_cast<std::size_t>(smoothness_order(about_.source, j));
-    return SplineTable::get().gram[p][p](k, l) * spline_.scale[p] * spline_.scale[p] * h_;
-  }
 };
 
 }  // namespace truewrench

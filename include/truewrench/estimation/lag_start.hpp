@@ -228,7 +228,7 @@ class LagStart {
     const long interval =
         std::clamp<long>(static_cast<long>(std::floor(x + 1e-9)), 0, kBlock * lag.end() - 1);
     at = static_cast<std::size_t>(interval);
-    return lag.basis().at(x - static_cast<double>(interval), lag.about().motion[i].derivative);
+    return lag.basis().basis(x - static_cast<double>(interval), lag.about().motion[i].derivative);
   }
 
   // Normal equations of one stream in its stated noise.

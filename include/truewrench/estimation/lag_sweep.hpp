@@ -12,7 +12,7 @@ inline void Lag::add_smoothness(double* P, double* N, const double* xx, SizeSums
     const Gram R = smoothness(j);
     const double v = 1.0 / sizes.q[j];
     for (int o = 0; o < kBlock; ++o) {
-      const Places at = places(o, P, N);
+      const Places at = shape_.places(o, P, N);
       double pull[kLocal] = {}, energy = 0.0;
       if (xx != nullptr) {
         const double *x = xx + kComponents * o + j,
@@ -23,10 +23,9 @@ inline void Lag::add_smoothness(double* P, double* N, const double* xx, SizeSums
       }
       if (sums != nullptr) sums->energy[static_cast<std::size_t>(j)] += energy;
       for (int k = 0; k < kLocal; ++k) {
-        double* row = at.row[static_cast<std::size_t>(k)] + j * ld_;
+        double* row = at.row[k] + j * shape_.ld;
         row[kTheta + nt_] -= v * pull[k];
-        for (int l = k; l < kLocal; ++l)
-          row[at.column[static_cast<std::size_t>(k)][static_cast<std::size_t>(l)] + j] += v * R(k, l);
+        for (int l = k; l < kLocal; ++l) row[at.column[k][l] + j] += v * R(k, l);
       }
     }
   }
@@ -35,24 +34,26 @@ inline void Lag::add_smoothness(double* P, double* N, const double* xx, SizeSums
 
 inline bool Lag::placed(std::size_t i, const MotionRow& row, long g, bool last, const double* xx,
                         Placed& out) const {
-  const double s = theta[clock_[i]], kappa = theta[clock_[i] + 1], x = (row.time + s - origin_) / h_;
+  const double s = theta[columns_.clock[i]], kappa = theta[columns_.clock[i] + 1],
+               x = (row.time + s - origin_) / h_;
   const auto interval_of = static_cast<long>(std::floor(x + 1e-9));
   if (interval_of >= kBlock * (g + 1) && !last) return false;
   out.o = static_cast<int>(std::clamp<long>(interval_of - kBlock * g, 0, kBlock - 1));
   const double u = x - static_cast<double>(kBlock * g + out.o);
   const int p = about_.motion[i].derivative;
-  const Basis b0 = spline_.at(u, p), b1 = spline_.at(u, p + 1), b2 = spline_.at(u, p + 2),
-              b3 = spline_.at(u, p + 3);
+  Basis b[4];
+  spline_.bases(u, p, 4, b);
   for (std::size_t j = 0; j < kComponents; ++j) {
     out.by_s[j] = out.by_kappa[j] = 0.0;
-    out.residual[j] = row.value[j] - (bias_[i] >= 0 ? theta[bias_[i] + static_cast<int>(j)] : 0.0);
+    out.residual[j] =
+        row.value[j] - (columns_.bias[i] >= 0 ? theta[columns_.bias[i] + static_cast<int>(j)] : 0.0);
   }
   for (int l = 0; l < kLocal; ++l) {
-    out.b[l] = b0[l] + (kappa - 0.5) * s * s * b2[l];
+    out.b[l] = b[0][l] + (kappa - 0.5) * s * s * b[2][l];
     const double* c = xx + kComponents * (out.o + l);
     dense::add<6>(out.residual, -out.b[l], c);
-    dense::add<6>(out.by_s, b1[l] + (kappa - 0.5) * (2.0 * s * b2[l] + s * s * b3[l]), c);
-    dense::add<6>(out.by_kappa, s * s * b2[l], c);
+    dense::add<6>(out.by_s, b[1][l] + (kappa - 0.5) * (2.0 * s * b[2][l] + s * s * b[3][l]), c);
+    dense::add<6>(out.by_kappa, s * s * b[2][l], c);
   }
   for (std::size_t j = 0; j < kComponents; ++j) out.residual[j] *= row.have[j];
   return true;
@@ -66,12 +67,12 @@ inline void Lag::add_motion(Front& f, double* P, double* N, long g, bool last, c
     double information[kComponents];
     for (int j = 0; j < kComponents; ++j) information[j] = 1.0 / (motion_noise(i, j) * motion_noise(i, j));
     for (int o = 0; o < kBlock; ++o) interval(kBlock * g + o).motion[i].fill(0.0);
-    const int s_at = clock_[i], bias = bias_[i];
+    const int s_at = columns_.clock[i], bias = columns_.bias[i];
     Placed row_at;
     for (; f.next[i] < motion_[i].end(); ++f.next[i]) {
       const MotionRow& row = motion_[i][f.next[i]];
       if (!placed(i, row, g, last, xx, row_at)) break;
-      const Places at = places(row_at.o, P, N);
+      const Places at = shape_.places(row_at.o, P, N);
       double* products = interval(kBlock * g + row_at.o).motion[i].data();
       const double* b = row_at.b.data();
       for (int k = 0; k < kLocal; ++k)
@@ -87,32 +88,31 @@ inline void Lag::add_motion(Front& f, double* P, double* N, long g, bool last, c
         const double y = row.size * information[j], r = y * row_at.residual[j], by_s = row_at.by_s[j],
                      by_kappa = row_at.by_kappa[j];
         for (int k = 0; k < kLocal; ++k) {
-          double* to = at.row[static_cast<std::size_t>(k)] + j * ld_ + kTheta;
+          double* to = at.row[k] + j * shape_.ld + kTheta;
           to[nt_] += b[k] * r;
           to[s_at] += y * b[k] * by_s;
           to[s_at + 1] += y * b[k] * by_kappa;
           if (bias >= 0) to[bias + j] += y * b[k];
         }
-        f.T[this->at(s_at, s_at)] += y * by_s * by_s;
-        f.T[this->at(s_at, s_at + 1)] += y * by_s * by_kappa;
-        f.T[this->at(s_at + 1, s_at + 1)] += y * by_kappa * by_kappa;
-        f.T[this->at(s_at, nt_)] += r * by_s;
-        f.T[this->at(s_at + 1, nt_)] += r * by_kappa;
+        f.T[shape_.tt(s_at, s_at)] += y * by_s * by_s;
+        f.T[shape_.tt(s_at, s_at + 1)] += y * by_s * by_kappa;
+        f.T[shape_.tt(s_at + 1, s_at + 1)] += y * by_kappa * by_kappa;
+        f.T[shape_.tt(s_at, nt_)] += r * by_s;
+        f.T[shape_.tt(s_at + 1, nt_)] += r * by_kappa;
         if (bias < 0) continue;
-        f.T[this->at(bias + j, bias + j)] += y;
-        f.T[this->at(bias + j, nt_)] += r;
-        f.T[this->at(bias + j, s_at)] += y * by_s;
-        f.T[this->at(bias + j, s_at + 1)] += y * by_kappa;
+        f.T[shape_.tt(bias + j, bias + j)] += y;
+        f.T[shape_.tt(bias + j, nt_)] += r;
+        f.T[shape_.tt(bias + j, s_at)] += y * by_s;
+        f.T[shape_.tt(bias + j, s_at + 1)] += y * by_kappa;
       }
     }
     for (int o = 0; o < kBlock; ++o) {
-      const Places at = places(o, P, N);
+      const Places at = shape_.places(o, P, N);
       const double* products = interval(kBlock * g + o).motion[i].data();
       for (int k = 0; k < kLocal; ++k)
         for (int l = k; l < kLocal; ++l)
           for (int j = 0; j < kComponents; ++j)
-            at.row[static_cast<std::size_t>(k)]
-                  [j * ld_ + at.column[static_cast<std::size_t>(k)][static_cast<std::size_t>(l)] + j] +=
+            at.row[k][j * shape_.ld + at.column[k][l] + j] +=
                 information[j] * products[knot_pair(k, l) * kComponents + j];
     }
   }
@@ -124,7 +124,7 @@ inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
   const double* t = z_.data();
   double Hx[kWidth] = {};
   for (int i = 0; i < kWidth; ++i) {
-    const double* row = panel + i * ld_;
+    const double* row = panel + i * shape_.ld;
     double sum = row[i] * x[i];
     for (int j = i + 1; j < kWidth; ++j) {
       sum += row[j] * x[j];
@@ -135,23 +135,23 @@ inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
   }
   for (int k = 0; k < nt_; ++k) {  // a row of T: what the diagonal and the columns after it see, and
                                    // what they give back
-    const double* row = f.T.data() + k * ldt_;
+    const double* row = f.T.data() + k * shape_.ldt;
     double sum = row[k] * t[k];
     for (int l = k + 1; l < nt_; ++l) sum += row[l] * t[l];
-    f.T[at(k, nt_)] += sign * sum;
+    f.T[shape_.tt(k, nt_)] += sign * sum;
   }
   double* column = T_.data();
   std::fill_n(column, nt_, 0.0);
   for (int k = 0; k < nt_; ++k) {
-    const double* row = f.T.data() + k * ldt_;
+    const double* row = f.T.data() + k * shape_.ldt;
     for (int l = k + 1; l < nt_; ++l) column[l] += row[l] * t[k];
   }
   for (int i = 0; i < kWidth; ++i) {
-    const double* row = panel + i * ld_ + kTheta;
+    const double* row = panel + i * shape_.ld + kTheta;
     for (int k = 0; k < nt_; ++k) column[k] += row[k] * x[i];
   }
-  for (int k = 0; k < nt_; ++k) f.T[at(k, nt_)] += sign * column[k];
-  for (int i = 0; i < kWidth; ++i) panel[i * ld_ + kTheta + nt_] += sign * Hx[i];
+  for (int k = 0; k < nt_; ++k) f.T[shape_.tt(k, nt_)] += sign * column[k];
+  for (int i = 0; i < kWidth; ++i) panel[i * shape_.ld + kTheta + nt_] += sign * Hx[i];
 }
 
 // Squares of the motion's rows about the motion as it stands, from where a front has eliminated on.
@@ -184,34 +184,21 @@ inline bool Lag::eliminate(Front& f, long g, bool last) {
   double xx[2 * kWidth];
   coefficients(g, xx);
   double *P = B.panel.data(), *N = f.panel.data();
-  std::copy_n(N, kWidth * ld_, P);
-  std::fill_n(N, kWidth * ld_, 0.0);
+  std::copy_n(N, kWidth * shape_.ld, P);
+  std::fill_n(N, kWidth * shape_.ld, 0.0);
   turn(f, P, xx,
        -1.0);  // to the gradient at the coefficients and theta as they stand
 
   B.sums = SizeSums();
   add_smoothness(P, N, xx, &B.sums);
   add_motion(f, P, N, g, last, xx, B.sums);
-  for (int o = 0; o < kBlock; ++o) add_raw(f, interval(kBlock * g + o), places(o, P, N), B.sums);
+  for (int o = 0; o < kBlock; ++o) add_raw(f, interval(kBlock * g + o), shape_.places(o, P, N), B.sums);
 
-  if (!dense::factor(P, ld_, kWidth, f.logdet)) return false;
-  for (int t = 0; t <= nt_; t += dense::tile_rows) {
-    const int c = t & ~7;
-    dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), f.T.data() + t * ldt_ + c, ldt_, P + kTheta + t,
-                   1, ld_, P + kTheta + c, ld_, ldt_ - c, kWidth);
-  }
-  for (int t = 0; t < kWidth; t += dense::tile_rows) {
-    const int c = t & ~7;  // a knot of the next block lies at most five after what it sees
-    const double *A = P + t * ld_ + kPadded + t, *from = P + t * ld_;
-    dense::tile_of(dense::tile_rows, N + t * ld_ + c, ld_, A, 1, ld_, from + kPadded + c, ld_, kPadded - c,
-                   kWidth - t);
-    dense::tile_of(dense::tile_rows, N + t * ld_ + kTheta, ld_, A, 1, ld_, from + kTheta, ld_, ldt_,
-                   kWidth - t);
-  }
+  if (!shape_.eliminate(P, N, f.T.data(), f.logdet)) return false;
   // and back to absolute coordinates: R^-T of [H, H of the next block, H_xt]
   // [x; x of the next; theta]
   for (int i = 0; i < kWidth; ++i) {
-    double* row = P + i * ld_;
+    double* row = P + i * shape_.ld;
     double sum = 0.0;
     for (int j = i; j < kWidth; ++j) sum += row[j] * xx[j];
     for (int j = 0; j < kWidth; ++j) sum += row[kPadded + j] * xx[kWidth + j];
@@ -226,14 +213,10 @@ inline double Lag::terminal(const Front& f, Eigen::MatrixXd& S) {
   std::copy(f.panel.begin(), f.panel.end(), last_.begin());
   std::copy(f.T.begin(), f.T.end(), T_.begin());
   double logdet = f.logdet;
-  if (!dense::factor(last_.data(), ld_, kWidth, logdet)) return std::nan("");
-  for (int t = 0; t <= nt_; t += dense::tile_rows) {
-    const int c = t & ~7;
-    dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), T_.data() + t * ldt_ + c, ldt_,
-                   last_.data() + kTheta + t, 1, ld_, last_.data() + kTheta + c, ld_, ldt_ - c, kWidth);
-  }
+  if (!shape_.eliminate(last_.data(), nullptr, T_.data(), logdet)) return std::nan("");
   for (int i = 0; i <= nt_; ++i)
-    std::copy(T_.begin() + i * ldt_ + i, T_.begin() + i * ldt_ + nt_ + 1, S.data() + i * (nt_ + 1) + i);
+    std::copy(T_.begin() + i * shape_.ldt + i, T_.begin() + i * shape_.ldt + nt_ + 1,
+              S.data() + i * (nt_ + 1) + i);
   return logdet;
 }
 
@@ -244,7 +227,7 @@ inline void Lag::back(long from) {
     const double* P = g == end_ ? last_.data() : block(g).panel.data();
     std::copy_n(x, kWidth, x + kWidth);
     for (int i = kWidth - 1; i >= 0; --i) {
-      const double* row = P + i * ld_;
+      const double* row = P + i * shape_.ld;
       double sum = row[kTheta + nt_];
       for (int k = 0; k < nt_; ++k) sum -= row[kTheta + k] * z_[static_cast<std::size_t>(k)];
       if (g < end_)
@@ -261,10 +244,10 @@ inline void Lag::expect(const Front& f, long g, bool last) {
   // [motion alone, theta as it stands] in the places of a panel: two blocks and
   // one column
   double *P = block(g).panel.data(), *N = last_.data();
-  std::copy_n(f.panel.data(), kWidth * ld_, P);
-  std::fill_n(N, kWidth * ld_, 0.0);
+  std::copy_n(f.panel.data(), kWidth * shape_.ld, P);
+  std::fill_n(N, kWidth * shape_.ld, 0.0);
   for (int i = 0; i < kWidth; ++i) {
-    double* row = P + i * ld_ + kTheta;
+    double* row = P + i * shape_.ld + kTheta;
     double sum = row[nt_];
     for (int k = 0; k < nt_; ++k) sum -= row[k] * z_[static_cast<std::size_t>(k)];
     std::fill_n(row, nt_, 0.0);
@@ -277,16 +260,14 @@ inline void Lag::expect(const Front& f, long g, bool last) {
     for (long r = f.next[i]; r < motion_[i].end(); ++r) {
       const MotionRow& row = motion_[i][r];
       if (!placed(i, row, g, last, none, row_at)) break;  // the residual of nothing: the value
-      const Places at = places(row_at.o, P, N);
+      const Places at = shape_.places(row_at.o, P, N);
       for (int j = 0; j < kComponents; ++j) {
         const double v =
             row.have[static_cast<std::size_t>(j)] * row.size / (motion_noise(i, j) * motion_noise(i, j));
         for (int k = 0; k < kLocal; ++k) {
-          double* to = at.row[static_cast<std::size_t>(k)] + j * ld_;
+          double* to = at.row[k] + j * shape_.ld;
           to[kTheta + nt_] += v * row_at.b[k] * row_at.residual[j];
-          for (int l = k; l < kLocal; ++l)
-            to[at.column[static_cast<std::size_t>(k)][static_cast<std::size_t>(l)] + j] +=
-                v * row_at.b[k] * row_at.b[l];
+          for (int l = k; l < kLocal; ++l) to[at.column[k][l] + j] += v * row_at.b[k] * row_at.b[l];
         }
       }
     }
@@ -294,23 +275,23 @@ inline void Lag::expect(const Front& f, long g, bool last) {
   // the columns that hold something: [own, next block's] and the one after
   // theta
   double logdet = 0.0;
-  for (int i = 0; i < kWidth; ++i) P[i * ld_ + kTheta] = P[i * ld_ + kTheta + nt_];
-  if (!dense::factor(P, ld_, kWidth, logdet)) return;
+  for (int i = 0; i < kWidth; ++i) P[i * shape_.ld + kTheta] = P[i * shape_.ld + kTheta + nt_];
+  if (!dense::factor(P, shape_.ld, kWidth, logdet)) return;
   for (int i = 0; i < kWidth; ++i) {
-    double* row = N + i * ld_;
+    double* row = N + i * shape_.ld;
     for (int k = 0; k < kWidth; ++k) {
-      const double* R = P + k * ld_;
+      const double* R = P + k * shape_.ld;
       const double y = R[kPadded + i];
       for (int j = i; j < kWidth; ++j) row[j] -= y * R[kPadded + j];
       row[kTheta + nt_] -= y * R[kTheta];
     }
     row[kTheta] = row[kTheta + nt_];
   }
-  if (!dense::factor(N, ld_, kWidth, logdet)) return;
+  if (!dense::factor(N, shape_.ld, kWidth, logdet)) return;
   double x[2 * kWidth] = {};
   for (const bool second : {true, false})
     for (int i = kWidth - 1; i >= 0; --i) {
-      const double* row = (second ? N : P) + i * ld_;
+      const double* row = (second ? N : P) + i * shape_.ld;
       double *to = second ? x + kWidth : x, sum = row[kTheta];
       for (int j = i + 1; j < kWidth; ++j) sum -= row[j] * to[j];
       if (!second)
@@ -324,81 +305,36 @@ inline void Lag::expect(const Front& f, long g, bool last) {
 // By selected inversion: S_gh = - G S_hh, S_gg = R^-1 R^-T - S_gh G^T, h the
 // next block, G = R^-1 R^-T H_gh; theta known.
 inline void Lag::traces(long from) {
+  std::array<Gram, kComponents> R;
+  for (int j = 0; j < kComponents; ++j) R[static_cast<std::size_t>(j)] = smoothness(j);
   for (long g = end_; g >= from; --g) {
     const double* P = g == end_ ? last_.data() : block(g).panel.data();
     const bool free = g == end_;
     std::swap(here_, next_);
-    std::fill(inverse_.begin(), inverse_.end(),
-              0.0);  // R^-1 [1, R^-T H of the next block]
-    for (int i = 0; i < kWidth; ++i) {
-      inverse_[static_cast<std::size_t>(i * kTheta + i)] = 1.0;
-      if (!free) std::copy_n(P + i * ld_ + kPadded, kWidth, inverse_.begin() + i * kTheta + kPadded);
-    }
-    dense::solve_upper(P, ld_, kWidth, inverse_.data(), kTheta, kTheta);
-    for (int i = 0; i < kWidth; ++i)
-      for (int j = 0; j < kWidth; ++j) {
-        V_[static_cast<std::size_t>(j * kPadded + i)] = -inverse_[static_cast<std::size_t>(i * kTheta + j)];
-        V_[static_cast<std::size_t>((kWidth + j) * kPadded + i)] =
-            inverse_[static_cast<std::size_t>(i * kTheta + kPadded + j)];
-      }
     double* here = here_.data();
-    if (!free)
-      dense::subtract(here + kPadded, kTheta, inverse_.data() + kPadded, kTheta, 1, next_.data(), kTheta,
-                      kWidth, kPadded, kWidth, dense::Mode::fresh);
-    for (int t = 0; t < kWidth; t += dense::tile_rows)
-      dense::tile_of(dense::tile_rows, here + t * kTheta, kTheta, inverse_.data() + t * kTheta + t, kTheta, 1,
-                     V_.data() + t * kPadded, kPadded, kPadded, kWidth - t, nullptr, 0, dense::Mode::fresh);
+    shape_.invert(P, free, inverse_.data(), kTheta, V_.data(), here, next_.data());
     if (free) continue;
-    dense::subtract(here, kTheta, here + kPadded, kTheta, 1, V_.data() + kWidth * kPadded, kPadded, kWidth,
-                    kPadded, kWidth);
     SizeSums& sums = block(g).sums;
     sums.raw_trace.fill(0.0);
     sums.energy_trace.fill(0.0);
     for (auto& m : sums.motion_trace) m.fill(0.0);
     for (int o = 0; o < kBlock; ++o) {
       const Interval& v = interval(kBlock * g + o);
-      // U: sums of m_pq(k, l) Cov(x_k, x_l)
-      double U[3 * 36] = {};
-      const bool raw = v.rows > 0 && *std::max_element(v.v.begin(), v.v.end()) > 0.0;
       for (int k = 0; k < kLocal; ++k)
         for (int l = k; l < kLocal; ++l) {
-          const int a = o + k, b = o + l;
-          const double* cov =
-              a < kBlock ? here + a * kComponents * kTheta +
-                               (b < kBlock ? b * kComponents : kPadded + (b - kBlock) * kComponents)
-                         : next_.data() + (a - kBlock) * kComponents * kTheta + (b - kBlock) * kComponents;
-          const double twice = k == l ? 1.0 : 2.0;
+          const double* cov = shape_.covariance(here, next_.data(), o + k, o + l);
           for (int j = 0; j < kComponents; ++j) {
             const auto ju = static_cast<std::size_t>(j);
-            const double own = twice * cov[j * kTheta + j];
-            sums.energy_trace[ju] += own * smoothness_pair(j, k, l) / sizes.q[j];
+            const double own = (k == l ? 1.0 : 2.0) * cov[j * kTheta + j];
+            sums.energy_trace[ju] += own * R[ju](k, l) / sizes.q[j];
             for (std::size_t i = 0; i < streams_; ++i)
               sums.motion_trace[i][static_cast<std::size_t>(about_.motion[i].group[j])] +=
                   own * v.motion[i][static_cast<std::size_t>(knot_pair(k, l) * kComponents + j)] /
                   (motion_noise(i, j) * motion_noise(i, j));
           }
-          if (!raw) continue;
-          for (int j = 0; j < kComponents; ++j) {
-            const double* row = cov + j * kTheta;
-            dense::add<6>(U + 6 * j, twice * v.m[0](k, l), row);
-            dense::add<6>(U + 72 + 6 * j, twice * v.m[2](k, l), row);
-            dense::add<6>(U + 36 + 6 * j, v.m[1](k, l), row);
-            if (k == l) continue;
-            for (int h = 0; h < kComponents; ++h)
-              U[36 + 6 * h + j] += v.m[1](l, k) * row[h];  // Cov(x_l, x_k)
-          }
         }
-      if (!raw) continue;
-      for (int i = 0; i < n_; ++i) {
-        const double* J = v.J.data() + 12 * i;
-        double value = 0.0;
-        for (int j = 0; j < 6; ++j)
-          for (int h = 0; h < 6; ++h)
-            value += J[j] * U[6 * j + h] * J[h] + 2.0 * J[j] * U[36 + 6 * j + h] * J[6 + h] +
-                     J[6 + j] * U[72 + 6 * j + h] * J[6 + h];
-        sums.raw_trace[static_cast<std::size_t>(raw_group(i, n_))] +=
-            v.v[static_cast<std::size_t>(i)] * value;
-      }
+      if (v.rows > 0 && *std::max_element(v.sums.v.begin(), v.sums.v.end()) > 0.0)
+        sums_.trace<kComponents>(v.sums, shape_, here, next_.data(), o, sums.raw_trace.data());
     }
   }
 }
@@ -413,14 +349,15 @@ inline double Lag::objective(long g, Cursor& next, bool last) const {
       sum += row.size * (constants::freedom + row.channels) * std::log1p(chi2(v, row) / constants::freedom);
     }
   }
-  for (int j = 0; j < kComponents; ++j)
+  for (int j = 0; j < kComponents; ++j) {
+    const Gram R = smoothness(j);
     for (int o = 0; o < kBlock; ++o)
       for (int k = 0; k < kLocal; ++k)
         for (int l = 0; l < kLocal; ++l) {
           const double* x = xx + kComponents * o + j;
-          sum += smoothness_pair(j, k, l) / sizes.q[j] * (x[kComponents * k] - x[0]) *
-                 (x[kComponents * l] - x[0]);
+          sum += R(k, l) / sizes.q[j] * (x[kComponents * k] - x[0]) * (x[kComponents * l] - x[0]);
         }
+  }
   for (std::size_t i = 0; i < streams_; ++i) {
     Placed row_at;
     for (; next[i] < motion_[i].end(); ++next[i]) {
@@ -440,14 +377,14 @@ inline double Lag::objective(const Front& f, long g) const {
   double sum = 0.0;
   const double *x = block(g).x.data(), *t = z_.data();
   for (int i = 0; i < kWidth; ++i) {
-    const double* row = f.panel.data() + i * ld_;
+    const double* row = f.panel.data() + i * shape_.ld;
     double y = row[i] * x[i];
     for (int j = i + 1; j < kWidth; ++j) y += 2.0 * row[j] * x[j];
     for (int k = 0; k < nt_; ++k) y += 2.0 * row[kTheta + k] * t[k];
     sum += x[i] * (y - 2.0 * row[kTheta + nt_]);
   }
   for (int k = 0; k < nt_; ++k) {
-    const double* row = f.T.data() + k * ldt_;
+    const double* row = f.T.data() + k * shape_.ldt;
     double y = row[k] * t[k] - 2.0 * row[nt_];
     for (int l = k + 1; l < nt_; ++l) y += 2.0 * row[l] * t[l];
     sum += t[k] * y;

@@ -23,9 +23,9 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
   };
   const auto finish = [&](RawRow& row) {
     const double u = (row.time - v.begin) / h_;
-    const Basis b0 = spline_.at(u, 0), b1 = spline_.at(u, 1);
-    std::copy_n(b0.data(), kLocal, row.basis.begin());
-    std::copy_n(b1.data(), kLocal, row.basis.begin() + kLocal);
+    Basis b[2];
+    spline_.bases(u, 0, 2, b);
+    for (std::size_t p = 0; p < 2; ++p) std::copy_n(b[p].data(), kLocal, row.basis.begin() + kLocal * p);
     row.masked = false;
     row.weight = 1.0;
     row.channels = 0;

@@ -26,7 +26,7 @@ struct ScoredBlock {
 // J_x^T V^-1 D (rows of two blocks) and J_theta^T V^-1 D of a constant wrench D on one block, `columns` a row.
 inline void constant_wrench(const Stretch& s, const Sweep& sweep, const Columns& columns, bool d, int g,
                             int width, double* J, double* T, ScoredBlock& out) {
-  const Intervals& of = sweep.intervals();
+  const RowSums& of = sweep.sums();
   const int n = s.channels(), M = s.components(), OM = of.orders * M;
   for (int o = 0; o < kBlock; ++o) {
     const auto [first, end] = sweep.of_interval(kBlock * g + o);

@@ -1,15 +1,14 @@
 // One gap-free stretch of a log: its samples, its splines, and what the model predicts at them (METHOD 10.1).
 #pragma once
 
-#include "truewrench/math/spline.hpp"
-#include "truewrench/model/parameters.hpp"
+#include "truewrench/estimation/row_sums.hpp"
+#include "truewrench/model/gravity.hpp"
 
 #include <cstddef>
 #include <vector>
 
 namespace truewrench {
 
-inline constexpr int max_components = 32;  // of a motion, or channels
 using Components = Eigen::Matrix<double, 1, Eigen::Dynamic, Eigen::RowMajor, 1, max_components>;
 
 // Samples of the sensor that one stretch holds, sorted by time.
@@ -233,8 +232,6 @@ class Stretch {
       for (Eigen::Index j = 0; j < columns; ++j) out[j] += basis[l] * x[l * columns + j];
   }
 
-  // Gravity in sensor axes without (10.5), and its derivative by the tilt.
-  Vector3 gravity_at(Eigen::Index k, const Vector3& root) const { return product(rotation_at(k), root); }
   Matrix3 rotation_at(Eigen::Index k) const {
     const double* rows = log_->source == Source::mapped
                              ? mapped.R_sensor_root.data() + 9 * k
@@ -305,16 +302,12 @@ class Stretch {
     const Payload body = departed(log_->payload, body_of(columns, theta));
     const double *C = theta.data() + columns.C, *b = theta.data() + columns.b,
                  *quadratic = theta.data() + columns.u;
-    const Vector3 root = root_gravity(columns, theta);
+    const Gravity gravity_now = gravity_of(columns, theta);
     double d[max_components] = {};
     for (Eigen::Index k = 0; k < rows; ++k) {
       const Eigen::Map<const Vector6> at_nu(now.nu.data() + 6 * k), at_a(now.a.data() + 6 * k);
       const Vector6 nu = at_nu, a = at_a;
-      Vector3 g(0.0, 0.0, 0.0);
-      if (gravity()) {
-        g = gravity_at(k, root);
-        if (columns.gamma >= 0) g = retarded(columns, theta, g, nu, a);
-      }
+      const Vector3 g = gravity() ? gravity_now.felt(rotation_at(k), nu, a) : Vector3::Zero();
       const Vector6 wrench = wrench_about(body, log_->point, nu, a, g);
       double *w = now.w.data() + 6 * k, *cw = now.cw.data() + n_ * k,
              *residual = now.residual.data() + n_ * k;
@@ -340,32 +333,14 @@ class Stretch {
     }
   }
 
-  // g+ = g + gamma [ s Omega x g + (1 - kappa) s^2 Omega x (Omega x g) + kappa s^2 Omegadot x g ]                    (10.5)
-  static Vector3 retarded(const Columns& columns, const Eigen::VectorXd& theta, const Vector3& g,
-                          const Vector6& nu, const Vector6& a) {
-    const double s = theta[columns.clock[0]], kappa = theta[columns.clock[0] + 1],
-                 gamma = theta[columns.gamma];
-    const Vector3 first = cross(angular(nu), g), turn = cross(angular(nu), first),
-                  spin = cross(angular(a), g);
-    Vector3 out;
-    for (int i = 0; i < 3; ++i)
-      out[i] = g[i] + gamma * (s * first[i] + s * s * ((1.0 - kappa) * turn[i] + kappa * spin[i]));
-    return out;
-  }
-
  public:
   static BodyVector body_of(const Columns& columns, const Eigen::VectorXd& theta) {
     BodyVector out;
     std::copy_n(theta.data() + columns.body, kBodyParameters, out.data());
     return out;
   }
-  // Gravity in the root frame, tilted.
-  Vector3 root_gravity(const Columns& columns, const Eigen::VectorXd& theta,
-                       Eigen::Matrix<double, 3, 2>* by_tilt = nullptr) const {
-    Eigen::Matrix<double, 3, 2> unused;
-    if (!gravity()) return rig_->gravity;
-    return tilted(rig_->gravity, Eigen::Vector2d(theta[columns.tilt], theta[columns.tilt + 1]),
-                  by_tilt ? *by_tilt : unused);
+  Gravity gravity_of(const Columns& columns, const Eigen::VectorXd& theta) const {
+    return {*rig_, columns, theta.data(), gravity()};
   }
   double warmth(Eigen::Index k) const {
     const double t =

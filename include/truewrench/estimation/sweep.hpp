@@ -27,11 +27,6 @@ struct Traces {
       start;  // of each channel: the discrepancy's covariance, summed over the intervals; the first
 };
 
-inline constexpr int kPairs = kLocal * (kLocal + 1) / 2;  // k <= l of an interval's knots
-constexpr int knot_pair(int k, int l) { return k * kLocal - k * (k - 1) / 2 + l - k; }
-
-// A block's rows hold [R, its knots ; R^-T H, the next block's knots ; R^-T [H_xt, gradient]], R^T R its pivot: the first
-// upper triangular, the second zero where a knot of the next block lies more than five after (METHOD 9).
 class Sweep {
  public:
   // How much of a sweep is asked for: all; log |H_xx| and nothing else; or that with the sums over the sensor's samples as they
@@ -47,31 +42,18 @@ class Sweep {
     for (int g = 0; g <= last; ++g) {
       double *P = panel(g), *N = g < last ? panel(g + 1) : nullptr;
       if (g < last)
-        for (int o = 0; o < kBlock; ++o) add_interval(s, columns, theta, kBlock * g + o, o, P, N);
-      if (!dense::factor(P, ld_, W_, out.logdet)) {
+        for (int o = 0; o < kBlock; ++o) add_interval(s, columns, kBlock * g + o, o, P, N);
+      if (!shape_.eliminate(P, N, alone_ ? nullptr : htt_.data(), out.logdet)) {
         out.logdet = std::nan("");
         return out;
       }
-      for (int t = 0; t <= nt_ && !alone_; t += dense::tile_rows) {
-        const int c = t & ~7;
-        dense::tile_of(std::min(dense::tile_rows, nt_ + 1 - t), htt_.data() + t * ldt_ + c, ldt_,
-                       P + 2 * Wp_ + t, 1, ld_, P + 2 * Wp_ + c, ld_, ldt_ - c, W_);
-      }
-      if (g == last) break;
-      for (int t = 0; t < W_; t += dense::tile_rows) {
-        const int rows = std::min(dense::tile_rows, W_ - t), c = t & ~7, from = t / m_ * m_;
-        const double *A = P + from * ld_ + Wp_ + t, *B = P + from * ld_;
-        dense::tile_of(rows, N + t * ld_ + c, ld_, A, 1, ld_, B + Wp_ + c, ld_, Wp_ - c, W_ - from);
-        if (!alone_)
-          dense::tile_of(rows, N + t * ld_ + 2 * Wp_, ld_, A, 1, ld_, B + 2 * Wp_, ld_, ldt_, W_ - from);
-      }
     }
     if (alone_) return out;
-    out.S.resize(nt_, nt_);
-    out.g.resize(nt_);
-    for (int i = 0; i < nt_; ++i) {
-      for (int j = i; j < nt_; ++j) out.S(i, j) = out.S(j, i) = tt(i, j);
-      out.g[i] = tt(i, nt_) + sums_.gt[static_cast<std::size_t>(i)];
+    out.S.resize(shape_.nt, shape_.nt);
+    out.g.resize(shape_.nt);
+    for (int i = 0; i < shape_.nt; ++i) {
+      for (int j = i; j < shape_.nt; ++j) out.S(i, j) = out.S(j, i) = tt(i, j);
+      out.g[i] = tt(i, shape_.nt);
     }
     return out;
   }
@@ -79,21 +61,21 @@ class Sweep {
   // The step of the coefficients that belongs to a step of theta.
   void back(const Eigen::VectorXd& step, RowMatrix& dc, RowMatrix& de) const {
     // x of a block and, from Wp on, the next; then - step, and 1 for the gradient: a row of a panel times it is what is left
-    std::vector<double> x(static_cast<std::size_t>(ld_), 0.0);
-    for (int k = 0; k < nt_; ++k) x[static_cast<std::size_t>(2 * Wp_ + k)] = step[k];
-    x[static_cast<std::size_t>(2 * Wp_ + nt_)] = -1.0;
+    std::vector<double> x(static_cast<std::size_t>(shape_.ld), 0.0);
+    for (int k = 0; k < shape_.nt; ++k) x[static_cast<std::size_t>(2 * shape_.Wp + k)] = step[k];
+    x[static_cast<std::size_t>(2 * shape_.Wp + shape_.nt)] = -1.0;
     for (int g = blocks() - 1; g >= 0; --g) {
       const double* P = panel(g);
-      std::copy_n(x.begin(), W_, x.begin() + Wp_);
-      std::fill_n(x.begin(), W_, 0.0);
-      for (int i = W_ - 1; i >= 0; --i) {
-        const double* row = P + i * ld_;
+      std::copy_n(x.begin(), shape_.W, x.begin() + shape_.Wp);
+      std::fill_n(x.begin(), shape_.W, 0.0);
+      for (int i = shape_.W - 1; i >= 0; --i) {
+        const double* row = P + i * shape_.ld;
         const int from = i & ~7;  // x is 0 up to i
-        x[static_cast<std::size_t>(i)] = -dense::dot(row + from, x.data() + from, ld_ - from) / row[i];
+        x[static_cast<std::size_t>(i)] = -dense::dot(row + from, x.data() + from, shape_.ld - from) / row[i];
       }
       for (int k = 0; k < kBlock; ++k) {
-        std::copy_n(x.data() + k * m_, M_, dc.data() + (kBlock * g + k) * M_);
-        if (d_) std::copy_n(x.data() + k * m_ + M_, n_, de.data() + (kBlock * g + k) * n_);
+        std::copy_n(x.data() + k * shape_.m, M_, dc.data() + (kBlock * g + k) * M_);
+        if (d_) std::copy_n(x.data() + k * shape_.m + M_, n_, de.data() + (kBlock * g + k) * n_);
       }
     }
   }
@@ -105,18 +87,20 @@ class Sweep {
   // `theta` (parameters, columns) -= what theta's see.
   void descend(int g, double* X, double* next, double* theta, int columns) const {
     const double* P = panel(g);
-    dense::solve_transposed(P, ld_, W_, X, columns, columns);
-    dense::subtract(theta, columns, P + 2 * Wp_, 1, ld_, X, columns, nt_, columns, W_);
-    if (next) dense::subtract(next, columns, P + Wp_, 1, ld_, X, columns, W_, columns, W_);
+    dense::solve_transposed(P, shape_.ld, shape_.W, X, columns, columns);
+    dense::subtract(theta, columns, P + 2 * shape_.Wp, 1, shape_.ld, X, columns, shape_.nt, columns,
+                    shape_.W);
+    if (next)
+      dense::subtract(next, columns, P + shape_.Wp, 1, shape_.ld, X, columns, shape_.W, columns, shape_.W);
   }
 
   int blocks() const { return blocks_; }
-  int width() const { return W_; }
-  int parameters() const { return nt_; }
+  int width() const { return shape_.W; }
+  int parameters() const { return shape_.nt; }
   // Row of a pair of blocks: coefficient k (0 ... 9) of component j, or of channel i's discrepancy.
-  int place(int k, int j) const { return k * m_ + j; }
-  int place_d(int k, int i) const { return k * m_ + M_ + i; }
-  const Intervals& intervals() const { return sums_; }
+  int place(int k, int j) const { return k * shape_.m + j; }
+  int place_d(int k, int i) const { return k * shape_.m + M_ + i; }
+  const RowSums& sums() const { return intervals_.sums; }
   // The sums of an interval's samples: [first, second) of `pool`.
   const std::vector<RawSums>& pool() const { return pool_; }
   std::pair<std::size_t, std::size_t> of_interval(Eigen::Index interval) const {
@@ -125,8 +109,9 @@ class Sweep {
   }
 
  private:
-  Intervals sums_;
-  int M_ = 6, n_ = 6, nt_ = 0, m_ = 6, W_ = 30, Wp_ = 32, ldt_ = 64, ld_ = 128, nc_ = 2, blocks_ = 0;
+  Intervals intervals_;
+  Shape shape_;
+  int M_ = 6, n_ = 6, nc_ = 2, blocks_ = 0;
   bool d_ = false, alone_ = false, again_ = false;
   std::vector<double> panels_, htt_;  // (W, ld) a block; (nt + 1, ldt) upper triangle
   std::vector<RawSums> pool_;
@@ -140,7 +125,7 @@ class Sweep {
   std::vector<double> delta_information_;                // (n) 1 / delta_i^2
   std::vector<std::vector<double>> motion_information_;  // (M) 1 / sigma_j^2
   std::vector<Eigen::Index> motion_next_;
-  std::vector<double> T_, work_;
+  std::vector<double> band_;  // (pairs, M): what couples a component with itself
 
   // A pair of blocks on the way back: covariances with theta known, and theta's share.
   struct Pair {
@@ -151,53 +136,31 @@ class Sweep {
   };
   void trace_interval(const Stretch& s, Eigen::Index interval, int o, const Pair& pair,
                       std::vector<double>& total, Traces& out) const;
-  template <int fixed>
-  void trace_raw(const RawSums& sums, int o, const Pair& pair, Traces& out) const;
   void trace_discrepancy(Eigen::Index interval, int o, const Pair& pair, Traces& out) const;
 
-  double* panel(int g) { return panels_.data() + static_cast<std::ptrdiff_t>(g) * W_ * ld_; }
-  const double* panel(int g) const { return panels_.data() + static_cast<std::ptrdiff_t>(g) * W_ * ld_; }
-  double& tt(int i, int j) { return htt_[static_cast<std::size_t>(i <= j ? i * ldt_ + j : j * ldt_ + i)]; }
-
-  // Where the rows of a knot under interval o of a block begin, and their columns.
-  struct Places {
-    double* row[kLocal];
-    int column[kLocal][kLocal];  // of knot l in the rows of knot k
-  };
-  Places places(int o, double* P, double* N) const {
-    Places out;
-    for (int k = 0; k < kLocal; ++k) {
-      const bool here = o + k < kBlock;
-      out.row[k] = here ? P + (o + k) * m_ * ld_ : N + (o + k - kBlock) * m_ * ld_;
-      for (int l = k; l < kLocal; ++l)
-        out.column[k][l] =
-            !here || o + l < kBlock ? (here ? o + l : o + l - kBlock) * m_ : Wp_ + (o + l - kBlock) * m_;
-    }
-    return out;
+  double* panel(int g) { return panels_.data() + static_cast<std::ptrdiff_t>(g) * shape_.W * shape_.ld; }
+  const double* panel(int g) const {
+    return panels_.data() + static_cast<std::ptrdiff_t>(g) * shape_.W * shape_.ld;
   }
+  double& tt(int i, int j) { return htt_[shape_.tt(i, j)]; }
 
   void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
              const Sizes& sizes, Extent extent) {
     const bool alone = extent != Extent::whole;
     again_ = extent == Extent::determinant_again;
-    sums_.setup(s, columns, theta, lagged, sizes, alone);
+    intervals_.setup(s, columns, theta, lagged, sizes, alone);
     M_ = s.components();
     n_ = s.channels();
     alone_ = alone;
-    nt_ = alone ? 0 : columns.size();  // then a panel ends in the gradient's column, unread
     d_ = sizes.form != Form::none;
-    m_ = M_ + (d_ ? n_ : 0);
-    W_ = kBlock * m_;
-    Wp_ = dense::padded(W_);
-    ldt_ = dense::padded(nt_ + 1);
-    ld_ = 2 * Wp_ + ldt_;
+    // where it is of H_xx alone a panel ends in the gradient's column, unread
+    shape_ = Shape(M_ + (d_ ? n_ : 0), alone ? 0 : columns.size());
     blocks_ = static_cast<int>(s.spline.blocks()) + 1;
-    panels_.assign(static_cast<std::size_t>(blocks_ * W_ * ld_ + 8), 0.0);
-    htt_.assign(static_cast<std::size_t>((nt_ + 1) * ldt_ + 8), 0.0);
+    panels_.assign(static_cast<std::size_t>(blocks_ * shape_.W * shape_.ld + 8), 0.0);
+    htt_.assign(static_cast<std::size_t>((shape_.nt + 1) * shape_.ldt + 8), 0.0);
     const auto intervals = static_cast<std::size_t>(s.spline.intervals());
     if (!again_) first_.assign(intervals + 1, 0);
-    T_.resize(static_cast<std::size_t>(9 * M_ * M_));
-    work_.resize(static_cast<std::size_t>(std::max(M_, n_) * sums_.ldx + kPairs * M_ + 3 * M_ * n_ + 8));
+    band_.resize(static_cast<std::size_t>(kPairs * M_));
     smoothness_.resize(static_cast<std::size_t>(kLocal * kLocal * M_));
     for (int j = 0; j < M_; ++j) {
       const Gram R = s.spline.smoothness(smoothness_order(s.log().source, j)).inside;
@@ -235,10 +198,10 @@ class Sweep {
                           Eigen::MatrixXd::Zero(nc_, nc_));
   }
 
-  void add_interval(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta,
-                    Eigen::Index interval, int o, double* P, double* N) {
-    const Places at = places(o, P, N);
-    double* band = work_.data();  // (pairs, M): what couples a component with itself
+  void add_interval(const Stretch& s, const Columns& columns, Eigen::Index interval, int o, double* P,
+                    double* N) {
+    const Places at = shape_.places(o, P, N);
+    double* band = band_.data();
     for (int k = 0; k < kLocal; ++k)
       for (int l = k; l < kLocal; ++l)
         std::copy_n(smoothness_.data() + (kLocal * l + k) * M_, M_, band + knot_pair(k, l) * M_);
@@ -247,38 +210,39 @@ class Sweep {
     for (int k = 0; k < kLocal; ++k)
       for (int l = k; l < kLocal; ++l)
         for (int j = 0; j < M_; ++j)
-          at.row[k][j * ld_ + at.column[k][l] + j] += band[knot_pair(k, l) * M_ + j];
+          at.row[k][j * shape_.ld + at.column[k][l] + j] += band[knot_pair(k, l) * M_ + j];
+    RowSums& of = intervals_.sums;
     const auto take = [&](const RawSums& sums) {
       if (M_ == 6)
-        add_band<6>(sums, at);
+        of.add_band<6>(sums, at);
       else
-        add_band<0>(sums, at);
+        of.add_band<0>(sums, at);
       if (d_) add_discrepancy(columns, sums, at);
       if (alone_) return;
       if (M_ == 6)
-        add_cross<6>(columns, sums, at);
+        of.add_cross<6>(sums, at, shape_.nt);
       else
-        add_cross<0>(columns, sums, at);
-      add_theta(columns, sums);
+        of.add_cross<0>(sums, at, shape_.nt);
+      of.add_theta(sums, shape_, htt_.data());
     };
     if (again_) {
       for (auto [k, end] = of_interval(interval); k < end; ++k) take(pool_[k]);
       return;
     }
     std::size_t used = first_[static_cast<std::size_t>(interval)];
-    sums_.raw(s, columns, theta, interval, pool_, used, take);
+    intervals_.raw(s, columns, interval, pool_, used, take);
     first_[static_cast<std::size_t>(interval) + 1] = used;
   }
 
   // (10.1) and (10.2): the gradient of c^T R c / q and e^T R_M e / delta^2, and the latter's information.
   void add_pull(const Stretch& s, Eigen::Index interval, const Places& at) const {
-    const int gradient = 2 * Wp_ + nt_;
+    const int gradient = 2 * shape_.Wp + shape_.nt;
     for (int k = 0; k < kLocal; ++k)
       for (int l = 0; l < kLocal; ++l) {
         const double *R = smoothness_.data() + (kLocal * l + k) * M_, *c = s.c.data() + (interval + l) * M_;
         const double* from =
             s.c.data() + interval * M_;  // R annihilates a constant, which would drown the rest in rounding
-        for (int j = 0; j < M_; ++j) at.row[k][j * ld_ + gradient] -= R[j] * (c[j] - from[j]);
+        for (int j = 0; j < M_; ++j) at.row[k][j * shape_.ld + gradient] -= R[j] * (c[j] - from[j]);
       }
     if (!d_) return;
     for (int k = 0; k < kLocal; ++k)
@@ -287,7 +251,7 @@ class Sweep {
                          (interval + 1 == s.spline.intervals() ? discrepancy_.end(k, l) : 0.0);
         const double* e = s.e.data() + (interval + l) * n_;
         for (int i = 0; i < n_; ++i) {
-          double* row = at.row[k] + (M_ + i) * ld_;
+          double* row = at.row[k] + (M_ + i) * shape_.ld;
           const double x = delta_information_[static_cast<std::size_t>(i)] * R;
           row[gradient] -= x * e[i];
           if (l >= k) row[at.column[k][l] + M_ + i] += x;
@@ -305,7 +269,7 @@ class Sweep {
     double* CF = clock_F_.data() + ((interval / kBlock) * 2 * kBlock + o) * M_ * nc_;
     int first = 0;
     for (std::size_t before = 0; before < i; ++before) first += 2 + (columns.bias[before] >= 0 ? M_ : 0);
-    const int s_at = columns.clock[i], bias = columns.bias[i], theta = 2 * Wp_;
+    const int s_at = columns.clock[i], bias = columns.bias[i], theta = 2 * shape_.Wp;
     // sums over the samples: [residual; by s; by kappa; 1], weighted, of each knot and component; and their products
     double of_knot[kLocal][4 * max_components], of_theta[6][max_components];
     for (auto& x : of_knot) std::fill_n(x, 4 * M_, 0.0);
@@ -347,12 +311,12 @@ class Sweep {
       both(0, 0, of_theta[0][j]);
       both(0, 1, of_theta[1][j]);
       both(1, 1, of_theta[2][j]);
-      tt(s_at, nt_) += of_theta[3][j];
-      tt(s_at + 1, nt_) += of_theta[4][j];
+      tt(s_at, shape_.nt) += of_theta[3][j];
+      tt(s_at + 1, shape_.nt) += of_theta[4][j];
       for (int l = 0; l < kLocal; ++l) {
-        double *row = at.row[l] + j * ld_ + theta, *cross = CF + (l * M_ + j) * nc_ + first;
+        double *row = at.row[l] + j * shape_.ld + theta, *cross = CF + (l * M_ + j) * nc_ + first;
         const double* x = of_knot[l] + j;
-        row[nt_] += x[0];
+        row[shape_.nt] += x[0];
         for (int c = 0; c < 2; ++c) {
           row[s_at + c] += x[(1 + c) * M_];
           cross[c] += x[(1 + c) * M_];
@@ -365,149 +329,43 @@ class Sweep {
       both(2 + j, 2 + j, of_theta[5][j]);
       both(0, 2 + j, plain[1][j]);
       both(1, 2 + j, plain[2][j]);
-      tt(bias + j, nt_) += plain[0][j];
+      tt(bias + j, shape_.nt) += plain[0][j];
     }
     for (int pair = 0; pair < kPairs; ++pair)
       for (int j = 0; j < M_; ++j) band[pair * M_ + j] += v[j] * sums[pair * M_ + j];
   }
 
-  // H_xx of the samples of one interval: sum over p, q of B^(p)_k B^(q)_l J_p^T V^-1 J_q.
-  template <int fixed>
-  void add_band(const RawSums& sums, const Places& at) {
-    const int M = fixed > 0 ? fixed : M_, orders = sums_.orders, OM = orders * M;
-    std::fill(T_.begin(), T_.end(), 0.0);
-    for (int i = 0; i < n_; ++i)
-      for (int p = 0; p < orders; ++p)
-        for (int q = 0; q < orders; ++q)
-          for (int j = 0; j < M; ++j) {
-            const double x =
-                sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + p * M + j)];
-            dense::add<fixed>(T_.data() + ((p * orders + q) * M + j) * M, x, sums.J.data() + i * OM + q * M,
-                              M);
-          }
-    for (int k = 0; k < kLocal; ++k)
-      for (int l = k; l < kLocal; ++l) {
-        double x[9];
-        for (int p = 0; p < orders; ++p)
-          for (int q = 0; q < orders; ++q) {
-            const Gram& m = sums.m[order_pair[p][q]];
-            x[p * orders + q] = p <= q ? m(k, l) : m(l, k);
-          }
-        for (int j = 0; j < M; ++j) {
-          double* row = at.row[k] + j * ld_ + at.column[k][l];
-          const double* T = T_.data() + j * M;
-          if (fixed == 6 && orders == 2) {
-            dense::Lane a = *reinterpret_cast<const dense::Lane*>(row);
-            dense::Half b = *reinterpret_cast<const dense::Half*>(row + 4);
-            for (int pq = 0; pq < 4; ++pq) {
-              a += x[pq] * *reinterpret_cast<const dense::Lane*>(T + pq * M * M);
-              b += x[pq] * *reinterpret_cast<const dense::Half*>(T + pq * M * M + 4);
-            }
-            *reinterpret_cast<dense::Lane*>(row) = a;
-            *reinterpret_cast<dense::Half*>(row + 4) = b;
-          } else {
-            for (int pq = 0; pq < orders * orders; ++pq) dense::add<fixed>(row, x[pq], T + pq * M * M, M);
-          }
-        }
-      }
-  }
-
-  // H_xt of the motion, and its gradient.
-  template <int fixed>
-  void add_cross(const Columns& columns, const RawSums& sums, const Places& at) {
-    const int M = fixed > 0 ? fixed : M_, OM = sums_.orders * M, nf = sums_.nf, ld = sums_.ld;
-    double *by_dense = work_.data(),
-           *VJ = by_dense + M * sums_.ldx;  // (orders M, n) V^-1 J, channels side by side
-    for (int i = 0; i < n_; ++i)
-      for (int j = 0; j < OM; ++j)
-        VJ[j * n_ + i] = sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + j)];
-    for (int l = 0; l < kLocal; ++l) {
-      for (int p = 0; p < sums_.orders; ++p) {
-        const double* G = sums_.G.data() + (kLocal * p + l) * ld;
-        dense::subtract(by_dense, sums_.ldx, sums_.left.data() + p * M, 1, OM, G + nf + n_, sums_.nd, M,
-                        sums_.ldx, 6, p == 0 ? dense::Mode::fresh : dense::Mode::add);
-        for (int j = 0; j < M; ++j) {
-          double* row = at.row[l] + j * ld_ + 2 * Wp_;
-          const double* a = VJ + (p * M + j) * n_;
-          for (int i = 0; i < n_; ++i) dense::add<6>(row + columns.C + 6 * i, a[i], G);
-          for (int x = 6; x < nf; ++x)
-            dense::add(row + sums_.feature[static_cast<std::size_t>(x)], G[x], a, n_);
-          for (int i = 0; i < n_; ++i) row[columns.u + i] += a[i] * G[nf + i];
-        }
-      }
-      for (int j = 0; j < M; ++j) {
-        double* row = at.row[l] + j * ld_ + 2 * Wp_;
-        for (int y = 0; y < sums_.nd; ++y)
-          row[sums_.dense_columns[static_cast<std::size_t>(y)]] -= by_dense[j * sums_.ldx + y];
-        row[nt_] += sums_.gx[static_cast<std::size_t>(l * M + j)];
-      }
-    }
-  }
-
   // H_xx and H_xt of the discrepancy: d raw / d e = B.
   void add_discrepancy(const Columns& columns, const RawSums& sums, const Places& at) {
-    const int OM = sums_.orders * M_, nf = sums_.nf, nd = sums_.nd;
+    const RowSums& of = intervals_.sums;
+    const int OM = of.orders * M_, nf = of.nf, nd = of.nd;
     for (int k = 0; k < kLocal; ++k)
       for (int i = 0; i < n_; ++i) {
         const double v = sums.v[static_cast<std::size_t>(i)];
-        double* own = at.row[k] + (M_ + i) * ld_;
+        double* own = at.row[k] + (M_ + i) * shape_.ld;
         for (int l = 0; l < kLocal; ++l) {
-          for (int p = 0; p < sums_.orders; ++p) {
+          for (int p = 0; p < of.orders; ++p) {
             const double x = v * sums.m[order_pair[0][p]](k, l);
             const double* J = sums.J.data() + i * OM + p * M_;
             if (k < l)
               for (int j = 0; j < M_; ++j) own[at.column[k][l] + j] += x * J[j];
             else
-              for (int j = 0; j < M_; ++j) at.row[l][j * ld_ + at.column[l][k] + M_ + i] += x * J[j];
+              for (int j = 0; j < M_; ++j) at.row[l][j * shape_.ld + at.column[l][k] + M_ + i] += x * J[j];
           }
           if (l >= k) own[at.column[k][l] + M_ + i] += v * sums.m[0](k, l);
         }
         if (alone_) continue;
-        const double* G = sums_.G.data() + k * sums_.ld;
-        double* row = own + 2 * Wp_;
-        for (int x = 0; x < nf; ++x) row[sums_.feature[static_cast<std::size_t>(i * nf + x)]] += v * G[x];
+        const double* G = of.G.data() + k * of.ld;
+        double* row = own + 2 * shape_.Wp;
+        for (int x = 0; x < nf; ++x) row[of.feature[static_cast<std::size_t>(i * nf + x)]] += v * G[x];
         row[columns.u + i] += v * G[nf + i];
         for (int c = 0; c < 6; ++c) {
           const double x = sums.SV[static_cast<std::size_t>(c * n_ + i)];
           for (int y = 0; y < nd; ++y)
-            row[sums_.dense_columns[static_cast<std::size_t>(y)]] += x * G[nf + n_ + c * nd + y];
+            row[of.dense_columns[static_cast<std::size_t>(y)]] += x * G[nf + n_ + c * nd + y];
         }
-        row[nt_] += sums_.gd[static_cast<std::size_t>(k * n_ + i)];
+        row[shape_.nt] += of.gd[static_cast<std::size_t>(k * n_ + i)];
       }
-  }
-
-  // H_tt of the samples of one interval.
-  void add_theta(const Columns& columns, const RawSums& sums) {
-    const int nf = sums_.nf, nd = sums_.nd, ld = sums_.ld, ldx = sums_.ldx;
-    const double* F = sums_.G.data() + kLocal * sums_.orders * ld;
-    const int* dense_columns = sums_.dense_columns.data();
-    double* by_dense = work_.data();
-    for (int x = 0; x < nf; ++x) {
-      dense::subtract(by_dense, ldx, sums.SV.data(), 1, n_, F + x * ld + nf + n_, nd, n_, ldx, 6,
-                      dense::Mode::fresh);
-      for (int i = 0; i < n_; ++i) {
-        const int column = sums_.feature[static_cast<std::size_t>(i * nf + x)];
-        for (int y = 0; y < nd; ++y) tt(column, dense_columns[y]) -= by_dense[i * ldx + y];
-      }
-    }
-    for (int i = 0; i < n_; ++i) {
-      const double v = sums.v[static_cast<std::size_t>(i)];
-      if (v == 0.0) continue;
-      const int *f = sums_.feature.data() + i * nf, u = columns.u + i;
-      for (int x = 0; x < nf; ++x) {
-        for (int y = x; y < nf; ++y) tt(f[x], f[y]) += v * F[x * ld + y];
-        tt(f[x], u) += v * F[x * ld + nf + i];
-      }
-      const double* U = F + (nf + i) * ld;
-      tt(u, u) += v * U[nf + i];
-      for (int c = 0; c < 6; ++c) {
-        const double x = sums.SV[static_cast<std::size_t>(c * n_ + i)];
-        for (int y = 0; y < nd; ++y) tt(u, dense_columns[y]) += x * U[nf + n_ + c * nd + y];
-      }
-    }
-    for (int x = 0; x < nd; ++x)
-      for (int y = x; y < nd; ++y)
-        tt(dense_columns[x], dense_columns[y]) += sums_.XX[static_cast<std::size_t>(x * ldx + y)];
   }
 };
 

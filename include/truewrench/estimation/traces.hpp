@@ -16,8 +16,8 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
     out.start.assign(static_cast<std::size_t>(n_), Gram::Zero());
   }
   const std::vector<double> root = dense::root(P);
-  const int ntz = dense::padded(nt_), ldp = 2 * Wp_, ldx = 2 * Wp_ + ntz;
-  const auto rows = static_cast<std::size_t>(W_);
+  const int ntz = dense::padded(shape_.nt), ldp = 2 * shape_.Wp, ldx = 2 * shape_.Wp + ntz;
+  const auto rows = static_cast<std::size_t>(shape_.W);
   Pair pair;
   for (auto* x : {&pair.here, &pair.next}) x->assign(rows * static_cast<std::size_t>(ldp) + 8, 0.0);
   for (auto* x : {&pair.A, &pair.A_next}) x->assign(rows * static_cast<std::size_t>(ntz) + 8, 0.0);
@@ -25,7 +25,8 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
     x->assign(static_cast<std::size_t>(2 * kBlock * kLocal * M_), 0.0);
   for (auto* x : {&pair.ZP, &pair.ZP_next}) x->assign(rows * static_cast<std::size_t>(nc_), 0.0);
   std::vector<double> X(rows * static_cast<std::size_t>(ldx) + 8),
-      Z(rows * static_cast<std::size_t>(ntz) + 8, 0.0), V(2 * rows * static_cast<std::size_t>(Wp_) + 8, 0.0),
+      Z(rows * static_cast<std::size_t>(ntz) + 8, 0.0),
+      V(2 * rows * static_cast<std::size_t>(shape_.Wp) + 8, 0.0),
       total(static_cast<std::size_t>(kPairs * M_), 0.0);
   for (int g = blocks_ - 1; g >= 0; --g) {
     const double* R = panel(g);
@@ -35,50 +36,33 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
     std::swap(pair.ZP, pair.ZP_next);
     for (auto* x : {&pair.known, &pair.theta})
       std::copy_n(x->data(), kBlock * kLocal * M_, x->data() + kBlock * kLocal * M_);
-    // R^-1 [1, R^-T H of the next block, what theta's sensitivity leaves]
-    std::fill(X.begin(), X.end(), 0.0);
-    for (int i = 0; i < W_; ++i) {
-      X[static_cast<std::size_t>(i * ldx + i)] = 1.0;
-      if (!last) std::copy_n(R + i * ld_ + Wp_, W_, X.data() + i * ldx + Wp_);
-      std::copy_n(R + i * ld_ + 2 * Wp_, nt_, X.data() + i * ldx + 2 * Wp_);
-    }
+    // R^-1 of what theta's sensitivity leaves, beside that of the inverse
+    for (int i = 0; i < shape_.W; ++i)
+      std::copy_n(R + i * shape_.ld + 2 * shape_.Wp, shape_.nt, X.data() + i * ldx + 2 * shape_.Wp);
     if (!last)
-      for (int t = 0; t < W_; t += dense::tile_rows) {
-        const int m = std::min(dense::tile_rows, W_ - t);
-        dense::tile_of(m, X.data() + t * ldx + 2 * Wp_, ldx, R + t * ld_ + Wp_, ld_, 1, Z.data(), ntz, ntz,
-                       std::min(W_, ((t + m - 1) / m_ + 1) * m_));
+      for (int t = 0; t < shape_.W; t += dense::tile_rows) {
+        const int m = std::min(dense::tile_rows, shape_.W - t);
+        dense::tile_of(m, X.data() + t * ldx + 2 * shape_.Wp, ldx, R + t * shape_.ld + shape_.Wp, shape_.ld,
+                       1, Z.data(), ntz, ntz, std::min(shape_.W, ((t + m - 1) / shape_.m + 1) * shape_.m));
       }
-    dense::solve_upper(R, ld_, W_, X.data(), ldx, ldx);
-    for (int i = 0; i < W_; ++i) {
-      std::copy_n(X.data() + i * ldx + 2 * Wp_, ntz, Z.data() + i * ntz);
-      for (int j = 0; j < W_; ++j) {
-        V[static_cast<std::size_t>(j * Wp_ + i)] = -X[static_cast<std::size_t>(i * ldx + j)];
-        V[static_cast<std::size_t>((W_ + j) * Wp_ + i)] = X[static_cast<std::size_t>(i * ldx + Wp_ + j)];
-      }
-    }
-    // S_gh = - G S_hh, S_gg = R^-1 R^-T - S_gh G^T, h the next block
     double* here = pair.here.data();
-    if (!last)
-      dense::subtract(here + Wp_, ldp, X.data() + Wp_, ldx, 1, pair.next.data(), ldp, W_, Wp_, W_,
-                      dense::Mode::fresh);
-    for (int t = 0; t < W_; t += dense::tile_rows)
-      dense::tile_of(std::min(dense::tile_rows, W_ - t), here + t * ldp, ldp, X.data() + t * ldx + t, ldx, 1,
-                     V.data() + t * Wp_, Wp_, Wp_, W_ - t, nullptr, 0, dense::Mode::fresh);
-    if (!last) dense::subtract(here, ldp, here + Wp_, ldp, 1, V.data() + W_ * Wp_, Wp_, W_, Wp_, W_);
-    for (int c = 0; c < nt_; c += 8)
-      dense::subtract(pair.A.data() + c, ntz, Z.data() + c, ntz, 1, root.data() + c * ntz + c, ntz, W_, 8,
-                      nt_ - c, dense::Mode::fresh);
-    for (int i = 0; i < W_; ++i)
+    shape_.invert(R, last, X.data(), ldx, V.data(), here, pair.next.data());
+    for (int i = 0; i < shape_.W; ++i)
+      std::copy_n(X.data() + i * ldx + 2 * shape_.Wp, ntz, Z.data() + i * ntz);
+    for (int c = 0; c < shape_.nt; c += 8)
+      dense::subtract(pair.A.data() + c, ntz, Z.data() + c, ntz, 1, root.data() + c * ntz + c, ntz, shape_.W,
+                      8, shape_.nt - c, dense::Mode::fresh);
+    for (int i = 0; i < shape_.W; ++i)
       for (int x = 0; x < nc_; ++x)
         pair.ZP[static_cast<std::size_t>(i * nc_ + x)] = dense::dot(
             pair.A.data() + i * ntz, root.data() + clock_columns_[static_cast<std::size_t>(x)] * ntz, ntz);
     for (int k = 0; k < kBlock; ++k)
       for (int l = k; l < k + kLocal && (l < kBlock || !last); ++l)
         for (int j = 0; j < M_; ++j) {
-          const int i = k * m_ + j, h = (l < kBlock ? l : l - kBlock) * m_ + j,
+          const int i = k * shape_.m + j, h = (l < kBlock ? l : l - kBlock) * shape_.m + j,
                     to = (k * kLocal + l - k) * M_ + j;
           const double* A = (l < kBlock ? pair.A : pair.A_next).data() + h * ntz;
-          pair.known[static_cast<std::size_t>(to)] = here[i * ldp + (l < kBlock ? 0 : Wp_) + h];
+          pair.known[static_cast<std::size_t>(to)] = here[i * ldp + (l < kBlock ? 0 : shape_.Wp) + h];
           pair.theta[static_cast<std::size_t>(to)] = dense::dot(pair.A.data() + i * ntz, A, ntz);
         }
     if (last) continue;
@@ -88,9 +72,9 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
       const auto [first, end] = of_interval(interval);
       for (std::size_t at = first; at < end; ++at) {
         if (M_ == 6)
-          trace_raw<6>(pool_[at], o, pair, out);
+          sums().trace<6>(pool_[at], shape_, here, pair.next.data(), o, out.raw.data());
         else
-          trace_raw<0>(pool_[at], o, pair, out);
+          sums().trace<0>(pool_[at], shape_, here, pair.next.data(), o, out.raw.data());
       }
       if (d_) trace_discrepancy(interval, o, pair, out);
     }
@@ -101,8 +85,8 @@ inline Traces Sweep::traces(const Stretch& s, const Columns& columns, const Size
       const int count = 2 + (columns.bias[i] >= 0 ? M_ : 0);
       for (int k = 0; k < 2 * kBlock; ++k)
         for (int j = 0; j < M_; ++j) {
-          const double* ZP = (k < kBlock ? pair.ZP.data() + (k * m_ + j) * nc_
-                                         : pair.ZP_next.data() + ((k - kBlock) * m_ + j) * nc_);
+          const double* ZP = (k < kBlock ? pair.ZP.data() + (k * shape_.m + j) * nc_
+                                         : pair.ZP_next.data() + ((k - kBlock) * shape_.m + j) * nc_);
           double share = 0.0;  // A is - Z by the root
           for (int x = first; x < first + count; ++x) share += 2.0 * CF[(k * M_ + j) * nc_ + x] * ZP[x];
           out.motion[i][s.log().motion[i].group[j]] += share;
@@ -162,57 +146,13 @@ inline void Sweep::trace_interval(const Stretch& s, Eigen::Index interval, int o
   }
 }
 
-// The same of the sensor's rows: sum over p, q and knots of m_pq(k, l) J_p Cov(x_k, x_l) J_q^T.
-template <int fixed>
-void Sweep::trace_raw(const RawSums& sums, int o, const Pair& pair, Traces& out) const {
-  const int M = fixed > 0 ? fixed : M_, orders = sums_.orders, OM = orders * M, ldp = 2 * Wp_;
-  constexpr int most = fixed > 0 ? fixed : max_components;
-  for (int p = 0; p < orders; ++p)
-    for (int q = p; q < orders; ++q) {
-      const Gram& m = sums.m[order_pair[p][q]];
-      double U[most * most] = {}, V[most * most] = {};  // of k <= l, and what k > l adds transposed
-      for (int k = 0; k < kLocal; ++k)
-        for (int l = k; l < kLocal; ++l) {
-          const int a = o + k, b = o + l;
-          const double* cov =
-              a < kBlock ? pair.here.data() + a * m_ * ldp + (b < kBlock ? b * m_ : Wp_ + (b - kBlock) * m_)
-                         : pair.next.data() + (a - kBlock) * m_ * ldp + (b - kBlock) * m_;
-          const double x = (p == q && k != l ? 2.0 : 1.0) * m(k, l), y = p != q && k != l ? m(l, k) : 0.0;
-          for (int j = 0; j < M; ++j)
-            for (int h = 0; h < M; ++h) {
-              U[j * M + h] += x * cov[j * ldp + h];
-              V[j * M + h] += y * cov[j * ldp + h];
-            }
-        }
-      for (int i = 0; i < n_; ++i) {
-        const double *a = sums.J.data() + i * OM + p * M, *b = sums.J.data() + i * OM + q * M;
-        double value = 0.0;
-        for (int j = 0; j < M; ++j) {
-          double u = 0.0, v = 0.0;
-          for (int h = 0; h < M; ++h) {
-            u += U[j * M + h] * b[h];
-            v += V[j * M + h] * a[h];
-          }
-          value += a[j] * u + b[j] * v;
-        }
-        out.raw[raw_group(i, n_)] += (p == q ? 1.0 : 2.0) * sums.v[static_cast<std::size_t>(i)] * value;
-      }
-    }
-}
-
 // What the discrepancy adds in the sensor's rows, and its own covariance under an interval.
 inline void Sweep::trace_discrepancy(Eigen::Index interval, int o, const Pair& pair, Traces& out) const {
-  const int ldp = 2 * Wp_, ntz = dense::padded(nt_), OM = sums_.orders * M_;
-  const auto row = [&](int k, int at) {  // of covariances with its own block's knots and the next one's
-    return k < kBlock ? pair.here.data() + (k * m_ + at) * ldp
-                      : pair.next.data() + ((k - kBlock) * m_ + at) * ldp;
-  };
-  const auto column = [&](int k, int l, int at) {
-    return k < kBlock ? (l < kBlock ? l * m_ : Wp_ + (l - kBlock) * m_) + at : (l - kBlock) * m_ + at;
-  };
+  const int ldp = 2 * shape_.Wp, ntz = dense::padded(shape_.nt), OM = sums().orders * M_;
+  const auto cov = [&](int a, int b) { return shape_.covariance(pair.here.data(), pair.next.data(), a, b); };
   const auto A = [&](int k, int at) {
-    return k < kBlock ? pair.A.data() + (k * m_ + at) * ntz
-                      : pair.A_next.data() + ((k - kBlock) * m_ + at) * ntz;
+    return k < kBlock ? pair.A.data() + (k * shape_.m + at) * ntz
+                      : pair.A_next.data() + ((k - kBlock) * shape_.m + at) * ntz;
   };
   const auto [first, end] = of_interval(interval);
   for (int i = 0; i < n_; ++i) {
@@ -223,19 +163,15 @@ inline void Sweep::trace_discrepancy(Eigen::Index interval, int o, const Pair& p
       for (int k = 0; k < kLocal; ++k)
         for (int l = 0; l < kLocal; ++l) {
           const int a = o + k, b = o + l;
-          for (int p = 0; p < sums_.orders; ++p) {
+          const double* own = cov(std::min(a, b), std::max(a, b));
+          for (int p = 0; p < this->sums().orders; ++p) {
             const double m = 2.0 * sums.m[order_pair[0][p]](k, l);
             const double* J = sums.J.data() + i * OM + p * M_;
             double sum = 0.0;  // of d at knot k and the motion at knot l
-            if (a <= b) {
-              const double* cov = row(a, d) + column(a, b, 0);
-              for (int j = 0; j < M_; ++j) sum += J[j] * cov[j];
-            } else {
-              for (int j = 0; j < M_; ++j) sum += J[j] * row(b, j)[column(b, a, d)];
-            }
+            for (int j = 0; j < M_; ++j) sum += J[j] * (a <= b ? own[d * ldp + j] : own[j * ldp + d]);
             value += m * sum;
           }
-          value += sums.m[0](k, l) * row(std::min(a, b), d)[column(std::min(a, b), std::max(a, b), d)];
+          value += sums.m[0](k, l) * own[d * ldp + d];
         }
       out.raw[raw_group(i, n_)] += sums.v[static_cast<std::size_t>(i)] * value;
     }
@@ -243,7 +179,7 @@ inline void Sweep::trace_discrepancy(Eigen::Index interval, int o, const Pair& p
     for (int k = 0; k < kLocal; ++k)
       for (int l = k; l < kLocal; ++l)
         local(k, l) = local(l, k) =
-            row(o + k, d)[column(o + k, o + l, d)] + dense::dot(A(o + k, d), A(o + l, d), ntz);
+            cov(o + k, o + l)[d * ldp + d] + dense::dot(A(o + k, d), A(o + l, d), ntz);
     out.inside[static_cast<std::size_t>(i)] += local;
     if (interval == 0) out.start[static_cast<std::size_t>(i)] = local;
   }

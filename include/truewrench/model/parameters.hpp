@@ -25,6 +25,15 @@ struct Columns {
   std::vector<int> global;         // place in theta of each of them
 
   int size() const { return static_cast<int>(global.size()); }
+  // The same in places of theta.
+  Columns in_theta() const {
+    Columns out = *this;
+    const auto place = [this](int& at) { at = at < 0 ? at : global[static_cast<std::size_t>(at)]; };
+    for (int* at : {&out.C, &out.b, &out.u, &out.body, &out.slope, &out.tilt, &out.gamma}) place(*at);
+    for (auto* list : {&out.clock, &out.bias, &out.ramps, &out.steps})
+      for (int& at : *list) place(at);
+    return out;
+  }
   // Share of a ramp at a time.
   double ramped(std::size_t j, double time) const {
     return std::clamp((time - knots[j]) / (knots[j + 1] - knots[j]), 0.0, 1.0);
@@ -133,31 +142,5 @@ class Layout {
     return at;
   }
 };
-
-// Gravity in the root frame turned by two small angles about axes normal to it, and its derivative by them.
-inline Vector3 tilted(const Vector3& gravity, const Eigen::Vector2d& tilt,
-                      Eigen::Matrix<double, 3, 2>& by_tilt) {
-  const double size = std::sqrt(gravity[0] * gravity[0] + gravity[1] * gravity[1] + gravity[2] * gravity[2]);
-  int least = 0;
-  for (int i = 1; i < 3; ++i)
-    if (std::abs(gravity[i]) < std::abs(gravity[least])) least = i;
-  Vector3 unit = Vector3::Zero();
-  unit[least] = 1.0;
-  Vector3 e1 = cross(gravity, unit);
-  const double across = std::sqrt(e1[0] * e1[0] + e1[1] * e1[1] + e1[2] * e1[2]);
-  for (int i = 0; i < 3; ++i) e1[i] /= across;
-  const Vector3 axes[2] = {cross(e1, gravity), cross(cross(gravity, e1), gravity)};
-  Vector3 x;
-  for (int i = 0; i < 3; ++i) x[i] = gravity[i] + axes[0][i] * tilt[0] + axes[1][i] / size * tilt[1];
-  const double square = x[0] * x[0] + x[1] * x[1] + x[2] * x[2], ratio = size / std::sqrt(square);
-  for (int c = 0; c < 2; ++c) {
-    Vector3 axis = axes[c];
-    if (c == 1)
-      for (int i = 0; i < 3; ++i) axis[i] /= size;
-    const double along = (x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2]) / square;
-    for (int i = 0; i < 3; ++i) by_tilt(i, c) = ratio * (axis[i] - x[i] * along);
-  }
-  return {ratio * x[0], ratio * x[1], ratio * x[2]};
-}
 
 }  // namespace truewrench

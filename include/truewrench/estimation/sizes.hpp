@@ -1,0 +1,45 @@
+// The sizes of one log's nuisances (METHOD 10.2), and which rows and components share one.
+#pragma once
+
+#include "truewrench/estimation/constants.hpp"
+#include "truewrench/math/spline.hpp"
+#include "truewrench/model/record.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+namespace truewrench {
+
+struct Sizes {
+  Eigen::VectorXd raw_factor;  // on the stated noise: force and moment channels, else all together
+  std::vector<Eigen::VectorXd> motion_factor;  // of each stream's groups
+  Eigen::VectorXd q;                           // (M) of (10.1)
+  Eigen::VectorXd delta;                       // as raw_factor: of (10.2)
+  double k = 1.0;                              // 1 / tau
+  Form form = Form::none;
+  Eigen::VectorXd cap;  // of delta
+};
+
+inline int raw_groups(int channels) { return channels == 6 ? 2 : 1; }
+inline int raw_group(int channel, int channels) { return channels == 6 && channel >= 3 ? 1 : 0; }
+
+// p of (10.1) for a component of the motion spline (METHOD 10.1, 10.6).
+inline int smoothness_order(Source source, int component) {
+  if (source == Source::mapped) return 4;
+  return source == Source::imu && component < 3 ? 2 : 3;
+}
+
+// q of a component by (10.6), from e^T R e and what is left of its coefficients; at least so much that the rows of R stay within
+// bounds beside a sample's own: where nothing moved q would fall until nothing could be factored.
+inline double smoothness_found(const RecordedLog& log, int component, double h, double energy, double left) {
+  double sample = std::numeric_limits<double>::infinity();
+  for (const MotionStream& m : log.motion)
+    sample = std::min(sample, std::pow(m.sigma[component] * std::pow(h, m.derivative), 2.0));
+  return std::max(
+      energy / std::max(left, 1.0),
+      constants::smoothness_least * sample * std::pow(h, 1 - 2 * smoothness_order(log.source, component)));
+}
+
+}  // namespace truewrench

@@ -1,0 +1,136 @@
+// Gravity that the sensor feels (10.5), and what a row of (10.3) makes of a motion: d w by the motion and by what is unknown of
+// body and gravity.
+#pragma once
+
+#include "truewrench/model/parameters.hpp"
+
+namespace truewrench {
+
+// Gravity in the root frame turned by two small angles about axes normal to it, and its derivative by them.
+inline Vector3 tilted(const Vector3& gravity, const Eigen::Vector2d& tilt,
+                      Eigen::Matrix<double, 3, 2>& by_tilt) {
+  const double size = std::sqrt(gravity[0] * gravity[0] + gravity[1] * gravity[1] + gravity[2] * gravity[2]);
+  int least = 0;
+  for (int i = 1; i < 3; ++i)
+    if (std::abs(gravity[i]) < std::abs(gravity[least])) least = i;
+  Vector3 unit = Vector3::Zero();
+  unit[least] = 1.0;
+  Vector3 e1 = cross(gravity, unit);
+  const double across = std::sqrt(e1[0] * e1[0] + e1[1] * e1[1] + e1[2] * e1[2]);
+  for (int i = 0; i < 3; ++i) e1[i] /= across;
+  const Vector3 axes[2] = {cross(e1, gravity), cross(cross(gravity, e1), gravity)};
+  Vector3 x;
+  for (int i = 0; i < 3; ++i) x[i] = gravity[i] + axes[0][i] * tilt[0] + axes[1][i] / size * tilt[1];
+  const double square = x[0] * x[0] + x[1] * x[1] + x[2] * x[2], ratio = size / std::sqrt(square);
+  for (int c = 0; c < 2; ++c) {
+    Vector3 axis = axes[c];
+    if (c == 1)
+      for (int i = 0; i < 3; ++i) axis[i] /= size;
+    const double along = (x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2]) / square;
+    for (int i = 0; i < 3; ++i) by_tilt(i, c) = ratio * (axis[i] - x[i] * along);
+  }
+  return {ratio * x[0], ratio * x[1], ratio * x[2]};
+}
+
+// Gravity at one theta.
+class Gravity {
+ public:
+  Gravity() = default;
+  // `acts`: it is felt, and tilt and delay have columns. Places in theta by `columns`.
+  Gravity(const Statement& rig, const Columns& columns, const double* theta, bool acts)
+      : acts_(acts), late_(acts && columns.gamma >= 0), root_(rig.gravity) {
+    if (!acts) return;
+    root_ = tilted(rig.gravity, Eigen::Vector2d(theta[columns.tilt], theta[columns.tilt + 1]), by_tilt_);
+    if (!late_) return;
+    s_ = theta[columns.clock[0]];
+    kappa_ = theta[columns.clock[0] + 1];
+    gamma_ = theta[columns.gamma];
+  }
+
+  bool acts() const { return acts_; }
+
+  // g+ = g + gamma [ s Omega x g + (1 - kappa) s^2 Omega x (Omega x g) + kappa s^2 Omegadot x g ]                    (10.5)
+  Vector3 felt(const Matrix3& R_sensor_root, const Vector6& nu, const Vector6& a) const {
+    if (!acts_) return Vector3::Zero();
+    const Vector3 g = in_sensor(R_sensor_root);
+    return late_ && gamma_ != 0.0 ? retarded(g, angular(nu), angular(a)) : g;
+  }
+
+  // Calls put(d g+) for s, kappa and gamma of (10.5), where they have columns, and for both tilts.
+  template <typename Put>
+  void by_parameters(const Matrix3& R_sensor_root, const Vector3& omega, const Vector3& alpha,
+                     const Put& put) const {
+    if (late_) {
+      const Vector3 g = in_sensor(R_sensor_root), first = cross(omega, g), turn = cross(omega, first),
+                    spin = cross(alpha, g);
+      double by[3][3];
+      for (int i = 0; i < 3; ++i) {
+        const double second = (1.0 - kappa_) * turn[i] + kappa_ * spin[i];
+        by[0][i] = gamma_ * (first[i] + 2.0 * s_ * second);
+        by[1][i] = gamma_ * s_ * s_ * (spin[i] - turn[i]);
+        by[2][i] = s_ * first[i] + s_ * s_ * second;
+      }
+      for (const auto& x : by) put(x);
+    }
+    for (int c = 0; c < 2; ++c) {
+      const Vector3 x = product(R_sensor_root, Vector3(by_tilt_(0, c), by_tilt_(1, c), by_tilt_(2, c)));
+      put(retarded(x, omega, alpha).data());
+    }
+  }
+
+  // d g+ = - gamma s [g x] dOmega, to first order in s.
+  double lag() const { return gamma_ * s_; }
+  // Without (10.5).
+  Vector3 in_sensor(const Matrix3& R_sensor_root) const { return product(R_sensor_root, root_); }
+
+ private:
+  bool acts_ = false, late_ = false;
+  Vector3 root_ = Vector3::Zero();
+  Eigen::Matrix<double, 3, 2> by_tilt_ = Eigen::Matrix<double, 3, 2>::Zero();
+  double s_ = 0.0, kappa_ = 0.5, gamma_ = 0.0;
+
+  Vector3 retarded(const Vector3& g, const Vector3& omega, const Vector3& alpha) const {
+    const Vector3 first = cross(omega, g), turn = cross(omega, first), spin = cross(alpha, g);
+    Vector3 out;
+    for (int i = 0; i < 3; ++i)
+      out[i] = g[i] + gamma_ * (s_ * first[i] + s_ * s_ * ((1.0 - kappa_) * turn[i] + kappa_ * spin[i]));
+    return out;
+  }
+};
+
+// What d w is at one row: w (SI) and its motion; `scale` (6): fractions of range, with the sign of the rig. To X (6, ldx) by the
+// ten parameters of the body and those of gravity; returned by twist, acceleration and gravity.
+inline MotionJacobian row_jacobian(const Payload& body, const Vector3& point, const double* scale,
+                                   const Gravity& gravity, const Matrix3& R_sensor_root, const Vector6& nu,
+                                   const Vector6& a, const Vector6& w, double* X, int ldx) {
+  MotionJacobian j = motion_jacobian(body, point, nu);
+  const BodyJacobian by_body = body_jacobian(body, nu, a, w);
+  for (int c = 0; c < kBodyParameters; ++c)
+    for (int r = 0; r < 6; ++r) X[r * ldx + c] = scale[r] * by_body(r, c);
+  if (!gravity.acts()) return j;
+  int at = kBodyParameters;
+  gravity.by_parameters(R_sensor_root, angular(nu), angular(a), [&](const double* by) {
+    for (int r = 0; r < 6; ++r)
+      X[r * ldx + at] = scale[r] * (j.g(r, 0) * by[0] + j.g(r, 1) * by[1] + j.g(r, 2) * by[2]);
+    ++at;
+  });
+  if (gravity.lag() == 0.0) return j;
+  const Matrix3 turned = cross_matrix(gravity.in_sensor(R_sensor_root));
+  for (int r = 0; r < 6; ++r)
+    for (int c = 0; c < 3; ++c)
+      j.nu(r, 3 + c) -=
+          gravity.lag() * (j.g(r, 0) * turned(0, c) + j.g(r, 1) * turned(1, c) + j.g(r, 2) * turned(2, c));
+  return j;
+}
+
+// d w (fractions of range) by [x, x'] (6, 12) of the splines of a twist, or of an IMU: the specific force in place of v, and no
+// derivative of it.
+inline void by_splines(const MotionJacobian& j, const double* scale, bool imu, double* J) {
+  for (int r = 0; r < 6; ++r)
+    for (int c = 0; c < 6; ++c) {
+      J[r * 12 + c] = scale[r] * (imu && c < 3 ? j.a(r, c) : j.nu(r, c));
+      J[r * 12 + 6 + c] = imu && c < 3 ? 0.0 : scale[r] * j.a(r, c);
+    }
+}
+
+}  // namespace truewrench
