@@ -13,8 +13,8 @@ namespace truewrench {
 template <int N>
 Status configure(Corrector<N>& corrector, Incremental& online, const Eigen::VectorXd& channel_scale) {
   const Lag& lag = online.lag();
-  const int n = lag.channels(), gain = lag.gain_at(), offset = lag.offset_at(),
-            quadratic = lag.quadratic_at(), body = lag.body_at();
+  const int n = lag.channels(), gain = lag.columns().C, offset = lag.columns().b, quadratic = lag.columns().u,
+            body = lag.columns().body;
   if (!online.ready()) return Status::not_configured;
   if (channel_scale.size() != n) return Status::wrong_size;
   const Eigen::MatrixXd& P = online.theta_covariance();

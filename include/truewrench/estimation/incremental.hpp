@@ -129,10 +129,10 @@ class Incremental {
   double spacing() const { return h_; }
   const Eigen::VectorXd& theta() const { return lag_.theta; }
   Eigen::Map<const RowMatrix> gain() const {
-    return {lag_.theta.data() + lag_.gain_at(), lag_.channels(), 6};
+    return {lag_.theta.data() + lag_.columns().C, lag_.channels(), 6};
   }
   Eigen::Map<const Eigen::VectorXd> offset() const {
-    return {lag_.theta.data() + lag_.offset_at(), lag_.channels()};
+    return {lag_.theta.data() + lag_.columns().b, lag_.channels()};
   }
   const Eigen::VectorXd& prior() const { return prior_; }
   const std::vector<char>& active() const { return active_; }
@@ -300,7 +300,7 @@ class Incremental {
   Status start(bool partial) noexcept;
   bool resting() noexcept;
   void forget_until(double time) noexcept;
-  void choose_spacing(double origin, bool partial);
+  bool choose_spacing(double origin, bool partial);
   long blocks_of(double origin, double h, bool partial) const;
   void lay(double origin, double h, bool partial);
   double fit_first(double origin, double h, bool partial);
@@ -327,7 +327,7 @@ class Incremental {
   void resize_theta();
   void begin_log();
   int own() const {
-    return lag_.offset_at() + (lag_.rig().pool_offsets ? lag_.channels() : 0);
+    return lag_.columns().b + (lag_.rig().pool_offsets ? lag_.channels() : 0);
   }  // the log's, from here on
   bool factor(bool all, int columns);
   bool invert(bool all);

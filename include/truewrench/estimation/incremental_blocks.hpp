@@ -131,7 +131,7 @@ inline bool Incremental::sweep(long leaving, bool last) {
 inline bool Incremental::run(int most, bool last) {
   const int nt = lag_.parameters();
   if (first_log_ && left_.knots == 0.0)
-    std::copy_n(lag_.theta.data() + lag_.gain_at(), 6 * lag_.channels(), lag_.lagged.data());
+    std::copy_n(lag_.theta.data() + lag_.columns().C, 6 * lag_.channels(), lag_.lagged.data());
   const long first = lag_.first(), end = lag_.end();
   const auto predict = [&] {
     for (long g = first; g < end; ++g) lag_.predict(g);
@@ -413,10 +413,11 @@ inline double Incremental::likelihood(bool last) const {
   for (std::size_t i = 0; i < lag_.streams(); ++i)
     for (Eigen::Index r = 0; r < z.motion_factor[i].size(); ++r)
       sum += 2.0 * counts.motion_count[i][static_cast<std::size_t>(r)] * std::log(z.motion_factor[i][r]);
-  const auto N = static_cast<double>(kBlock * (lag_.end() - lag_.first() + 1));
-  for (int j = 0; j < kComponents; ++j)
-    sum +=
-        (N - smoothness_order(lag_.about().source, j)) * std::log(z.q[j]) - start_.smoothness_logdet(lag_, j);
+  const Spline spline = LagStart::spline(lag_);
+  for (int j = 0; j < kComponents; ++j) {
+    const int p = smoothness_order(lag_.about().source, j);
+    sum += static_cast<double>(spline.size() - p) * std::log(z.q[j]) - spline.smoothness_logdet(p);
+  }
   for (std::size_t i = 0; i < active_.size(); ++i)
     if (active_[i] != 0) sum += std::log(prior_[static_cast<Eigen::Index>(i)]);
   return sum;

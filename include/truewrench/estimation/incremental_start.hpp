@@ -49,10 +49,10 @@ inline double Incremental::fit_first(double origin, double h, bool partial) {
 }
 
 // h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving;
-// again from there (10.2).
-inline void Incremental::choose_spacing(double origin, bool partial) {
+// again from there (10.2). Whether the fit that stands is the one at it.
+inline bool Incremental::choose_spacing(double origin, bool partial) {
   std::array<double, 8> ladder{}, cost{};
-  std::size_t count = 0, now = 0, best_alone = 0;
+  std::size_t count = 0, now = 0, best_alone = 0, laid = ladder.size();
   for (double h = coarsest_; count < ladder.size(); h = std::max(0.5 * h, motion_period_)) {
     if (count > 0 && blocks_of(origin, h, partial) > most_blocks_ / 2) break;  // what memory is for
     ladder[count++] = h;
@@ -71,9 +71,12 @@ inline void Incremental::choose_spacing(double origin, bool partial) {
     }
     cost.fill(std::nan(""));
     for (;;) {
-      for (const std::size_t i : {now, now + 1, best_alone})
-        if (i >= now && i < count && std::isnan(cost[i]))
+      // what stands last: often the best, which need not be fitted again
+      for (const std::size_t i : {now + 1, best_alone, now})
+        if (i >= now && i < count && std::isnan(cost[i])) {
           cost[i] = fit_first(origin, ladder[i], partial) + dear(i);
+          laid = i;
+        }
       std::size_t best = now;
       for (std::size_t i = now; i < count; ++i)
         if (cost[i] < cost[best] || std::isnan(cost[best])) best = i;
@@ -84,6 +87,7 @@ inline void Incremental::choose_spacing(double origin, bool partial) {
   h_ = ladder[now];
   at_finest_ = count > 1 && now + 1 == count;
   chosen_ = true;
+  return laid == now && std::isfinite(cost[now]);
 }
 
 // Samples that wait, up to a time.
@@ -125,8 +129,8 @@ inline Status Incremental::start(bool partial) noexcept {
   }
   const double origin = common_begin() - 0.5 * period_;
   forget_until(origin);
-  if (!chosen_) choose_spacing(origin, partial);
-  if (!std::isfinite(fit_first(origin, h_, partial))) {
+  const bool fitted = !chosen_ && choose_spacing(origin, partial);
+  if (!fitted && !std::isfinite(fit_first(origin, h_, partial))) {
     drop_samples();
     return status_ = Status::not_factorizable;
   }

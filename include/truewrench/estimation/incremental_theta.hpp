@@ -80,7 +80,7 @@ inline bool Incremental::solve(bool judge) {
     delays_ = past_delays_;
     for (long g = lag_.first(); g < lag_.end(); ++g) add_delays(delays_, g);
     imitated_ = !told_ && lag_.streams() > 0 &&
-                delays_.imitated(lag_.theta.data() + lag_.gain_at(), lag_.channels(),
+                delays_.imitated(lag_.theta.data() + lag_.columns().C, lag_.channels(),
                                  [this](int i) { return lag_.noise(i); });
   }
   for (int round = 0; round < (judge ? 2 : 1); ++round) {
@@ -90,14 +90,15 @@ inline bool Incremental::solve(bool judge) {
       // (10.1)
       if (!invert(true)) return false;
       for (std::size_t i = 0; i < lag_.streams(); ++i) {
-        const int at = lag_.clock_at(i);
+        const int at = lag_.columns().clock[i];
         double s = 0.0;
         for (int j = 0; j < nt; ++j) s += P_(at, j) * (S_(nt, j) + mean[j] / prior_[j]);
         const double V = 1.0 / std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 1e-12);
         const double apart = (s - mean[at]) * V / P_(at, at);
         column_[at] = stated_[at] + (imitated_ ? 0.0 : std::max(0.0, apart * apart - V - stated_[at]));
       }
-      for (std::size_t i = 0; i < lag_.streams(); ++i) prior_[lag_.clock_at(i)] = column_[lag_.clock_at(i)];
+      for (std::size_t i = 0; i < lag_.streams(); ++i)
+        prior_[lag_.columns().clock[i]] = column_[lag_.columns().clock[i]];
       // kappa and gamma are held unless the data's own variance is below 1/16
       if (!invert(true)) return false;
       std::fill(active_.begin(), active_.end(), char{1});
@@ -106,9 +107,10 @@ inline bool Incremental::solve(bool judge) {
           return;
         active_[static_cast<std::size_t>(at)] = 0;
       };
-      for (std::size_t i = 0; i < lag_.streams(); ++i) hold(lag_.clock_at(i) + 1);
-      hold(lag_.gamma_at());
-      if (imitated_) active_[static_cast<std::size_t>(lag_.clock_at(0))] = 0;  // of the log's first stream
+      for (std::size_t i = 0; i < lag_.streams(); ++i) hold(lag_.columns().clock[i] + 1);
+      hold(lag_.columns().gamma);
+      if (imitated_)
+        active_[static_cast<std::size_t>(lag_.columns().clock[0])] = 0;  // of the log's first stream
     }
     if (!factor(false, 1)) return false;
     const int k = static_cast<int>(use_.size()), half = dense::padded(k), ld = half + 8;
@@ -137,9 +139,9 @@ inline double Incremental::resize(const SizeSums& sums) {
     }
     bool clock = false;
     for (std::size_t s = 0; s < lag_.streams(); ++s)
-      clock = clock || i == lag_.clock_at(s) || i == lag_.clock_at(s) + 1;
+      clock = clock || i == lag_.columns().clock[s] || i == lag_.columns().clock[s] + 1;
     if (!clock) all += share;
-    const int c = i - lag_.gain_at(), b = i - lag_.offset_at();
+    const int c = i - lag_.columns().C, b = i - lag_.columns().b;
     if (c >= 0 && c < 6 * n) of_group[static_cast<std::size_t>(raw_group(c / 6, n))] += share;
     if (b >= 0 && b < n) of_group[static_cast<std::size_t>(raw_group(b, n))] += share;
   }
@@ -172,7 +174,7 @@ inline double Incremental::resize(const SizeSums& sums) {
   }
   // upsilon: the same rule with R = E, exponent 1
   double squares = 0.0, freedom = 0.0;
-  const int u = lag_.quadratic_at();
+  const int u = lag_.columns().u;
   for (int i = u; i < u + n; ++i) {
     squares += lag_.theta[i] * lag_.theta[i];
     freedom += 1.0 - P_(i, i) / prior_[i];
@@ -208,12 +210,12 @@ inline void Incremental::add_delays(DelaySums& sums, long g) const noexcept {
 // column_: what the gain and the offset do by the delay that they imitate, to this order.
 inline void Incremental::imitate(int order) noexcept {
   column_.setZero();
-  if (order == 0) column_[lag_.clock_at(0)] = 1.0;
+  if (order == 0) column_[lag_.columns().clock[0]] = 1.0;
   for (int r = 0; r < lag_.channels(); ++r) {
     double gain[2][6], offset[2];
-    delays_.imitate(lag_.theta.data() + lag_.gain_at() + 6 * r, gain, offset);
-    for (int j = 0; j < 6; ++j) column_[lag_.gain_at() + 6 * r + j] = gain[order][j];
-    column_[lag_.offset_at() + r] = offset[order];
+    delays_.imitate(lag_.theta.data() + lag_.columns().C + 6 * r, gain, offset);
+    for (int j = 0; j < 6; ++j) column_[lag_.columns().C + 6 * r + j] = gain[order][j];
+    column_[lag_.columns().b + r] = offset[order];
   }
 }
 
@@ -229,7 +231,7 @@ inline const Eigen::MatrixXd& Incremental::theta_covariance() noexcept {
       for (int j = 0; j < nt; ++j) sum -= P_(i, j) * S_(std::max(h, j), std::min(h, j));
       column_[i] = sum;
     }
-    const bool delay = imitated_ && h == lag_.clock_at(0);
+    const bool delay = imitated_ && h == lag_.columns().clock[0];
     if (delay) imitate(0);
     for (int j = 0; j < nt; ++j)
       for (int i = 0; i < nt; ++i) covariance_(i, j) += prior_[h] * column_[i] * column_[j];
@@ -243,7 +245,7 @@ inline const Eigen::MatrixXd& Incremental::theta_covariance() noexcept {
 }
 
 inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
-  const int n = lag_.channels(), C = lag_.gain_at();
+  const int n = lag_.channels(), C = lag_.columns().C;
   theta_covariance();
   for (int j = 0; j < 6 * n; ++j)
     for (int i = 0; i < 6 * n; ++i) {
@@ -255,15 +257,15 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
   for (int i = 0; i < n; ++i) {
     Spread s = sum9_[static_cast<std::size_t>(i)];
     if (moments_.rows() > 10.0)
-      moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.offset_at() + i],
+      moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.columns().b + i],
                       found_[static_cast<std::size_t>(raw_group(i, n))], s.A, s.B);
-    for (int k = 0; k < 7; ++k) s.A[k][k] += 1.0 / prior_[k < 6 ? C + 6 * i + k : lag_.quadratic_at() + i];
+    for (int k = 0; k < 7; ++k) s.A[k][k] += 1.0 / prior_[k < 6 ? C + 6 * i + k : lag_.columns().u + i];
     double G[7][7];  // its columns: A^-1
     for (int c = 0; c < 7; ++c) {
       double A[7][7], b[7] = {};
       std::copy_n(&s.A[0][0], 49, &A[0][0]);
       b[c] = 1.0;
-      solve_small(A, b);
+      dense::solve(&A[0][0], b, 7);
       std::copy_n(b, 7, G[c]);
     }
     for (int k = 0; k < 6; ++k)
@@ -292,7 +294,7 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
     for (int i = 0; i < 6; ++i)
       for (int j = 0; j < 6; ++j) ww[i][j] = share.ww(i, j) + (i == j ? least : 0.0);
     b[c] = 1.0;
-    solve_small(ww, b);
+    dense::solve(&ww[0][0], b, 6);
     std::copy_n(b, 6, inverse[c]);
   }
   for (int i = 0; i < n; ++i) {
@@ -425,7 +427,7 @@ inline Status Incremental::next_log(const RecordedLog& about) {
   for (int i = 0; i < n && moments_.rows() > 10.0; ++i) {
     const Moment& m = found_[static_cast<std::size_t>(raw_group(i, n))];
     Spread& s = sum9_[static_cast<std::size_t>(i)];
-    moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.offset_at() + i], m, s.A, s.B);
+    moments_.spread(i, 1.0 / (lag_.noise(i) * lag_.noise(i)), prior_[lag_.columns().b + i], m, s.A, s.B);
     size10_[static_cast<std::size_t>(i)] += log_samples_ * (m.delta2 + m.sd);
   }
   size10_samples_ += log_samples_;

@@ -134,12 +134,7 @@ class Lag {
   double start_of(long block) const { return origin_ + h_ * static_cast<double>(kBlock * block); }
   long first() const { return first_; }
   long end() const { return end_; }
-  int gain_at() const { return columns_.C; }
-  int offset_at() const { return columns_.b; }
-  int quadratic_at() const { return columns_.u; }
-  int body_at() const { return columns_.body; }
-  int clock_at(std::size_t i) const { return columns_.clock[i]; }
-  int gamma_at() const { return columns_.gamma; }
+  const Columns& columns() const { return columns_; }  // in theta
   Block& block(long g) { return blocks_[static_cast<std::size_t>(g) % blocks_.size()]; }
   const Block& block(long g) const { return blocks_[static_cast<std::size_t>(g) % blocks_.size()]; }
   Interval& interval(long i) { return intervals_[static_cast<std::size_t>(i) % intervals_.size()]; }
@@ -147,6 +142,7 @@ class Lag {
     return intervals_[static_cast<std::size_t>(i) % intervals_.size()];
   }
   Ring<MotionRow>& motion(std::size_t i) { return motion_[i]; }
+  const Ring<MotionRow>& motion(std::size_t i) const { return motion_[i]; }
   void grow() { ++end_; }
   void drop_before(long block) { first_ = block; }
   double noise(int i) const { return rig_.noise[i] * sizes.raw_factor[raw_group(i, n_)]; }
@@ -230,13 +226,11 @@ class Lag {
   // R_p of an interval (10.1).
   Gram smoothness(int j) const { return spline_.smoothness(smoothness_order(about_.source, j)).inside; }
 
-  const Spline& basis() const { return spline_; }
-
  private:
   Statement rig_;
   RecordedLog about_;
   Layout layout_;
-  Columns columns_;  // in theta
+  Columns columns_;
   Shape shape_;
   int n_ = 6, nt_ = 0;
   std::size_t streams_ = 0;

@@ -83,22 +83,4 @@ class Ring {
   long begin_ = 0, end_ = 0;
 };
 
-// x of A x = b, A (N, N) symmetric positive definite, its lower triangle read:
-// LDL^T in place.
-template <int N>
-void solve_small(double (&A)[N][N], double (&b)[N]) {
-  for (int j = 0; j < N; ++j) {
-    const double pivot = std::max(A[j][j], 1e-300);
-    for (int i = j + 1; i < N; ++i) {
-      const double l = A[i][j] / pivot;
-      for (int k = j + 1; k <= i; ++k) A[i][k] -= l * A[k][j];
-      b[i] -= l * b[j];
-    }
-    for (int i = j + 1; i < N; ++i) A[i][j] /= pivot;
-    b[j] /= pivot;
-  }
-  for (int j = N - 1; j >= 0; --j)
-    for (int i = j + 1; i < N; ++i) b[j] -= A[i][j] * b[i];
-}
-
 }  // namespace truewrench

@@ -1,7 +1,7 @@
 // START of METHOD 10.3: gain and offset by a robust regression of the raw output on the wrench of a motion.
 #pragma once
 
-#include "truewrench/estimation/fit.hpp"
+#include "truewrench/estimation/sizes.hpp"
 #include "truewrench/math/dense.hpp"
 
 #include <algorithm>
@@ -13,166 +13,181 @@ namespace truewrench {
 // Raw on [w, 1] channel by channel, with the prior; offsets of each log, or of several.
 class Regression {
  public:
-  explicit Regression(Fit& fit) : fit_(fit), n_(fit.channels()), width_(8 + dense::padded(n_)) {
-    const Layout& layout = fit.layout();
-    for (std::size_t l = 0; l < fit.logs().size(); ++l) {
-      const int offset = layout.log(l).global[static_cast<std::size_t>(layout.log(l).b)];
-      if (offsets_.empty() || offsets_.back() != offset) offsets_.push_back(offset);
-      Rows log;
-      log.column = 5 + static_cast<int>(offsets_.size());
-      log.scale.assign(fit.rig().noise.data(), fit.rig().noise.data() + n_);
-      for (const Stretch& s : fit.logs()[l].stretches)
-        for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
-          if (s.raw.masked[static_cast<std::size_t>(k)] == 0)
-            log.rows.push_back({s.now.w.data() + 6 * k, s.raw.value.data() + n_ * k,
-                                s.raw.size[k] > 1.0 ? s.raw.remainder.data() + n_ * k : nullptr,
-                                s.raw.size[k], 1.0});
-      log.residual.resize(log.rows.size() * static_cast<std::size_t>(n_));
-      logs_.push_back(std::move(log));
-    }
-    size_ = 6 + static_cast<int>(offsets_.size());
-    found_.assign(static_cast<std::size_t>(n_), Eigen::VectorXd::Zero(size_));
+  // How much memory is taken at once, so that nothing is allocated later.
+  void reserve(std::size_t rows, int channels) {
+    begin(channels);
+    begin_log(0, Eigen::VectorXd::Zero(channels));
+    for (auto* v : {&values_, &remainder_, &size_, &weight_, &residual_, &sizes_})
+      v->reserve(rows * static_cast<std::size_t>(6 + channels));
+    set_work();
   }
 
-  // At the weights and scales as they stand; false where they determine nothing.
-  bool solve() {
-    const double* nominal = fit_.rig().nominal.data();
-    std::vector<Eigen::MatrixXd> A(found_.size(), Eigen::MatrixXd::Zero(size_, size_));
-    std::vector<Eigen::VectorXd> b(found_.size(), Eigen::VectorXd::Zero(size_));
-    for (int i = 0; i < n_; ++i)
-      for (int k = 0; k < size_; ++k) A[static_cast<std::size_t>(i)](k, k) = 1.0 / fit_.prior[place(i, k)];
-    for (const Rows& log : logs_) {
-      sum(log);
-      const auto at = [&log](int k) { return k < 6 ? k : log.column; };
-      for (int i = 0; i < n_; ++i) {
-        const auto iu = static_cast<std::size_t>(i);
-        const double v = std::pow(log.scale[iu], -2.0);
-        for (int k = 0; k < 7; ++k) {
-          const double *all = sums_[0].data() + k * width_, *own = sums_[iu + 1].data() + k * width_;
-          double y = all[8 + i] + own[8 + i];  // of raw less what it is nominally
-          for (int c = 0; c < 6; ++c) y -= nominal[6 * i + c] * (all[c] + own[c]);
-          b[iu][at(k)] += v * y;
-          for (int c = 0; c < 7; ++c) A[iu](at(k), at(c)) += v * (all[c] + own[c]);
-        }
-      }
-    }
-    for (int i = 0; i < n_; ++i) {
-      const auto iu = static_cast<std::size_t>(i);
-      Eigen::MatrixXd inverse;
-      double logdet = 0.0;
-      if (!dense::invert(A[iu], inverse, logdet)) return false;
-      found_[iu] = dense::times(inverse, b[iu]);
-      for (int k = 0; k < 6; ++k) found_[iu][k] += nominal[6 * i + k];
+  void begin(int channels) {
+    n_ = channels;
+    offsets_ = 0;
+    logs_.clear();
+    for (auto* v : {&values_, &remainder_, &size_, &weight_}) v->clear();
+  }
+  // The rows that follow are of a log whose offset is the one of this number; noise (n): stated.
+  void begin_log(int offset, const Eigen::VectorXd& noise) {
+    offsets_ = std::max(offsets_, offset + 1);
+    Log log;
+    log.offset = offset;
+    log.first = size_.size();
+    std::copy_n(noise.data(), n_, log.scale);
+    logs_.push_back(log);
+  }
+  // w (6), raw (n), NaN where missing; the squares within what the row stands for (n), or null.
+  void add(const double* w, const double* raw, const double* remainder, double size) {
+    values_.insert(values_.end(), w, w + 6);
+    values_.insert(values_.end(), raw, raw + n_);
+    for (int i = 0; i < n_; ++i) remainder_.push_back(remainder ? remainder[i] : 0.0);
+    size_.push_back(size);
+    weight_.push_back(1.0);
+  }
+
+  // By one round of plain least squares, or (`cauchy`) 15 with weights. nominal (n, 6): what the gain departs from; prior(i, k):
+  // variances of gains k < 6 of channel i, and of its offsets. False where they determine nothing.
+  template <typename Prior>
+  bool fit(const double* nominal, const Eigen::VectorXd& noise, const Prior& prior, bool cauchy) {
+    set_work();
+    for (int round = 0; round < (cauchy ? 15 : 1); ++round) {
+      if (!solve(nominal, prior)) return false;
+      if (cauchy) reweigh(noise);
     }
     return true;
   }
 
-  // Scales: 1.48 median of the residuals, and at least the stated sigma. Cauchy weights: (1 + n) / (1 + chi^2_n).
-  void reweigh() {
-    std::vector<double> sizes;
-    for (Rows& log : logs_) {
-      for (int i = 0; i < n_; ++i) {
-        const Eigen::VectorXd& x = found_[static_cast<std::size_t>(i)];
-        sizes.clear();
-        for (std::size_t k = 0; k < log.rows.size(); ++k) {
-          const Row& row = log.rows[k];
-          double r = row.raw[i] - x[log.column];
-          for (int c = 0; c < 6; ++c) r -= x[c] * row.w[c];
-          // of a row for several samples: RMS
-          r = row.remainder ? std::sqrt(r * r + row.remainder[i] / row.size) : std::abs(r);
-          log.residual[k * static_cast<std::size_t>(n_) + static_cast<std::size_t>(i)] = r;
-          if (std::isfinite(r)) sizes.push_back(row.remainder ? r / 1.48 : r);
+  int offsets() const { return offsets_; }
+  // Gain k < 6 of a channel, then its offsets.
+  double found(int channel, int k) const {
+    return found_[static_cast<std::size_t>(channel * unknowns() + k)];
+  }
+  // Of the noise of a channel of a log; cauchy alone.
+  double scale(std::size_t log, int channel) const { return logs_[log].scale[channel]; }
+
+ private:
+  struct Log {
+    int offset = 0;
+    std::size_t first = 0;  // row
+    double scale[max_components] = {};
+  };
+
+  int n_ = 6, offsets_ = 0;
+  std::vector<Log> logs_;
+  std::vector<double> values_, remainder_, size_, weight_;  // (rows, 6 + n), (rows, n), (rows)
+  std::vector<double> residual_, sizes_;                    // (rows, n); work space
+  std::vector<double> found_, A_, b_;  // (n, unknowns); of one channel: (unknowns, unknowns), (unknowns)
+  // [w, 1]^T [w, 1, raw] (7, width), log by log: of rows with all channels; then, channel by channel, of those that lack one
+  std::vector<double> sums_, features_;
+
+  int unknowns() const { return 6 + offsets_; }
+  int width() const { return 8 + dense::padded(n_); }
+  std::size_t rows_end(std::size_t log) const {
+    return log + 1 < logs_.size() ? logs_[log + 1].first : size_.size();
+  }
+  double* sums(std::size_t log, int which) {
+    return sums_.data() + (log * static_cast<std::size_t>(n_ + 1) + static_cast<std::size_t>(which)) *
+                              static_cast<std::size_t>(7 * width());
+  }
+
+  void set_work() {
+    const auto size = [](int x) { return static_cast<std::size_t>(x); };
+    residual_.resize(size_.size() * size(n_));
+    found_.assign(size(n_ * unknowns()), 0.0);
+    A_.resize(size(unknowns() * unknowns()));
+    b_.resize(size(unknowns()));
+    sums_.resize(logs_.size() * size((n_ + 1) * 7 * width()));
+    features_.resize(size(width()));
+  }
+
+  template <typename Prior>
+  bool solve(const double* nominal, const Prior& prior) {
+    std::fill(sums_.begin(), sums_.end(), 0.0);
+    for (std::size_t l = 0; l < logs_.size(); ++l) sum(l);
+    const int size = unknowns();
+    for (int i = 0; i < n_; ++i) {
+      std::fill(A_.begin(), A_.end(), 0.0);
+      std::fill(b_.begin(), b_.end(), 0.0);
+      for (int k = 0; k < size; ++k) A_[static_cast<std::size_t>(k * size + k)] = 1.0 / prior(i, k);
+      for (std::size_t l = 0; l < logs_.size(); ++l) {
+        const double v = std::pow(logs_[l].scale[i], -2.0);
+        const auto at = [&](int k) { return k < 6 ? k : 6 + logs_[l].offset; };
+        for (int k = 0; k < 7; ++k) {
+          const double *all = sums(l, 0) + k * width(), *own = sums(l, 1 + i) + k * width();
+          double y = all[8 + i] + own[8 + i];  // of raw less what it is nominally
+          for (int c = 0; c < 6; ++c) y -= nominal[6 * i + c] * (all[c] + own[c]);
+          b_[static_cast<std::size_t>(at(k))] += v * y;
+          for (int c = 0; c < 7; ++c)
+            A_[static_cast<std::size_t>(at(k) * size + at(c))] += v * (all[c] + own[c]);
         }
-        if (sizes.empty()) continue;
-        const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
-        std::nth_element(sizes.begin(), middle, sizes.end());
-        log.scale[static_cast<std::size_t>(i)] = std::max(1.48 * *middle, fit_.rig().noise[i]);
       }
-      for (std::size_t k = 0; k < log.rows.size(); ++k) {
-        const double* r = log.residual.data() + k * static_cast<std::size_t>(n_);
+      if (!dense::solve(A_.data(), b_.data(), size)) return false;
+      double* found = found_.data() + i * size;
+      for (int k = 0; k < size; ++k)
+        found[k] = b_[static_cast<std::size_t>(k)] + (k < 6 ? nominal[6 * i + k] : 0.0);
+    }
+    return true;
+  }
+
+  void sum(std::size_t l) {
+    features_[6] = 1.0;
+    for (std::size_t k = logs_[l].first; k < rows_end(l); ++k) {
+      const double* row = values_.data() + k * static_cast<std::size_t>(6 + n_);
+      std::copy_n(row, 6, features_.begin());
+      bool whole = true;
+      for (int i = 0; i < n_; ++i) {
+        const bool there = std::isfinite(row[6 + i]);
+        features_[static_cast<std::size_t>(8 + i)] = there ? row[6 + i] : 0.0;
+        whole = whole && there;
+      }
+      const auto add = [&](int to) {
+        for (int f = 0; f < 7; ++f)
+          dense::add(sums(l, to) + f * width(),
+                     size_[k] * weight_[k] * features_[static_cast<std::size_t>(f)], features_.data(),
+                     width());
+      };
+      if (whole) add(0);
+      for (int i = 0; i < n_ && !whole; ++i)
+        if (std::isfinite(row[6 + i])) add(1 + i);
+    }
+  }
+
+  // Scales: 1.48 median of the residuals, and at least the stated sigma. Cauchy weights: (1 + n) / (1 + chi^2_n).
+  void reweigh(const Eigen::VectorXd& noise) {
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      Log& log = logs_[l];
+      for (int i = 0; i < n_; ++i) {
+        const double* x = found_.data() + i * unknowns();
+        sizes_.clear();
+        for (std::size_t k = log.first; k < rows_end(l); ++k) {
+          const double* row = values_.data() + k * static_cast<std::size_t>(6 + n_);
+          double r = row[6 + i] - x[6 + log.offset];
+          for (int c = 0; c < 6; ++c) r -= x[c] * row[c];
+          const std::size_t at = k * static_cast<std::size_t>(n_) + static_cast<std::size_t>(i);
+          // of a row for several samples: RMS
+          r = size_[k] > 1.0 ? std::sqrt(r * r + remainder_[at] / size_[k]) : std::abs(r);
+          residual_[at] = r;
+          if (std::isfinite(r)) sizes_.push_back(size_[k] > 1.0 ? r / 1.48 : r);
+        }
+        if (sizes_.empty()) continue;
+        const auto middle = sizes_.begin() + static_cast<std::ptrdiff_t>(sizes_.size() / 2);
+        std::nth_element(sizes_.begin(), middle, sizes_.end());
+        log.scale[i] = std::max(1.48 * *middle, noise[i]);
+      }
+      for (std::size_t k = log.first; k < rows_end(l); ++k) {
+        const double* r = residual_.data() + k * static_cast<std::size_t>(n_);
         double chi2 = 0.0;
         int channels = 0;
         for (int i = 0; i < n_; ++i) {
           if (!std::isfinite(r[i])) continue;
-          chi2 += std::pow(r[i] / log.scale[static_cast<std::size_t>(i)], 2.0);
+          chi2 += std::pow(r[i] / log.scale[i], 2.0);
           ++channels;
         }
-        log.rows[k].weight = (1.0 + channels) / (1.0 + chi2);
+        weight_[k] = (1.0 + channels) / (1.0 + chi2);
       }
-    }
-  }
-
-  // To theta; and the scales to the factors on the noise.
-  void write(bool scales) const {
-    for (int i = 0; i < n_; ++i)
-      for (int k = 0; k < size_; ++k) fit_.theta[place(i, k)] = found_[static_cast<std::size_t>(i)][k];
-    for (std::size_t l = 0; l < logs_.size() && scales; ++l) {
-      Eigen::VectorXd& factor = fit_.logs()[l].sizes.raw_factor;
-      factor.setZero();
-      for (int i = 0; i < n_; ++i) {
-        double& f = factor[raw_group(i, n_)];
-        f = std::max(f, logs_[l].scale[static_cast<std::size_t>(i)] / fit_.rig().noise[i]);
-      }
-    }
-  }
-
- private:
-  struct Row {                          // unmasked
-    const double *w, *raw, *remainder;  // the last of a row for more than a sample, else null
-    double size, weight;
-  };
-  struct Rows {                           // of a log
-    int column = 6;                       // of its offset
-    std::vector<double> scale, residual;  // (n); (rows, n) sizes
-    std::vector<Row> rows;
-  };
-
-  Fit& fit_;
-  int n_, width_, size_ = 7;
-  std::vector<int> offsets_;  // places in theta
-  std::vector<Rows> logs_;
-  std::vector<Eigen::VectorXd> found_;  // [C, offsets] by channel
-  // [w, 1]^T [w, 1, raw] (7, width): of rows with all channels; then, channel by channel, of those that lack one
-  std::vector<std::vector<double>> sums_;
-
-  int place(int i, int k) const {  // in theta
-    return k < 6 ? fit_.layout().C + 6 * i + k : offsets_[static_cast<std::size_t>(k - 6)] + i;
-  }
-
-  void sum(const Rows& log) {
-    sums_.assign(static_cast<std::size_t>(n_) + 1,
-                 std::vector<double>(static_cast<std::size_t>(7 * width_), 0.0));
-    std::vector<double> f(static_cast<std::size_t>(width_), 0.0);
-    f[6] = 1.0;
-    for (const Row& row : log.rows) {
-      std::copy_n(row.w, 6, f.begin());
-      bool whole = true;
-      for (int i = 0; i < n_; ++i) {
-        const bool there = std::isfinite(row.raw[i]);
-        f[static_cast<std::size_t>(8 + i)] = there ? row.raw[i] : 0.0;
-        whole = whole && there;
-      }
-      const auto add = [&](std::size_t to) {
-        for (int k = 0; k < 7; ++k)
-          dense::add(sums_[to].data() + k * width_, row.size * row.weight * f[static_cast<std::size_t>(k)],
-                     f.data(), width_);
-      };
-      if (whole) add(0);
-      for (int i = 0; i < n_ && !whole; ++i)
-        if (std::isfinite(row.raw[i])) add(static_cast<std::size_t>(1 + i));
     }
   }
 };
-
-// Gain and offsets of a fit by the motion as it stands: robust, in 15 rounds, with its scales; or plain (`cauchy` false).
-inline void regress(Fit& fit, bool cauchy) {
-  fit.predict();
-  Regression regression(fit);
-  for (int round = 0; round < (cauchy ? 15 : 1); ++round) {
-    if (!regression.solve()) return;
-    if (cauchy) regression.reweigh();
-  }
-  regression.write(cauchy);
-}
 
 }  // namespace truewrench

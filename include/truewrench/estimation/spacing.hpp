@@ -3,7 +3,6 @@
 
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/mask.hpp"
-#include "truewrench/estimation/regression.hpp"
 #include "truewrench/estimation/start.hpp"
 
 #include <cmath>

@@ -18,7 +18,12 @@ class Bands {
   int lanes = 0;  // components, to a multiple of 4
 
   Bands() = default;
-  Bands(Eigen::Index size_, int components) : size(size_), lanes((components + 3) & ~3) {
+  Bands(Eigen::Index size_, int components) { resize(size_, components); }
+
+  // To zero.
+  void resize(Eigen::Index size_, int components) {
+    size = size_;
+    lanes = (components + 3) & ~3;
     a.assign(static_cast<std::size_t>((size + kDegree5) * kLocal * lanes),
              0.0);  // five more, so that no column is short
   }
@@ -84,6 +89,21 @@ class Bands {
     std::fill(z.a.begin() + size * kLocal * lanes, z.a.end(), 0.0);
     for (Eigen::Index j = std::max<Eigen::Index>(0, size - kDegree5); j < size; ++j)
       for (int i = static_cast<int>(size - j); i < kLocal; ++i) std::fill_n(z.at(j, i), lanes, 0.0);
+  }
+
+  // Adds d^T A d - 2 d^T b, d = x - from; all (size + 5, lanes); component by component.
+  void quadratic(const std::vector<double>& x, const std::vector<double>& from, const std::vector<double>& b,
+                 double* sum) const {
+    const auto d = [&](Eigen::Index k, int c) {
+      const auto i = static_cast<std::size_t>(k * lanes + c);
+      return x[i] - from[i];
+    };
+    for (Eigen::Index j = 0; j < size; ++j)
+      for (int c = 0; c < lanes; ++c) {
+        double row = at(j, 0)[c] * d(j, c) - 2.0 * b[static_cast<std::size_t>(j * lanes + c)];
+        for (int i = 1; i < kLocal; ++i) row += 2.0 * at(j, i)[c] * d(j + i, c);
+        sum[c] += row * d(j, c);
+      }
   }
 
   // Adds <A, B> of symmetric bands, component by component.

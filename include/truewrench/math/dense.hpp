@@ -189,6 +189,25 @@ inline bool invert(const Eigen::MatrixXd& S, Eigen::MatrixXd& inverse, double& l
   return true;
 }
 
+// x of A x = b in place of b, A (n, n) symmetric, its lower triangle read, by L D L^T in its place; false where it is not
+// positive definite.
+inline bool solve(double* A, double* b, int n) {
+  for (int j = 0; j < n; ++j) {
+    const double pivot = A[j * n + j];
+    if (!(pivot > 0.0)) return false;
+    for (int i = j + 1; i < n; ++i) {
+      const double l = A[i * n + j] / pivot;
+      for (int k = j + 1; k <= i; ++k) A[i * n + k] -= l * A[k * n + j];
+      b[i] -= l * b[j];
+    }
+    for (int i = j + 1; i < n; ++i) A[i * n + j] /= pivot;
+    b[j] /= pivot;
+  }
+  for (int j = n - 1; j >= 0; --j)
+    for (int i = j + 1; i < n; ++i) b[j] -= A[i * n + j] * b[i];
+  return true;
+}
+
 // The lower triangle L of P = L L^T, row by row at a stride of padded(n); directions without variance stay 0.
 inline std::vector<double> root(const Eigen::MatrixXd& P) {
   const int n = static_cast<int>(P.rows()), ld = padded(n);
