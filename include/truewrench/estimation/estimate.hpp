@@ -95,9 +95,9 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
   out.discrepancy2 /= total;
   out.gain_covariance = out.covariance.topLeftCorner(6 * n, 6 * n) + out.added;
   if (settings.discrepancy != 0.0) {
-    Eigen::VectorXd f2 = out.discrepancy2;
-    if (settings.discrepancy > 0.0) f2 = f2.cwiseMax(settings.discrepancy * settings.discrepancy);
-    out.gain_covariance = add_pose(out.gain_covariance, fit.prior.head(6 * n), f2, out.pose);
+    const double stated = std::max(settings.discrepancy, 0.0);
+    add_pose(out.gain_covariance, fit.prior.data() + fit.layout().C, out.pose,
+             [&](int i) { return std::max(out.discrepancy2[i], stated * stated); });
   }
 }
 

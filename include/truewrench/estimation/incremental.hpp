@@ -17,7 +17,9 @@
 // fits it: tens of milliseconds, so that a hard loop hands its samples to another thread.
 #pragma once
 
+#include "truewrench/estimation/delay.hpp"
 #include "truewrench/estimation/lag_start.hpp"
+#include "truewrench/estimation/moments.hpp"
 #include "truewrench/estimation/running.hpp"
 #include "truewrench/estimation/score.hpp"
 

@@ -282,7 +282,7 @@ inline void Incremental::count(long from, long to) {
         pose_.add(row);
         size += row.size;
         if (!row.masked) {
-          moments_.add(row);
+          moments_.add(row.time, row.size, row.w.data(), row.cw.data(), row.residual.data());
           continue;
         }
         masked += row.size;

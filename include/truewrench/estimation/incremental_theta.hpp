@@ -253,7 +253,9 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
       added_(i, j) = 0.0;
     }
   // (10.9)
-  for (int r = 0; r < raw_groups(n); ++r) found_[static_cast<std::size_t>(r)] = moments_.found(r);
+  std::array<MomentTotals, 2> totals;
+  for (int i = 0; i < n; ++i) moments_.add_to(totals[static_cast<std::size_t>(raw_group(i, n))], i);
+  for (std::size_t r = 0; r < found_.size(); ++r) found_[r] = totals[r].best();
   for (int i = 0; i < n; ++i) {
     Spread s = sum9_[static_cast<std::size_t>(i)];
     if (moments_.rows() > 10.0)
@@ -284,38 +286,15 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
                        std::max(log_samples_ + size10_samples_, 1.0);
   }
   if (settings_.discrepancy == 0.0) return gain_covariance_;
-  // Cov(C_i) += f_i^2 A / (1 - A) (E w w^T)^-1 / 6 (10.10)
-  const PoseShare share = pose_.share();
-  const double least = 1e-12 * std::max(share.ww.trace(), 1e-12);
-  const double times = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0;
-  double inverse[6][6];
-  for (int c = 0; c < 6; ++c) {
-    double ww[6][6], b[6] = {};
-    for (int i = 0; i < 6; ++i)
-      for (int j = 0; j < 6; ++j) ww[i][j] = share.ww(i, j) + (i == j ? least : 0.0);
-    b[c] = 1.0;
-    dense::solve(&ww[0][0], b, 6);
-    std::copy_n(b, 6, inverse[c]);
-  }
-  for (int i = 0; i < n; ++i) {
-    const double stated = std::max(settings_.discrepancy, 0.0),
-                 f2 = std::max(discrepancy2_[i], stated * stated);
-    double g[6];
-    for (int k = 0; k < 6; ++k) {
-      const double room = prior_[C + 6 * i + k] - gain_covariance_(6 * i + k, 6 * i + k);
-      g[k] = std::sqrt(std::clamp(room / std::max(f2 * times * inverse[k][k], 1e-300), 0.0, 1.0));
-    }
-    for (int k = 0; k < 6; ++k)
-      for (int l = 0; l < 6; ++l)
-        gain_covariance_(6 * i + k, 6 * i + l) += f2 * times * g[k] * inverse[k][l] * g[l];
-  }
+  const double stated = std::max(settings_.discrepancy, 0.0);
+  add_pose(gain_covariance_, prior_.data() + C, pose_.share(),
+           [&](int i) { return std::max(discrepancy2_[i], stated * stated); });
   return gain_covariance_;
 }
 
-// Delta^T V^-1 Delta, V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a (10.11)
+// (10.11)
 inline Agreement Incremental::agreement() {
-  Agreement out;
-  const int n = lag_.channels(), nt = lag_.parameters(), gains = 6 * n;
+  const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
   std::vector<int> use;
   for (int i = 0; i < nt; ++i)
@@ -323,6 +302,7 @@ inline Agreement Incremental::agreement() {
   const auto k = static_cast<Eigen::Index>(use.size());
   std::array<Eigen::MatrixXd, 2> P;
   std::array<Eigen::VectorXd, 2> theta;
+  Eigen::VectorXd prior(k);
   for (std::size_t p = 0; p < 2; ++p) {
     Eigen::MatrixXd part(nt + 1, nt + 1);
     gather(parts_[p], 1 + p, part);
@@ -330,6 +310,7 @@ inline Agreement Incremental::agreement() {
     Eigen::VectorXd right(k);
     for (Eigen::Index i = 0; i < k; ++i) {
       const int a = use[static_cast<std::size_t>(i)];
+      prior[i] = prior_[a];
       for (Eigen::Index j = 0; j < k; ++j) {
         const int b = use[static_cast<std::size_t>(j)];
         S(i, j) = part(std::max(a, b), std::min(a, b)) + (i == j ? 1.0 / prior_[a] : 0.0);
@@ -340,31 +321,10 @@ inline Agreement Incremental::agreement() {
           right[i] -= part(std::max(a, h), std::min(a, h)) * mean[h];
     }
     double logdet = 0.0;
-    if (!dense::invert(S, P[p], logdet)) return out;
+    if (!dense::invert(S, P[p], logdet)) return {};
     theta[p] = dense::times(P[p], right);
   }
-  Eigen::MatrixXd V(gains, gains);
-  Eigen::VectorXd scale(gains);
-  for (int i = 0; i < gains; ++i) scale[i] = std::sqrt(prior_[use[static_cast<std::size_t>(i)]]);
-  for (int i = 0; i < gains; ++i)
-    for (int j = 0; j < gains; ++j) {
-      double both = 0.0;
-      for (Eigen::Index l = 0; l < k; ++l)
-        both +=
-            (P[0](i, l) * P[1](l, j) + P[1](i, l) * P[0](l, j)) / prior_[use[static_cast<std::size_t>(l)]];
-      // (10.9) of either part: it has half of the rows
-      V(i, j) = (P[0](i, j) + P[1](i, j) - both + 4.0 * added_(i, j)) / (scale[i] * scale[j]);
-    }
-  const dense::Spectrum spectrum = dense::eigen(V);
-  for (int c = 0; c < gains; ++c) {
-    if (!(spectrum.values[c] > 1e-9)) continue;
-    double x = 0.0;
-    for (int i = 0; i < gains; ++i) x += spectrum.vectors(i, c) * (theta[0][i] - theta[1][i]) / scale[i];
-    out.chi2 += x * x / spectrum.values[c];
-    ++out.freedom;
-  }
-  out.p = out.freedom > 0 ? std::exp(chi_square_log_tail(out.chi2, out.freedom)) : 1.0;
-  return out;
+  return compare(theta, P, 4.0 * added_, prior);  // of either part: it has half of the rows
 }
 
 // ------------------------------------------------------------------------------------------------

@@ -1,21 +1,14 @@
-// What follows the pose of the sensor hides in the gain, unseen in the residuals (METHOD (10.10)).
+// How far what follows the pose can hide in the gain of a fit (METHOD (10.10)).
 #pragma once
 
 #include "truewrench/estimation/fit.hpp"
+#include "truewrench/estimation/pose_moments.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
 namespace truewrench {
-
-// How far a force that follows the pose can hide in the gain (10.10).
-struct PoseShare {
-  double A = 0.0;                // mean R^2 of the components of the pose on (w, 1)
-  Matrix6 ww = Matrix6::Zero();  // E w w^T over the unmasked samples
-  double period = 1.0;           // [s] 1 / mean frequency of w, weighted by its power
-  bool moved = false;            // any component of the pose
-};
 
 inline Matrix3 rotation(const Vector3& turn) {
   const double angle = turn.norm(), a = angle > 1e-8 ? std::sin(angle) / angle : 1.0,
@@ -105,7 +98,7 @@ inline RowMatrix pose_of(const Stretch& s) {
 }
 
 inline PoseShare pose_share(const Fit& fit) {
-  double ww[6][6] = {}, centred[6][6] = {}, wp[6][6] = {}, pp[6] = {}, rate[6] = {}, count = 0.0;
+  PoseMoments sums;
   for (const LogFit& log : fit.logs())
     for (const Stretch& s : log.stretches) {
       const RowMatrix pose = pose_of(s);
@@ -127,75 +120,20 @@ inline PoseShare pose_share(const Fit& fit) {
           for (int i = 0; i < 6; ++i) {
             const double w = s.now.w(k, i), d = w - w_mean[i] / rows;
             for (int j = 0; j < 6; ++j) {
-              ww[i][j] += samples * w * s.now.w(k, j);
-              centred[i][j] += samples * d * (s.now.w(k, j) - w_mean[j] / rows);
-              wp[i][j] += samples * d * (pose(k, j) - p_mean[j] / rows);
+              sums.ww[i][j] += samples * w * s.now.w(k, j);
+              sums.centred[i][j] += samples * d * (s.now.w(k, j) - w_mean[j] / rows);
+              sums.wp[i][j] += samples * d * (pose(k, j) - p_mean[j] / rows);
             }
             const double p = pose(k, i) - p_mean[i] / rows,
                          change = k > 0 ? (w - s.now.w(k - 1, i)) / dt : 0.0;
-            pp[i] += samples * p * p;
-            rate[i] += samples * change * change;
+            sums.pp[i] += samples * p * p;
+            sums.rate[i] += samples * change * change;
           }
         }
       }
-      count += rows;
+      sums.samples += rows;
     }
-  PoseShare out;
-  if (count == 0.0) return out;
-  Eigen::MatrixXd correlation(6, 6);
-  double size[6];
-  for (int i = 0; i < 6; ++i) size[i] = std::max(std::sqrt(centred[i][i]), 1e-300);
-  for (int i = 0; i < 6; ++i)
-    for (int j = 0; j < 6; ++j) {
-      out.ww(i, j) = ww[i][j] / count;
-      correlation(i, j) = centred[i][j] / (size[i] * size[j]);
-    }
-  const dense::Spectrum spectrum = dense::eigen(correlation);
-  double total = 0.0, frequency = 0.0;
-  int moving = 0, axes = 0;
-  for (int j = 0; j < 6; ++j) {
-    if (centred[j][j] > 1e-12 * count) {
-      frequency += std::sqrt(rate[j] / centred[j][j]) / (2.0 * 3.14159265358979323846);
-      ++axes;
-    }
-    if (!(std::sqrt(pp[j] / count) > 1e-6)) continue;  // components that do not move
-    double explained = 0.0;
-    for (int i = 0; i < 6; ++i) {
-      if (!(spectrum.values[i] > 1e-12)) continue;
-      double b = 0.0;
-      for (int c = 0; c < 6; ++c) b += spectrum.vectors(c, i) * wp[c][j] / size[c];
-      explained += b * b / spectrum.values[i];
-    }
-    total += std::min(1.0, explained / pp[j]);
-    ++moving;
-  }
-  out.moved = moving > 0;
-  out.A = moving > 0 ? total / moving : 0.0;
-  out.period = axes > 0 && frequency > 0.0 ? axes / frequency : 1.0;
-  return out;
-}
-
-// (10.10): Cov(C_i) += f_i^2 A / (1 - A) (E w w^T)^-1 / 6, what is added to element ij multiplied by g_i g_j so that no gain's
-// variance rises above its prior's. P, prior: (6n, 6n) and (6n); f2: (n).
-inline Eigen::MatrixXd add_pose(const Eigen::MatrixXd& P, const Eigen::VectorXd& prior,
-                                const Eigen::VectorXd& f2, const PoseShare& share) {
-  Eigen::MatrixXd ww = share.ww, inverse, out = P;
-  const double least = 1e-12 * std::max(share.ww.trace(), 1e-12);
-  for (int i = 0; i < 6; ++i) ww(i, i) += least;
-  double logdet = 0.0;
-  if (!dense::invert(ww, inverse, logdet)) return out;
-  const double times = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0;
-  for (Eigen::Index i = 0; i < f2.size(); ++i) {
-    double g[6];
-    for (int c = 0; c < 6; ++c) {
-      const Eigen::Index at = 6 * i + c;
-      g[c] = std::sqrt(
-          std::clamp((prior[at] - P(at, at)) / std::max(times * f2[i] * inverse(c, c), 1e-300), 0.0, 1.0));
-    }
-    for (int c = 0; c < 6; ++c)
-      for (int d = 0; d < 6; ++d) out(6 * i + c, 6 * i + d) += g[c] * g[d] * times * f2[i] * inverse(c, d);
-  }
-  return out;
+  return sums.share();
 }
 
 }  // namespace truewrench

@@ -6,6 +6,7 @@
 #include "truewrench/math/chi_square.hpp"
 
 #include <algorithm>
+#include <array>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -262,8 +263,37 @@ struct Agreement {
   int freedom = 0;
 };
 
-// p of (10.11) for the samples of the sensor that `part` names against the others, all motion rows kept, at the last
-// linearisation and sizes; `found`: (10.9), empty where d is in the fit.
+// p of (10.11) from what two parts say of theta: means, covariances, priors' variances; the gains come first. `added`: what (10.9)
+// adds to the gains' covariances, of both.
+inline Agreement compare(const std::array<Eigen::VectorXd, 2>& mean, const std::array<Eigen::MatrixXd, 2>& P,
+                         const Eigen::MatrixXd& added, const Eigen::VectorXd& prior) {
+  // V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a, in units of the prior's sigma                                    (10.11)
+  Agreement out;
+  const Eigen::Index gains = added.rows();
+  Eigen::MatrixXd scaled = P[1];
+  for (Eigen::Index i = 0; i < scaled.rows(); ++i) scaled.row(i) /= prior[i];
+  const Eigen::MatrixXd both = dense::transposed_times(P[0], scaled);
+  Eigen::MatrixXd V(gains, gains);
+  Eigen::VectorXd delta(gains);
+  for (Eigen::Index i = 0; i < gains; ++i) {
+    delta[i] = (mean[0][i] - mean[1][i]) / std::sqrt(prior[i]);
+    for (Eigen::Index j = 0; j < gains; ++j)
+      V(i, j) =
+          (P[0](i, j) + P[1](i, j) - both(i, j) - both(j, i) + added(i, j)) / std::sqrt(prior[i] * prior[j]);
+  }
+  const dense::Spectrum spectrum = dense::eigen(V);
+  for (Eigen::Index i = 0; i < gains; ++i) {
+    if (spectrum.values[i] <= 1e-9) continue;
+    const double projected = spectrum.vectors.col(i).dot(delta);
+    out.chi2 += projected * projected / spectrum.values[i];
+    ++out.freedom;
+  }
+  out.p = out.freedom > 0 ? std::exp(chi_square_log_tail(out.chi2, out.freedom)) : 1.0;
+  return out;
+}
+
+// (10.11) for the samples of the sensor that `part` names against the others, all motion rows kept, at the last linearisation and
+// sizes; `found`: (10.9), empty where d is in the fit.
 inline Agreement agreement(Fit& fit, const std::vector<std::vector<Moment>>& found, const Keep& part) {
   std::vector<std::vector<Eigen::VectorXd>> weight;
   for (const LogFit& log : fit.logs()) {
@@ -272,9 +302,10 @@ inline Agreement agreement(Fit& fit, const std::vector<std::vector<Moment>>& fou
   }
   const int n = fit.channels();
   const std::vector<int> use = fit.active_places();
-  std::vector<Eigen::VectorXd> mean;
-  std::vector<Eigen::MatrixXd> P, added;
-  Agreement out;
+  std::array<Eigen::VectorXd, 2> mean;
+  std::array<Eigen::MatrixXd, 2> P;
+  Eigen::MatrixXd added = Eigen::MatrixXd::Zero(6 * n, 6 * n);
+  Eigen::VectorXd prior(use.size());
   bool solved = true;
   for (const bool first : {true, false}) {
     const Keep keep = [&](std::size_t l, std::size_t s, Eigen::Index k) { return part(l, s, k) == first; };
@@ -284,41 +315,23 @@ inline Agreement agreement(Fit& fit, const std::vector<std::vector<Moment>>& fou
           fit.logs()[l].stretches[s].raw.weight[k] = keep(l, s, k) ? weight[l][s][k] : 0.0;
     solved = solved && fit.linearise() && fit.solve(true);
     if (!solved) break;
-    mean.push_back(fit.theta + fit.step());
-    P.push_back(Fit::gather(fit.P(), use));
+    const std::size_t at = first ? 0 : 1;
+    mean[at] = Eigen::VectorXd(use.size());
+    for (std::size_t i = 0; i < use.size(); ++i) {
+      const auto iu = static_cast<Eigen::Index>(i);
+      mean[at][iu] = fit.theta[use[i]] + fit.step()[use[i]];
+      prior[iu] = fit.prior[use[i]];
+    }
+    P[at] = Fit::gather(fit.P(), use);
+    if (found.empty()) continue;
     const Keep clean = unmasked(fit);
-    added.push_back(found.empty() ? Eigen::MatrixXd::Zero(6 * n, 6 * n)
-                                  : spread(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
-                                      return keep(l, s, k) && clean(l, s, k);
-                                    }));
+    added += spread(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
+      return keep(l, s, k) && clean(l, s, k);
+    });
   }
   for (std::size_t l = 0; l < fit.logs().size(); ++l)
     for (std::size_t s = 0; s < weight[l].size(); ++s) fit.logs()[l].stretches[s].raw.weight = weight[l][s];
-  if (!solved) return out;
-  Eigen::VectorXd prior(use.size());
-  for (std::size_t i = 0; i < use.size(); ++i) prior[static_cast<Eigen::Index>(i)] = fit.prior[use[i]];
-  const Eigen::VectorXd information = prior.cwiseInverse();
-  // V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a, in units of the prior's sigma                                    (10.11)
-  Eigen::MatrixXd scaled = P[1];
-  for (Eigen::Index i = 0; i < scaled.rows(); ++i) scaled.row(i) *= information[i];
-  const Eigen::MatrixXd both = dense::transposed_times(P[0], scaled);
-  Eigen::MatrixXd V(6 * n, 6 * n);
-  Eigen::VectorXd delta(6 * n);
-  for (int i = 0; i < 6 * n; ++i) {
-    delta[i] = (mean[0][i] - mean[1][i]) / std::sqrt(prior[i]);
-    for (int j = 0; j < 6 * n; ++j)
-      V(i, j) = (P[0](i, j) + P[1](i, j) - both(i, j) - both(j, i) + added[0](i, j) + added[1](i, j)) /
-                std::sqrt(prior[i] * prior[j]);
-  }
-  const dense::Spectrum spectrum = dense::eigen(V);
-  for (int i = 0; i < 6 * n; ++i) {
-    if (spectrum.values[i] <= 1e-9) continue;
-    const double projected = spectrum.vectors.col(i).dot(delta);
-    out.chi2 += projected * projected / spectrum.values[i];
-    ++out.freedom;
-  }
-  out.p = out.freedom > 0 ? std::exp(chi_square_log_tail(out.chi2, out.freedom)) : 1.0;
-  return out;
+  return solved ? compare(mean, P, added, prior) : Agreement();
 }
 
 }  // namespace truewrench

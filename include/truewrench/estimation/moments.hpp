@@ -1,0 +1,236 @@
+// What residuals show of a slow discrepancy by moments (METHOD (10.9)), from sums that run along with the rows.
+#pragma once
+
+#include "truewrench/estimation/constants.hpp"
+#include "truewrench/math/dense.hpp"
+#include "truewrench/math/nodes.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <iterator>
+#include <limits>
+#include <vector>
+
+namespace truewrench {
+
+// (10.9) of one group of channels of one log, at the tau of the largest z.
+struct Moment {
+  double tau = constants::taus[0];
+  double delta2 = 0.0;  // delta^2, fraction of range squared
+  double sd = 0.0;      // its standard deviation
+  double z = 0.0;
+};
+
+// What channels of one group say together, tau by tau.
+struct MomentTotals {
+  static constexpr std::size_t count = std::size(constants::taus);
+  std::array<double, count> num{}, t1{}, t2{};  // r^T M K M r, tr M K, tr M K M K
+  double nu = 0.0, rss = 0.0;                   // tr M, r^T M r
+
+  Moment best() const {
+    Moment out;
+    out.z = -std::numeric_limits<double>::infinity();
+    if (!(nu > 0.0) || !(rss > 0.0)) return out;
+    for (std::size_t t = 0; t < count; ++t) {
+      const double top = num[t] - t1[t] * rss / nu, den = std::max(t2[t] - t1[t] * t1[t] / nu, 1e-300);
+      const double sd = rss / nu * std::sqrt(2.0 / den), z = sd > 0.0 ? top / den / sd : 0.0;
+      if (z > out.z) out = {constants::taus[t], std::max(0.0, top / den), sd, z};
+    }
+    return out;
+  }
+};
+
+// (10.9). Z = [w, 1, (C_0 w)_i^2, r_i] of all rows, K the Matern-3/2
+// correlation. Z^T K Z and Z^T K^2 Z are sums over pairs of rows that
+// recursions take as the rows come: with A the part of K before the diagonal
+// and D the diagonal, K^2 is (A + D)^T (A + D) + [A (A + D) + its transpose] +
+// A A^T; of each, what a row meets is a state that the rows before left and
+// that decays. Residuals may be of a theta since left: X = [w, 1, (C_0 w)^2] is
+// projected out at the end, and a change of theta moves them within it.
+class MomentSums {
+ public:
+  // Of channels with samples at the same times; `squares`: with K^2, which add_to() asks for.
+  explicit MomentSums(int channels = 6, bool squares = true)
+      : n_(channels), d_(7 + 2 * channels), squares_(squares) {
+    const auto d = static_cast<std::size_t>(d_);
+    ZZ_.assign(d * d, 0.0);
+    for (Kernel& k : kernels_) {
+      k.KZ = k.KKZ = ZZ_;
+      for (auto* v : {&k.a, &k.b, &k.c, &k.d}) v->assign(d, 0.0);
+    }
+    z_.assign(d, 0.0);
+    f_ = q_ = e_ = z_;
+  }
+
+  void clear() {
+    std::fill(ZZ_.begin(), ZZ_.end(), 0.0);
+    rows_ = trace_ = 0.0;
+    started_ = false;
+    for (Kernel& k : kernels_) {
+      for (auto* v : {&k.KZ, &k.KKZ, &k.a, &k.b, &k.c, &k.d}) std::fill(v->begin(), v->end(), 0.0);
+      k.p0 = k.p1 = k.p2 = k.squares = 0.0;
+    }
+  }
+
+  // A row of `size` samples: w (6), C_0 w (n), residuals (n). With c the root of size, rows are c Z and K is c_j c_k K_jk.
+  void add(double time, double size, const double* w, const double* cw, const double* residual) {
+    const double c = std::sqrt(size), c2 = size;
+    for (std::size_t k = 0; k < 6; ++k) z_[k] = c * w[k];
+    z_[6] = c;
+    for (std::size_t i = 0; i < static_cast<std::size_t>(n_); ++i) {
+      z_[7 + i] = c * cw[i] * cw[i];
+      z_[7 + static_cast<std::size_t>(n_) + i] = c * residual[i];
+    }
+    const double dt = started_ ? time - time_ : 0.0;
+    time_ = time;
+    started_ = true;
+    outer(ZZ_, z_, z_);
+    rows_ += 1.0;
+    trace_ += c2;
+    for (std::size_t t = 0; t < kernels_.size(); ++t) {
+      Kernel& k = kernels_[t];
+      const double x = dt / constants::taus[t], e = std::exp(-x), ee = e * e;
+      k.p2 = ee * (k.p2 + 2.0 * x * k.p1 + x * x * k.p0);
+      k.p1 = ee * (k.p1 + x * k.p0);
+      k.p0 *= ee;
+      const double alpha = k.p0 + k.p1, beta = k.p1 + k.p2;
+      for (std::size_t i = 0; i < z_.size(); ++i) {
+        // (A Z)_k = c (a + b), a and b the sums of e^-x and x e^-x over the
+        // rows before
+        k.b[i] = e * (k.b[i] + x * k.a[i]);
+        k.a[i] *= e;
+        k.d[i] = e * (k.d[i] + x * k.c[i]);
+        k.c[i] *= e;
+        f_[i] = c * (k.a[i] + k.b[i]);
+        q_[i] = c * (k.c[i] + k.d[i]) + 0.5 * c2 * (alpha + beta) * z_[i];
+        e_[i] = f_[i] + c2 * z_[i];
+        f_[i] += 0.5 * c2 * z_[i];
+      }
+      outer(k.KZ, f_, z_);  // halves: made symmetric by found()
+      if (squares_) {
+        outer(k.KKZ, e_, e_, 0.5);
+        outer(k.KKZ, q_, z_);
+      }
+      k.squares += c2 * c2 + 2.0 * c2 * (k.p0 + 2.0 * k.p1 + k.p2);
+      for (std::size_t i = 0; i < z_.size(); ++i) {  // what later rows meet
+        k.a[i] += c * z_[i];
+        k.c[i] += c * (e_[i] + alpha * z_[i]);
+        k.d[i] += c * beta * z_[i];
+      }
+      k.p0 += c2;
+    }
+  }
+
+  double rows() const { return rows_; }
+
+  // What a channel adds to its group.
+  void add_to(MomentTotals& totals, int i) const {
+    double XX[8][8], V[8][8], length[8], Q[8][8] = {};  // an orthonormal basis of X: X Q
+    for (int k = 0; k < 8; ++k) length[k] = std::sqrt(std::max(entry(ZZ_, k, k, i, false), 1e-300));
+    for (int k = 0; k < 8; ++k)
+      for (int l = 0; l < 8; ++l) XX[k][l] = entry(ZZ_, k, l, i, false) / (length[k] * length[l]);
+    diagonalise(XX, V);
+    int rank = 0;
+    for (int c = 0; c < 8; ++c) {
+      if (!(XX[c][c] > 1e-12)) continue;
+      for (int k = 0; k < 8; ++k) Q[k][rank] = V[k][c] / (length[k] * std::sqrt(XX[c][c]));
+      ++rank;
+    }
+    double Qr[8] = {};
+    for (int c = 0; c < rank; ++c) {
+      for (int k = 0; k < 8; ++k) Qr[c] += Q[k][c] * entry(ZZ_, k, 8, i, false);
+      totals.rss -= Qr[c] * Qr[c];
+    }
+    totals.rss += entry(ZZ_, 8, 8, i, false);
+    totals.nu += rows_ - rank;
+    for (std::size_t t = 0; t < kernels_.size(); ++t) {
+      const Kernel& k = kernels_[t];
+      double& num = totals.num[t];
+      num += entry(k.KZ, 8, 8, i, true);
+      totals.t1[t] += trace_;
+      totals.t2[t] += k.squares;
+      for (int c = 0; c < rank; ++c) {
+        double QKr = 0.0;
+        for (int a = 0; a < 8; ++a) QKr += Q[a][c] * entry(k.KZ, a, 8, i, true);
+        num -= 2.0 * Qr[c] * QKr;
+        for (int d = 0; d < rank; ++d) {
+          double S = 0.0, SS = 0.0;
+          for (int a = 0; a < 8; ++a)
+            for (int b = 0; b < 8; ++b) {
+              S += Q[a][c] * entry(k.KZ, a, b, i, true) * Q[b][d];
+              if (c == d) SS += Q[a][c] * entry(k.KKZ, a, b, i, true) * Q[b][d];
+            }
+          num += Qr[c] * S * Qr[d];
+          totals.t2[t] += S * S;
+          if (c != d) continue;
+          totals.t1[t] -= S;
+          totals.t2[t] -= 2.0 * SS;
+        }
+      }
+    }
+  }
+
+  // Elements of X^T X and X^T K X of a channel, X = [w, 1, (C_0 w)_i^2].
+  double product(int i, int k, int l) const { return entry(ZZ_, k, l, i, false); }
+  double correlated(int i, double tau, int k, int l) const {
+    return entry(kernels_[place_of(tau)].KZ, k, l, i, true);
+  }
+
+  // X^T X and delta^2 X^T K X of [C_i, u_i], added to A and B; the offset, of
+  // prior variance `offset`, eliminated; v: 1 / sigma_i^2.
+  void spread(int i, double v, double offset, const Moment& m, double (&A)[7][7], double (&B)[7][7]) const {
+    double T[7][8] = {};
+    const double pivot = v * product(i, 6, 6) + 1.0 / offset;
+    for (int k = 0; k < 7; ++k) {
+      const int from = k < 6 ? k : 7;
+      T[k][from] = 1.0;
+      T[k][6] = -v * product(i, from, 6) / pivot;
+    }
+    for (int k = 0; k < 7; ++k)
+      for (int l = 0; l < 7; ++l)
+        for (int a = 0; a < 8; ++a)
+          for (int b = 0; b < 8; ++b) {
+            const double x = T[k][a] * T[l][b];
+            if (x == 0.0) continue;
+            A[k][l] += x * (v * product(i, a, b) + (a == 6 && b == 6 ? 1.0 / offset : 0.0));
+            B[k][l] += x * v * v * m.delta2 * correlated(i, m.tau, a, b);
+          }
+  }
+
+ private:
+  struct Kernel {
+    std::vector<double> KZ, KKZ;     // halves: X + X^T
+    std::vector<double> a, b, c, d;  // A Z; A applied to (A + D) Z, and A A^T Z
+    double p0 = 0.0, p1 = 0.0, p2 = 0.0, squares = 0.0;
+  };
+  int n_, d_;
+  bool squares_, started_ = false;
+  double time_ = 0.0, rows_ = 0.0, trace_ = 0.0;
+  std::vector<double> ZZ_;  // (d, d)
+  std::array<Kernel, std::size(constants::taus)> kernels_;
+  std::vector<double> z_, f_, q_, e_;
+
+  static std::size_t place_of(double tau) {
+    std::size_t t = 0;
+    while (t + 1 < MomentTotals::count && constants::taus[t] != tau) ++t;
+    return t;
+  }
+
+  void outer(std::vector<double>& to, const std::vector<double>& a, const std::vector<double>& b,
+             double scale = 1.0) const {
+    for (std::size_t k = 0; k < a.size(); ++k)
+      dense::add(to.data() + k * a.size(), scale * a[k], b.data(), d_);
+  }
+  // Of channel i: 0 ... 5 w, 6 the constant, 7 (C_0 w)_i^2, 8 the residual.
+  double entry(const std::vector<double>& m, int k, int l, int i, bool half) const {
+    const auto place = [&](int x) {
+      return static_cast<std::size_t>(x < 7 ? x : x == 7 ? 7 + i : 7 + n_ + i);
+    };
+    const auto d = static_cast<std::size_t>(d_);
+    const double x = m[place(k) * d + place(l)];
+    return half ? x + m[place(l) * d + place(k)] : x;
+  }
+};
+
+}  // namespace truewrench
