@@ -176,6 +176,45 @@ TEST_P(SweepOf, DenseAlgebra) {
   EXPECT_EQ(determinant(alone, rougher, Sweep::Extent::determinant_again), expected);
   EXPECT_NE(expected, found.logdet);
   const Eigen::VectorXd scale = H.diagonal().tail(nt).cwiseMax(1e-12).cwiseSqrt();
+
+  // what the rows of the first blocks say by themselves: dense algebra of those alone
+  const std::vector<int> breaks{0, 1};
+  std::vector<Information> said;
+  sweep.forward(c.stretch, c.columns(), c.theta, c.lagged, c.sizes, Sweep::Extent::whole, breaks, &said);
+  ASSERT_EQ(said.size(), breaks.size());
+  for (std::size_t b = 0; b < breaks.size(); ++b) {
+    const Eigen::Index intervals = kBlock * (breaks[b] + 1);
+    Eigen::MatrixXd own = J;
+    for (Eigen::Index k = 0; k < motion; ++k)
+      if (c.stretch.motion[0].interval[static_cast<std::size_t>(k / 6)] >= intervals) own.row(k).setZero();
+    for (Eigen::Index k = 0; k < raw; ++k)
+      if (c.stretch.raw.interval[static_cast<std::size_t>(k / 6)] >= intervals) own.row(motion + k).setZero();
+    Eigen::MatrixXd penalty = Eigen::MatrixXd::Zero(nx + nt, nx + nt);
+    for (Eigen::Index i = 0; i < intervals; ++i)
+      for (int k = 0; k < kLocal; ++k)
+        for (int l = 0; l < kLocal; ++l)
+          for (int j = 0; j < 6; ++j) {
+            penalty(6 * (i + k) + j, 6 * (i + l) + j) += R3(k, l) / c.sizes.q[j];
+            const double delta = c.sizes.delta[raw_group(j, 6)];
+            if (d)
+              penalty(nc + 6 * (i + k) + j, nc + 6 * (i + l) + j) +=
+                  (RM.inside(k, l) + (i == 0 ? RM.start(k, l) : 0.0)) / (delta * delta);
+          }
+    Eigen::MatrixXd A = own.transpose() * own + penalty;
+    const Eigen::VectorXd pull = own.transpose() * r - penalty * x;
+    for (Eigen::Index i = 0; i < nx; ++i)  // knots that nothing sees
+      if (A(i, i) == 0.0) A(i, i) = 1.0;
+    const Eigen::MatrixXd Axt = A.topRightCorner(nx, nt), part = A.topLeftCorner(nx, nx);
+    const Eigen::MatrixXd expected_S = A.bottomRightCorner(nt, nt) - Axt.transpose() * part.ldlt().solve(Axt);
+    const Eigen::VectorXd expected_g = pull.tail(nt) - Axt.transpose() * part.ldlt().solve(pull.head(nx));
+    EXPECT_LT(
+        (scale.cwiseInverse().asDiagonal() * (said[b].S - expected_S) * scale.cwiseInverse().asDiagonal())
+            .cwiseAbs()
+            .maxCoeff(),
+        1e-6);
+    EXPECT_LT((said[b].g - expected_g).cwiseQuotient(scale).norm(),
+              1e-5 * expected_g.cwiseQuotient(scale).norm());
+  }
   const Eigen::MatrixXd off =
       scale.cwiseInverse().asDiagonal() * (found.S - S) * scale.cwiseInverse().asDiagonal();
   EXPECT_LT(off.cwiseAbs().maxCoeff(), 1e-6);

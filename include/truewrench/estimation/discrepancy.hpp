@@ -21,7 +21,9 @@ inline Keep unmasked(const Fit& fit) {
 // The sums of one log: of all channels together where each has every sample, else of each by itself.
 class LogMoments {
  public:
-  LogMoments(const Fit& fit, std::size_t l, const Keep& keep, bool squares) : n_(fit.channels()) {
+  // As MomentSums.
+  LogMoments(const Fit& fit, std::size_t l, const Keep& keep, const std::vector<double>& taus, bool squares)
+      : n_(fit.channels()) {
     const auto& stretches = fit.logs()[l].stretches;
     const auto rows = [&](const auto& visit) {
       for (std::size_t s = 0; s < stretches.size(); ++s)
@@ -30,7 +32,7 @@ class LogMoments {
     };
     bool whole = true;
     rows([&](const Stretch& s, Eigen::Index k) { whole = whole && s.raw.channels[k] == n_; });
-    sums_.assign(static_cast<std::size_t>(whole ? 1 : n_), MomentSums(whole ? n_ : 1, squares));
+    sums_.assign(static_cast<std::size_t>(whole ? 1 : n_), MomentSums(whole ? n_ : 1, taus, squares));
     rows([&](const Stretch& s, Eigen::Index k) {
       for (std::size_t i = 0; i < sums_.size(); ++i) {
         const auto at = n_ * k + static_cast<Eigen::Index>(i);
@@ -52,11 +54,15 @@ class LogMoments {
   std::vector<MomentSums> sums_;
 };
 
+// All that moments() and spread() ask for, of the samples that are left in.
+inline LogMoments unmasked_sums(const Fit& fit, std::size_t l) {
+  return {fit, l, unmasked(fit), {std::begin(constants::taus), std::end(constants::taus)}, true};
+}
+
 // (10.9) for the groups of one log, from the residuals of a fit without d.
-inline std::vector<Moment> moments(const Fit& fit, std::size_t l) {
+inline std::vector<Moment> moments(const Fit& fit, const LogMoments& log) {
   const int n = fit.channels();
   std::vector<MomentTotals> totals(static_cast<std::size_t>(raw_groups(n)));
-  const LogMoments log(fit, l, unmasked(fit), true);
   for (int i = 0; i < n; ++i)
     if (log.of(i).rows() >= 10.0)
       log.of(i).add_to(totals[static_cast<std::size_t>(raw_group(i, n))], log.place(i));
@@ -95,10 +101,10 @@ inline double unexplained(const Fit& fit, std::size_t l, const std::vector<Momen
   return least;
 }
 
-// What (10.9) adds to the covariance of C (6n, 6n) where the samples that `keep` names determine it:
+// What (10.9) adds to the covariance of C (6n, 6n) where the samples that are in the logs' sums determine it:
 // delta^2 (X^T X)^-1 X^T K X (X^T X)^-1, the prior's information beside X^T X.
 inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Moment>>& found,
-                              const Keep& keep) {
+                              const std::vector<LogMoments>& sums) {
   const int n = fit.channels();
   const Layout& layout = fit.layout();
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(6 * n, 6 * n);
@@ -108,9 +114,6 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
   offsets = offset_of;
   offsets.erase(std::unique(offsets.begin(), offsets.end()), offsets.end());
   const auto m = static_cast<Eigen::Index>(offsets.size());
-  std::vector<LogMoments> sums;
-  sums.reserve(fit.logs().size());
-  for (std::size_t l = 0; l < fit.logs().size(); ++l) sums.emplace_back(fit, l, keep, false);
   for (int i = 0; i < n; ++i) {
     Eigen::MatrixXd A = Eigen::MatrixXd::Zero(7 + m, 7 + m), B = A;  // of [C_i, u_i, offsets]
     for (int k = 0; k < 6; ++k) A(k, k) = 1.0 / fit.prior[layout.C + 6 * i + k];
@@ -141,6 +144,21 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
       for (int d = 0; d < 6; ++d) out(6 * i + c, 6 * i + d) = GBG(c, d);
   }
   return out;
+}
+
+// The same of the samples that `keep` names.
+inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Moment>>& found,
+                              const Keep& keep) {
+  std::vector<LogMoments> sums;
+  sums.reserve(found.size());
+  for (std::size_t l = 0; l < found.size(); ++l) {
+    std::vector<double> taus;
+    for (const Moment& of : found[l])
+      if (of.delta2 > 0.0 && std::find(taus.begin(), taus.end(), of.tau) == taus.end())
+        taus.push_back(of.tau);
+    sums.emplace_back(fit, l, keep, taus, false);
+  }
+  return spread(fit, found, sums);
 }
 
 }  // namespace truewrench

@@ -51,7 +51,8 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
   Fit& fit = *best.fit;
   out.fit = best.fit;
   out.moments = best.moments;
-  if (fit.failed || !fit.stands()) {
+  // where it converged, its last step, which follows the factorisation, is less than 0.05 sigma
+  if (fit.failed || !(fit.converged ? fit.stands() : fit.linearise() && fit.solve())) {
     out.status = Status::not_factorizable;
     return;
   }
@@ -59,20 +60,8 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
   // the parts of the record
   const std::vector<std::vector<Moment>> found =
       best.found ? std::vector<std::vector<Moment>>{} : best.moments;
-  const auto place = [&fit](std::size_t l, std::size_t s, Eigen::Index k) {  // 0 ... 1 within the log
-    const auto& stretches = fit.logs()[l].stretches;
-    const double begin = stretches.front().spline.begin(), end = stretches.back().spline.end();
-    return (stretches[s].raw.time[k] - begin) / (end - begin);
-  };
-  out.halves = agreement(fit, found,
-                         [&](std::size_t l, std::size_t s, Eigen::Index k) { return place(l, s, k) < 0.5; });
-  out.quarters = agreement(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
-    return static_cast<int>(std::floor(4.0 * place(l, s, k))) % 2 == 0;
-  });
-  if (!fit.linearise() || !fit.solve()) {
-    out.status = Status::not_factorizable;
-    return;
-  }
+  out.halves = agreement(fit, found, 0, 1);
+  out.quarters = agreement(fit, found, 0, 2);
   out.covariance = fit.covariance();
   out.added = best.added;
   out.pose = pose_share(fit);

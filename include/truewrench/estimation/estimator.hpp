@@ -193,7 +193,7 @@ class Estimator {
     if (!SpacingSearch::noisy(fit)) return 0.0;
     Fit masked = fit;
     set_mask(masked);
-    return unexplained(masked, 0, moments(masked, 0));
+    return unexplained(masked, 0, moments(masked, unmasked_sums(masked, 0)));
   }
 
   static void clear_mask(LogFit& log) {
@@ -306,8 +306,12 @@ class Estimator {
     Candidate rows{plain, {}, {}, 0.0, false};
     const int n = plain->channels();
     if (plain->failed) return rows;
-    for (std::size_t l = 0; l < plain->logs().size(); ++l) rows.moments.push_back(moments(*plain, l));
-    rows.added = spread(*plain, rows.moments, unmasked(*plain));
+    std::vector<LogMoments> sums;
+    for (std::size_t l = 0; l < plain->logs().size(); ++l) {
+      sums.push_back(unmasked_sums(*plain, l));
+      rows.moments.push_back(moments(*plain, sums.back()));
+    }
+    rows.added = spread(*plain, rows.moments, sums);
     const Eigen::MatrixXd P = plain->covariance();
     for (int i = 0; i < 6 * n; ++i) rows.share = std::max(rows.share, rows.added(i, i) / P(i, i));
     if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;

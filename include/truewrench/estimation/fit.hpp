@@ -3,7 +3,7 @@
 #pragma once
 
 #include "truewrench/estimation/delay.hpp"
-#include "truewrench/estimation/traces.hpp"
+#include "truewrench/estimation/log_fit.hpp"
 #include "truewrench/parallel.hpp"
 
 #include <algorithm>
@@ -11,19 +11,6 @@
 #include <memory>
 
 namespace truewrench {
-
-// One log within a fit.
-struct LogFit {
-  const RecordedLog* log = nullptr;
-  const RecordedLog* whole = nullptr;           // of which `log` is gathered, else null
-  std::shared_ptr<const RecordedLog> gathered;  // owner of such a `log`
-  double h = constants::knot_spacing;
-  double period = 0.01;  // [s] of the sensor's rows
-  std::vector<Stretch> stretches;
-  std::vector<Sweep> sweeps;
-  Sizes sizes;
-  double tau_step = 0.0, tau_limit = 0.7;  // of the last move of log k
-};
 
 class Fit {
  public:
@@ -77,6 +64,7 @@ class Fit {
   const Eigen::MatrixXd& S() const { return S_; }
   const Eigen::VectorXd& step() const { return step_; }
   const Eigen::VectorXd& stated() const { return stated_; }
+  const std::array<Quarter, 4>& quarters() const { return quarters_; }  // of the last linearisation
   double log_determinant() const { return logdet_x_ + logdet_s_; }
 
   Eigen::VectorXd local(std::size_t l) const { return pick(theta, layout_.log(l)); }
@@ -126,34 +114,55 @@ class Fit {
   // Information and gradient of all rows, the motion eliminated; false where a factorisation fails.
   bool linearise() {
     std::vector<std::vector<Information>> parts(logs_.size());
-    for (std::size_t l = 0; l < logs_.size(); ++l) parts[l].resize(logs_[l].stretches.size());
-    each_stretch([this, &parts](std::size_t l, Stretch& s, Sweep& sweep) {
+    std::vector<std::vector<std::vector<Information>>> said(logs_.size());
+    for (std::size_t l = 0; l < logs_.size(); ++l) {
+      parts[l].resize(logs_[l].stretches.size());
+      said[l].resize(logs_[l].stretches.size());
+    }
+    each_stretch([&](std::size_t l, Stretch& s, Sweep& sweep) {
       const auto i = static_cast<std::size_t>(&s - logs_[l].stretches.data());
-      parts[l][i] = sweep.forward(s, layout_.log(l), local(l), lagged, logs_[l].sizes);
+      parts[l][i] = sweep.forward(s, layout_.log(l), local(l), lagged, logs_[l].sizes, Sweep::Extent::whole,
+                                  breaks(logs_[l], s), &said[l][i]);
     });
     const Eigen::Index nt = layout_.size();
-    data_ = Eigen::MatrixXd::Zero(nt, nt);
-    gradient_ = Eigen::VectorXd::Zero(nt);
+    const Quarter nothing{Eigen::MatrixXd::Zero(nt, nt), Eigen::VectorXd::Zero(nt)};
+    Quarter all = nothing;
+    quarters_.fill(nothing);
     logdet_x_ = 0.0;
     log_data_.assign(logs_.size(), Eigen::MatrixXd());
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const std::vector<int>& at = layout_.log(l).global;
+      const auto add = [&at](Quarter& to, const Information& part, double times) {
+        for (std::size_t i = 0; i < at.size(); ++i) {
+          to.g[at[i]] += times * part.g[static_cast<Eigen::Index>(i)];
+          for (std::size_t j = 0; j < at.size(); ++j)
+            to.S(at[i], at[j]) += times * part.S(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+        }
+      };
       log_data_[l] =
           Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(at.size()), static_cast<Eigen::Index>(at.size()));
-      for (const Information& part : parts[l]) {
+      for (std::size_t i = 0; i < parts[l].size(); ++i) {
+        const Information& part = parts[l][i];
         if (!std::isfinite(part.logdet)) {
           failed = true;
           return false;
         }
         logdet_x_ += part.logdet;
         log_data_[l] += part.S;
-        for (std::size_t i = 0; i < at.size(); ++i) {
-          gradient_[at[i]] += part.g[static_cast<Eigen::Index>(i)];
-          for (std::size_t j = 0; j < at.size(); ++j)
-            data_(at[i], at[j]) += part.S(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+        add(all, part, 1.0);
+        const auto quarter = [&](int block) -> Quarter& {
+          return quarters_[quarter_of(logs_[l], logs_[l].stretches[i], block)];
+        };
+        add(quarter(static_cast<int>(logs_[l].stretches[i].spline.blocks()) - 1), part, 1.0);
+        const std::vector<int> ends = breaks(logs_[l], logs_[l].stretches[i]);
+        for (std::size_t k = 0; k < said[l][i].size(); ++k) {
+          add(quarter(ends[k]), said[l][i][k], 1.0);
+          add(quarter(ends[k] + 1), said[l][i][k], -1.0);
         }
       }
     }
+    data_ = all.S;
+    gradient_ = all.g;
     return true;
   }
 
@@ -177,6 +186,14 @@ class Fit {
         P_(use[i], use[j]) = inverse(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
     step_ = dense::times(P_, pull());
     return true;
+  }
+
+  // - half the gradient in theta, the motion eliminated, of rows with this gradient, such a share of all, and of the prior.
+  Eigen::VectorXd pull(const Eigen::VectorXd& gradient, double share) const {
+    Eigen::VectorXd out(layout_.size());
+    for (Eigen::Index i = 0; i < out.size(); ++i)
+      out[i] = gradient[i] - (theta[i] - layout_.mean()[i]) / prior[i] - 0.5 * share * slope_[i];
+    return out;
   }
 
   // Covariance of theta; what is held adds the width of its prior (10.1).
@@ -427,6 +444,7 @@ class Fit {
   Eigen::VectorXd slope_, slope_at_;  // what x adds to kappa's gradient, and where that was found
   Eigen::MatrixXd data_, S_, P_;
   std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
+  std::array<Quarter, 4> quarters_;
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
   std::vector<DelaySums> delays_;  // of each log, at the begin of an iteration
   bool imitated_ = false;
@@ -464,13 +482,7 @@ class Fit {
     return active == other.active && move < 1.0;
   }
 
-  // - half the gradient of all terms in theta, the motion eliminated.
-  Eigen::VectorXd pull() const {
-    Eigen::VectorXd out(layout_.size());
-    for (Eigen::Index i = 0; i < out.size(); ++i)
-      out[i] = gradient_[i] - (theta[i] - layout_.mean()[i]) / prior[i] - 0.5 * slope_[i];
-    return out;
-  }
+  Eigen::VectorXd pull() const { return pull(gradient_, 1.0); }
 
   Eigen::MatrixXd with_prior() const {
     Eigen::MatrixXd S = data_;

@@ -50,9 +50,12 @@ struct MomentTotals {
 // projected out at the end, and a change of theta moves them within it.
 class MomentSums {
  public:
-  // Of channels with samples at the same times; `squares`: with K^2, which add_to() asks for.
-  explicit MomentSums(int channels = 6, bool squares = true)
-      : n_(channels), d_(7 + 2 * channels), squares_(squares) {
+  // Of channels with samples at the same times.
+  explicit MomentSums(int channels = 6)
+      : MomentSums(channels, {std::begin(constants::taus), std::end(constants::taus)}, true) {}
+  // With K of these taus; `squares`: and K^2, which add_to() asks for, of all.
+  MomentSums(int channels, const std::vector<double>& taus, bool squares)
+      : n_(channels), d_(7 + 2 * channels), squares_(squares), taus_(taus), kernels_(taus.size()) {
     const auto d = static_cast<std::size_t>(d_);
     ZZ_.assign(d * d, 0.0);
     for (Kernel& k : kernels_) {
@@ -90,7 +93,7 @@ class MomentSums {
     trace_ += c2;
     for (std::size_t t = 0; t < kernels_.size(); ++t) {
       Kernel& k = kernels_[t];
-      const double x = dt / constants::taus[t], e = std::exp(-x), ee = e * e;
+      const double x = dt / taus_[t], e = std::exp(-x), ee = e * e;
       k.p2 = ee * (k.p2 + 2.0 * x * k.p1 + x * x * k.p0);
       k.p1 = ee * (k.p1 + x * k.p0);
       k.p0 *= ee;
@@ -174,7 +177,8 @@ class MomentSums {
   // Elements of X^T X and X^T K X of a channel, X = [w, 1, (C_0 w)_i^2].
   double product(int i, int k, int l) const { return entry(ZZ_, k, l, i, false); }
   double correlated(int i, double tau, int k, int l) const {
-    return entry(kernels_[place_of(tau)].KZ, k, l, i, true);
+    const auto at = std::find(taus_.begin(), taus_.end(), tau) - taus_.begin();
+    return entry(kernels_[static_cast<std::size_t>(at)].KZ, k, l, i, true);
   }
 
   // X^T X and delta^2 X^T K X of [C_i, u_i], added to A and B; the offset, of
@@ -208,14 +212,9 @@ class MomentSums {
   bool squares_, started_ = false;
   double time_ = 0.0, rows_ = 0.0, trace_ = 0.0;
   std::vector<double> ZZ_;  // (d, d)
-  std::array<Kernel, std::size(constants::taus)> kernels_;
+  std::vector<double> taus_;
+  std::vector<Kernel> kernels_;
   std::vector<double> z_, f_, q_, e_;
-
-  static std::size_t place_of(double tau) {
-    std::size_t t = 0;
-    while (t + 1 < MomentTotals::count && constants::taus[t] != tau) ++t;
-    return t;
-  }
 
   void outer(std::vector<double>& to, const std::vector<double>& a, const std::vector<double>& b,
              double scale = 1.0) const {

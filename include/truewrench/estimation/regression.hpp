@@ -46,14 +46,14 @@ class Regression {
     weight_.push_back(1.0);
   }
 
-  // By one round of plain least squares, or (`cauchy`) 15 with weights. nominal (n, 6): what the gain departs from; prior(i, k):
+  // By one round of plain least squares, or (`cauchy`) up to 15 with weights, until no scale moves by 0.1 %. nominal (n, 6): what the gain departs from; prior(i, k):
   // variances of gains k < 6 of channel i, and of its offsets. False where they determine nothing.
   template <typename Prior>
   bool fit(const double* nominal, const Eigen::VectorXd& noise, const Prior& prior, bool cauchy) {
     set_work();
     for (int round = 0; round < (cauchy ? 15 : 1); ++round) {
       if (!solve(nominal, prior)) return false;
-      if (cauchy) reweigh(noise);
+      if (cauchy && reweigh(noise) < 1e-3) break;
     }
     return true;
   }
@@ -153,8 +153,10 @@ class Regression {
     }
   }
 
-  // Scales: 1.48 median of the residuals, and at least the stated sigma. Cauchy weights: (1 + n) / (1 + chi^2_n).
-  void reweigh(const Eigen::VectorXd& noise) {
+  // Scales: 1.48 median of the residuals, and at least the stated sigma. Cauchy weights: (1 + n) / (1 + chi^2_n). Returns by how
+  // much the scales moved.
+  double reweigh(const Eigen::VectorXd& noise) {
+    double moved = 0.0;
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       Log& log = logs_[l];
       for (int i = 0; i < n_; ++i) {
@@ -173,7 +175,9 @@ class Regression {
         if (sizes_.empty()) continue;
         const auto middle = sizes_.begin() + static_cast<std::ptrdiff_t>(sizes_.size() / 2);
         std::nth_element(sizes_.begin(), middle, sizes_.end());
-        log.scale[i] = std::max(1.48 * *middle, noise[i]);
+        const double scale = std::max(1.48 * *middle, noise[i]);
+        moved = std::max(moved, std::abs(std::log(scale / log.scale[i])));
+        log.scale[i] = scale;
       }
       for (std::size_t k = log.first; k < rows_end(l); ++k) {
         const double* r = residual_.data() + k * static_cast<std::size_t>(n_);
@@ -187,6 +191,7 @@ class Regression {
         weight_[k] = (1.0 + channels) / (1.0 + chi2);
       }
     }
+    return moved;
   }
 };
 

@@ -110,12 +110,6 @@ inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
   return out;
 }
 
-struct Scan {
-  double log_p = 0.0;         // of the most striking interval, times their number
-  double log_p_suffix = 0.0;  // and of the most striking suffix, times theirs
-  double begin = 0.0;         // [s] of that suffix
-};
-
 // Information and score of the blocks of an interval, as they are added.
 struct IntervalSums {
   IntervalSums(int channels, int width_, std::size_t rows)
@@ -187,13 +181,14 @@ inline std::vector<std::vector<std::vector<double>>> crossed(const std::vector<S
   return out;
 }
 
-// z^T I^-1 z of intervals of blocks up to 30 s long, and of all suffixes.
-inline Scan scan(const Fit& fit, std::size_t l) {
+// The begin [s] of the best suffix of a log where the scan of z^T I^-1 z of intervals of blocks up to 30 s long and of all
+// suffixes, and the suffixes alone, find p times their number below `doubt` (10.8).
+inline std::optional<double> best_step(Fit& fit, std::size_t l) {
+  if (!fit.stands()) return std::nullopt;
   const std::vector<ScoredBlock> blocks = scored_blocks(fit, l);
   const int n = fit.channels(), width = dense::padded(n);
   const std::size_t G = blocks.size();
-  Scan out;
-  if (G < 2) return out;
+  if (G < 2) return std::nullopt;
   const auto with = crossed(blocks, n, width);
   const Stretch& front = fit.logs()[l].stretches.front();
   const double length = kBlock * front.spline.h() * scored_together(front);
@@ -211,8 +206,7 @@ inline Scan scan(const Fit& fit, std::size_t l) {
   }
   Eigen::VectorXd v(n);
   for (int i = 0; i < n; ++i) v[i] = std::pow(fit.sigma(l, i), -2.0);
-  double best = 0.0, best_suffix = 0.0;
-  double count = 0.0, count_suffix = 0.0;
+  double best = 0.0, count = 0.0, begin = 0.0;
   std::vector<double> I(sums.R.size());
   const auto score = [&](const Eigen::VectorXd& z, const std::vector<double>& of, std::size_t i,
                          std::size_t j) {
@@ -225,11 +219,15 @@ inline Scan scan(const Fit& fit, std::size_t l) {
   for (std::size_t i = 1; i < G; ++i) {
     if (suffix_samples[i] < 3) break;
     const double x = score(suffix_z[i], suffixes[i], i, G);
-    count_suffix += 1.0;
-    if (x <= best_suffix) continue;
-    best_suffix = x;
-    out.begin = blocks[i].begin;
+    count += 1.0;
+    if (x <= best) continue;
+    best = x;
+    begin = blocks[i].begin;
   }
+  const auto doubted = [&] {
+    return chi_square_log_tail(best, n) + std::log(std::max(count, 1.0)) <= std::log(constants::doubt);
+  };
+  if (!doubted()) return std::nullopt;
   for (std::size_t i = 0; i < G; ++i) {
     sums.clear();
     for (std::size_t j = i; j < std::min(G - 1, i + longest); ++j) {  // [i, j + 1)
@@ -241,19 +239,7 @@ inline Scan scan(const Fit& fit, std::size_t l) {
       best = std::max(best, score(sums.z, sums.finish(), i, j + 1));
     }
   }
-  best = std::max(best, best_suffix);
-  count += count_suffix;
-  out.log_p = chi_square_log_tail(best, n) + std::log(std::max(count, 1.0));
-  out.log_p_suffix = chi_square_log_tail(best_suffix, n) + std::log(std::max(count_suffix, 1.0));
-  return out;
-}
-
-// The begin [s] of the best suffix of a log where the scan, and the suffixes alone, find p * intervals < level.
-inline std::optional<double> best_step(Fit& fit, std::size_t l) {
-  if (!fit.stands()) return std::nullopt;
-  const Scan found = scan(fit, l);
-  if (std::max(found.log_p, found.log_p_suffix) > std::log(constants::doubt)) return std::nullopt;
-  return found.begin;
+  return doubted() ? std::optional(begin) : std::nullopt;
 }
 
 // One comparison of two parts of the record (10.11).
@@ -292,46 +278,45 @@ inline Agreement compare(const std::array<Eigen::VectorXd, 2>& mean, const std::
   return out;
 }
 
-// (10.11) for the samples of the sensor that `part` names against the others, all motion rows kept, at the last linearisation and
-// sizes; `found`: (10.9), empty where d is in the fit.
-inline Agreement agreement(Fit& fit, const std::vector<std::vector<Moment>>& found, const Keep& part) {
-  std::vector<std::vector<Eigen::VectorXd>> weight;
-  for (const LogFit& log : fit.logs()) {
-    weight.emplace_back();
-    for (const Stretch& s : log.stretches) weight.back().push_back(s.raw.weight);
-  }
+// (10.11) of two quarters of the record against the others, `first` and `second`, at the last linearisation and sizes; `found`:
+// (10.9), empty where d is in the fit.
+inline Agreement agreement(const Fit& fit, const std::vector<std::vector<Moment>>& found, std::size_t first,
+                           std::size_t second) {
   const int n = fit.channels();
   const std::vector<int> use = fit.active_places();
+  const auto size = static_cast<Eigen::Index>(use.size());
   std::array<Eigen::VectorXd, 2> mean;
   std::array<Eigen::MatrixXd, 2> P;
   Eigen::MatrixXd added = Eigen::MatrixXd::Zero(6 * n, 6 * n);
-  Eigen::VectorXd prior(use.size());
-  bool solved = true;
-  for (const bool first : {true, false}) {
-    const Keep keep = [&](std::size_t l, std::size_t s, Eigen::Index k) { return part(l, s, k) == first; };
-    for (std::size_t l = 0; l < fit.logs().size(); ++l)
-      for (std::size_t s = 0; s < fit.logs()[l].stretches.size(); ++s)
-        for (Eigen::Index k = 0; k < weight[l][s].size(); ++k)
-          fit.logs()[l].stretches[s].raw.weight[k] = keep(l, s, k) ? weight[l][s][k] : 0.0;
-    solved = solved && fit.linearise() && fit.solve(true);
-    if (!solved) break;
-    const std::size_t at = first ? 0 : 1;
-    mean[at] = Eigen::VectorXd(use.size());
-    for (std::size_t i = 0; i < use.size(); ++i) {
-      const auto iu = static_cast<Eigen::Index>(i);
-      mean[at][iu] = fit.theta[use[i]] + fit.step()[use[i]];
-      prior[iu] = fit.prior[use[i]];
+  Eigen::VectorXd prior(size);
+  for (Eigen::Index i = 0; i < size; ++i) prior[i] = fit.prior[use[static_cast<std::size_t>(i)]];
+  for (const std::size_t part : {0, 1}) {
+    const auto within = [&](std::size_t q) { return (q == first || q == second) == (part == 0); };
+    Eigen::MatrixXd S = Eigen::MatrixXd::Zero(fit.prior.size(), fit.prior.size());
+    Eigen::VectorXd g = Eigen::VectorXd::Zero(fit.prior.size());
+    for (std::size_t q = 0; q < 4; ++q)
+      if (within(q)) {
+        S += fit.quarters()[q].S;
+        g += fit.quarters()[q].g;
+      }
+    Eigen::MatrixXd told = Fit::gather(S, use);
+    const Eigen::VectorXd pull = fit.pull(g, 0.5);
+    Eigen::VectorXd right(size);
+    for (Eigen::Index i = 0; i < size; ++i) {
+      told(i, i) += 1.0 / prior[i];
+      right[i] = pull[use[static_cast<std::size_t>(i)]];
     }
-    P[at] = Fit::gather(fit.P(), use);
+    double logdet = 0.0;
+    if (!dense::invert(told, P[part], logdet)) return {};
+    mean[part] = dense::times(P[part], right);  // apart from where it was linearised
     if (found.empty()) continue;
     const Keep clean = unmasked(fit);
     added += spread(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
-      return keep(l, s, k) && clean(l, s, k);
+      const LogFit& log = fit.logs()[l];
+      return clean(l, s, k) && within(quarter_of(place(log, log.stretches[s].raw.time[k])));
     });
   }
-  for (std::size_t l = 0; l < fit.logs().size(); ++l)
-    for (std::size_t s = 0; s < weight[l].size(); ++s) fit.logs()[l].stretches[s].raw.weight = weight[l][s];
-  return solved ? compare(mean, P, added, prior) : Agreement();
+  return compare(mean, P, added, prior);
 }
 
 }  // namespace truewrench

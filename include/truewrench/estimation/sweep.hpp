@@ -33,9 +33,11 @@ class Sweep {
   // stand, where only the smoothness and the motion's clocks differ.
   enum class Extent { whole, determinant, determinant_again };
 
-  // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction.
+  // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction. `said`, where it is
+  // asked for: what the rows of blocks 0 ... g say by themselves, for every g of `breaks`, increasing.
   Information forward(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta,
-                      const RowMatrix& lagged, const Sizes& sizes, Extent extent = Extent::whole) {
+                      const RowMatrix& lagged, const Sizes& sizes, Extent extent = Extent::whole,
+                      const std::vector<int>& breaks = {}, std::vector<Information>* said = nullptr) {
     setup(s, columns, theta, lagged, sizes, extent);
     Information out;
     const int last = blocks() - 1;
@@ -47,14 +49,10 @@ class Sweep {
         out.logdet = std::nan("");
         return out;
       }
+      if (said && g < last && said->size() < breaks.size() && breaks[said->size()] == g)
+        said->push_back(said_so_far(N));
     }
-    if (alone_) return out;
-    out.S.resize(shape_.nt, shape_.nt);
-    out.g.resize(shape_.nt);
-    for (int i = 0; i < shape_.nt; ++i) {
-      for (int j = i; j < shape_.nt; ++j) out.S(i, j) = out.S(j, i) = tt(i, j);
-      out.g[i] = tt(i, shape_.nt);
-    }
+    if (!alone_) write(htt_, out);
     return out;
   }
 
@@ -143,6 +141,24 @@ class Sweep {
     return panels_.data() + static_cast<std::ptrdiff_t>(g) * shape_.W * shape_.ld;
   }
   double& tt(int i, int j) { return htt_[shape_.tt(i, j)]; }
+  void write(const std::vector<double>& T, Information& out) const {
+    const int nt = shape_.nt;
+    out.S.resize(nt, nt);
+    out.g.resize(nt);
+    for (int i = 0; i < nt; ++i) {
+      for (int j = i; j < nt; ++j) out.S(i, j) = out.S(j, i) = T[shape_.tt(i, j)];
+      out.g[i] = T[shape_.tt(i, nt)];
+    }
+  }
+  // The rows N of the next block eliminated too, as they stand.
+  Information said_so_far(const double* N) const {
+    Information out;
+    std::vector<double> rows(N, N + shape_.W * shape_.ld), T = htt_;
+    rows.resize(rows.size() + 8);
+    if (!shape_.eliminate(rows.data(), nullptr, T.data(), out.logdet)) out.logdet = std::nan("");
+    write(T, out);
+    return out;
+  }
 
   void setup(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
              const Sizes& sizes, Extent extent) {
