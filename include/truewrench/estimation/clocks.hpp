@@ -31,8 +31,8 @@ inline void Fit::compare_delays() {
 inline void Fit::imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& bend) const {
   if (!imitated_) return;
   for (std::size_t l = 0; l < logs_.size(); ++l) {
-    const Columns& c = layout_.log(l);
-    if (c.clock.empty() || c.global[static_cast<std::size_t>(c.clock[0])] != i) continue;
+    const Columns& c = layout_.in_theta(l);
+    if (c.clock.empty() || c.clock[0] != i) continue;
     L.setZero();
     bend = Eigen::VectorXd::Zero(L.size());
     for (int r = 0; r < n_; ++r) {
@@ -42,8 +42,8 @@ inline void Fit::imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& be
         L[layout_.C + 6 * r + j] = -gain[0][j];
         bend[layout_.C + 6 * r + j] = gain[1][j];
       }
-      L[c.global[static_cast<std::size_t>(c.b + r)]] = -offset[0];
-      bend[c.global[static_cast<std::size_t>(c.b + r)]] = offset[1];
+      L[c.b + r] = -offset[0];
+      bend[c.b + r] = offset[1];
     }
   }
 }
@@ -55,8 +55,7 @@ inline bool Fit::clock_prior() {
   if (!dense::invert(with_prior(), P, logdet)) return false;
   const Eigen::VectorXd step = dense::times(P, pull());
   for (std::size_t l = 0; l < logs_.size(); ++l)
-    for (const int at : layout_.log(l).clock) {
-      const int i = layout_.log(l).global[static_cast<std::size_t>(at)];
+    for (const int i : layout_.in_theta(l).clock) {
       const double s = theta[i] + step[i];
       const double V = 1.0 / std::max(1.0 / P(i, i) - 1.0 / prior[i], 1e-12);
       const double apart = (s - layout_.mean()[i]) * V / P(i, i);
@@ -87,10 +86,10 @@ inline bool Fit::hold(bool& moved) {
     rest(i);
   };
   for (std::size_t l = 0; l < logs_.size(); ++l) {
-    const Columns& c = layout_.log(l);
-    if (imitated_ && !c.clock.empty()) rest(c.global[static_cast<std::size_t>(c.clock[0])]);
-    for (const int at : c.clock) judge(c.global[static_cast<std::size_t>(at + 1)]);
-    if (c.gamma >= 0) judge(c.global[static_cast<std::size_t>(c.gamma)]);
+    const Columns& c = layout_.in_theta(l);
+    if (imitated_ && !c.clock.empty()) rest(c.clock[0]);
+    for (const int at : c.clock) judge(at + 1);
+    if (c.gamma >= 0) judge(c.gamma);
   }
   return true;
 }
@@ -182,8 +181,8 @@ inline bool Fit::slope_holds(int k) const {
 
 inline bool Fit::slopes_hold() const {
   for (std::size_t l = 0; l < logs_.size(); ++l)
-    for (const int clock : layout_.log(l).clock)
-      if (!slope_holds(layout_.log(l).global[static_cast<std::size_t>(clock + 1)])) return false;
+    for (const int clock : layout_.in_theta(l).clock)
+      if (!slope_holds(clock + 1)) return false;
   return true;
 }
 

@@ -109,8 +109,7 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
   const Layout& layout = fit.layout();
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(6 * n, 6 * n);
   std::vector<int> offset_of, offsets;
-  for (std::size_t l = 0; l < fit.logs().size(); ++l)
-    offset_of.push_back(layout.log(l).global[static_cast<std::size_t>(layout.log(l).b)]);
+  for (std::size_t l = 0; l < fit.logs().size(); ++l) offset_of.push_back(layout.in_theta(l).b);
   offsets = offset_of;
   offsets.erase(std::unique(offsets.begin(), offsets.end()), offsets.end());
   const auto m = static_cast<Eigen::Index>(offsets.size());

@@ -135,8 +135,7 @@ inline double Fit::resize() {
   };
   resize_block(layout_.u, constants::departure_floor);
   for (std::size_t l = 0; l < logs_.size(); ++l)
-    for (const int step : layout_.log(l).steps)
-      resize_block(layout_.log(l).global[static_cast<std::size_t>(step)], constants::departure_floor);
+    for (const int step : layout_.in_theta(l).steps) resize_block(step, constants::departure_floor);
   reweigh();
   return move;
 }

@@ -10,7 +10,7 @@ inline void Lag::carry(const RecordedLog& about) {
   about_ = about;
   layout_ = Layout(rig_, {&about_}, {});
   nt_ = layout_.size();
-  columns_ = layout_.log(0).in_theta();
+  columns_ = layout_.in_theta(0);
   streams_ = about_.motion.size();
   felt_ = (rig_.gravity[0] != 0.0 || rig_.gravity[1] != 0.0 || rig_.gravity[2] != 0.0) &&
           about_.source != Source::imu;

@@ -28,7 +28,7 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
         part.remainder[i][ju] = s.motion[i].remainder[j] * std::pow(recorded.motion[i].sigma[j], -2.0);
       }
   }
-  const Columns columns = layout.log(l).in_theta();
+  const Columns& columns = layout.in_theta(l);
   const double deviance =
       alone.fit(recorded, log.h, log.sizes, [&](std::size_t k, std::size_t i, const auto& visit) {
         const Stretch& s = log.stretches[k];
@@ -62,7 +62,7 @@ inline void regress(Fit& fit, bool cauchy) {
   regression.begin(n);
   std::vector<int> places;  // of offsets in theta
   for (std::size_t l = 0; l < fit.logs().size(); ++l) {
-    const int offset = fit.layout().log(l).in_theta().b;
+    const int offset = fit.layout().in_theta(l).b;
     if (places.empty() || places.back() != offset) places.push_back(offset);
     regression.begin_log(static_cast<int>(places.size()) - 1, rig.noise);
     for (const Stretch& s : fit.logs()[l].stretches)

@@ -108,6 +108,7 @@ class Layout {
         for (std::size_t j = 0; j < steps[l].size(); ++j)
           c.steps.push_back(take(add(n, constants::departure_start), n));
       }
+      in_theta_.push_back(c.in_theta());
       logs_.push_back(std::move(c));
     }
   }
@@ -116,6 +117,7 @@ class Layout {
   const Eigen::VectorXd& mean() const { return mean_; }
   const Eigen::VectorXd& sigma() const { return sigma_; }
   const Columns& log(std::size_t l) const { return logs_[l]; }
+  const Columns& in_theta(std::size_t l) const { return in_theta_[l]; }
   std::size_t logs() const { return logs_.size(); }
 
   int C = 0, u = 0, slope = -1, tilt = -1;
@@ -123,7 +125,7 @@ class Layout {
 
  private:
   Eigen::VectorXd mean_, sigma_;  // theta_0 and the roots of diag Pi
-  std::vector<Columns> logs_;
+  std::vector<Columns> logs_, in_theta_;
 
   // The last values of a vector.
   static void set(Eigen::VectorXd& v, const double* values, int count) {
