@@ -33,7 +33,6 @@ struct LoopCase {
     about.point = about.payload.center_of_mass;
     about.raw.resize(0, 6);
     MotionStream twist;
-    twist.value.resize(0, 6);
     twist.sigma = Vector6::Constant(velocity_noise);
     twist.group.resize(6);
     twist.group << 0, 0, 0, 1, 1, 1;

@@ -33,14 +33,7 @@ class Fit {
     lagged = rig_->nominal;
     for (LogFit& l : logs_) {
       l.sweeps.resize(l.stretches.size());
-      Sizes& z = l.sizes;
-      z.raw_factor = Eigen::VectorXd::Ones(raw_groups(n_));
-      z.q = Eigen::VectorXd::Constant(l.log->components(), constants::smoothness_start);
-      z.delta = Eigen::VectorXd::Zero(raw_groups(n_));
-      z.cap = Eigen::VectorXd::Constant(raw_groups(n_), std::numeric_limits<double>::infinity());
-      z.motion_factor.clear();
-      for (const MotionStream& m : l.log->motion)
-        z.motion_factor.push_back(Eigen::VectorXd::Ones(m.group.maxCoeff() + 1));
+      l.sizes = starting_sizes(*l.log, n_);
     }
   }
 

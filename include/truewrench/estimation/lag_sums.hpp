@@ -8,6 +8,7 @@ namespace truewrench {
 
 inline void Lag::carry(const RecordedLog& about) {
   about_ = about;
+  for (MotionStream& m : about_.motion) m.value.resize(0, kComponents);  // whatever a log without samples has
   layout_ = Layout(rig_, {&about_}, {});
   nt_ = layout_.size();
   columns_ = layout_.in_theta(0);
@@ -16,14 +17,7 @@ inline void Lag::carry(const RecordedLog& about) {
           about_.source != Source::imu;
   theta = layout_.mean();
   products_ = Products(n_, columns_.C, columns_.body, nt_, about_.payload, rig_.range);
-  sizes.raw_factor = Eigen::VectorXd::Ones(raw_groups(n_));
-  sizes.q = Eigen::VectorXd::Constant(kComponents, constants::smoothness_start);
-  sizes.motion_factor.clear();
-  for (const MotionStream& m : about_.motion) {
-    int groups = 0;
-    for (Eigen::Index j = 0; j < m.group.size(); ++j) groups = std::max(groups, m.group[j] + 1);
-    sizes.motion_factor.push_back(Eigen::VectorXd::Ones(groups));
-  }
+  sizes = starting_sizes(about_, n_);
   lagged = rig_.nominal;
 }
 

@@ -25,6 +25,19 @@ struct Sizes {
 inline int raw_groups(int channels) { return channels == 6 ? 2 : 1; }
 inline int raw_group(int channel, int channels) { return channels == 6 && channel >= 3 ? 1 : 0; }
 
+// Where a fit of a log begins (10.6).
+inline Sizes starting_sizes(const RecordedLog& log, int channels) {
+  Sizes out;
+  const int groups = raw_groups(channels);
+  out.raw_factor = Eigen::VectorXd::Ones(groups);
+  for (const MotionStream& m : log.motion)
+    out.motion_factor.push_back(Eigen::VectorXd::Ones(m.group.maxCoeff() + 1));
+  out.q = Eigen::VectorXd::Constant(log.components(), constants::smoothness_start);
+  out.delta = Eigen::VectorXd::Zero(groups);
+  out.cap = Eigen::VectorXd::Constant(groups, std::numeric_limits<double>::infinity());
+  return out;
+}
+
 // p of (10.1) for a component of the motion spline (METHOD 10.1, 10.6).
 inline int smoothness_order(Source source, int component) {
   if (source == Source::mapped) return 4;
