@@ -8,6 +8,7 @@
 #include "truewrench/estimation/spacing.hpp"
 
 #include <cmath>
+#include <map>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -78,6 +79,14 @@ class Estimator {
   Settings settings_;
   std::vector<std::vector<Piece>> pieces_;
   std::vector<std::size_t> rungs_;  // by log: h in its ladder
+  mutable std::map<const RecordedLog*, double> periods_;
+
+  // Of the sensor's samples, in the median.
+  double period_of(const RecordedLog& log) const {
+    const auto known = periods_.find(&log);
+    if (known != periods_.end()) return known->second;
+    return periods_[&log] = median_period(sensor_times(log));
+  }
 
   LogFit log_fit(std::size_t l, const std::vector<Piece>& pieces, double h) const {
     LogFit out;
@@ -85,9 +94,9 @@ class Estimator {
     out.whole = gathered_[l] ? whole_[l] : nullptr;
     out.gathered = gathered_[l];
     out.h = h;
-    out.period = median_period(sensor_times(*recorded_[l]));
-    const double period = median_period(sensor_times(*whole_[l]));
-    for (const Piece& p : pieces) out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, period, h);
+    out.period = period_of(*recorded_[l]);
+    for (const Piece& p : pieces)
+      out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, period_of(*whole_[l]), h);
     return out;
   }
 

@@ -57,7 +57,8 @@ class Fit {
   const Eigen::MatrixXd& S() const { return S_; }
   const Eigen::VectorXd& step() const { return step_; }
   const Eigen::VectorXd& stated() const { return stated_; }
-  const std::array<Quarter, 4>& quarters() const { return quarters_; }  // of the last linearisation
+  // What the rows of a quarter of each log add to those before it, at the last linearisation (10.11).
+  const std::array<Information, 4>& quarters() const { return quarters_; }
   double log_determinant() const { return logdet_x_ + logdet_s_; }
 
   Eigen::VectorXd local(std::size_t l) const { return pick(theta, layout_.log(l)); }
@@ -118,14 +119,14 @@ class Fit {
                                   breaks(logs_[l], s), &said[l][i]);
     });
     const Eigen::Index nt = layout_.size();
-    const Quarter nothing{Eigen::MatrixXd::Zero(nt, nt), Eigen::VectorXd::Zero(nt)};
-    Quarter all = nothing;
+    const Information nothing{Eigen::MatrixXd::Zero(nt, nt), Eigen::VectorXd::Zero(nt)};
+    Information all = nothing;
     quarters_.fill(nothing);
     logdet_x_ = 0.0;
     log_data_.assign(logs_.size(), Eigen::MatrixXd());
     for (std::size_t l = 0; l < logs_.size(); ++l) {
       const std::vector<int>& at = layout_.log(l).global;
-      const auto add = [&at](Quarter& to, const Information& part, double times) {
+      const auto add = [&at](Information& to, const Information& part, double times) {
         for (std::size_t i = 0; i < at.size(); ++i) {
           to.g[at[i]] += times * part.g[static_cast<Eigen::Index>(i)];
           for (std::size_t j = 0; j < at.size(); ++j)
@@ -143,7 +144,7 @@ class Fit {
         logdet_x_ += part.logdet;
         log_data_[l] += part.S;
         add(all, part, 1.0);
-        const auto quarter = [&](int block) -> Quarter& {
+        const auto quarter = [&](int block) -> Information& {
           return quarters_[quarter_of(logs_[l], logs_[l].stretches[i], block)];
         };
         add(quarter(static_cast<int>(logs_[l].stretches[i].spline.blocks()) - 1), part, 1.0);
@@ -437,7 +438,7 @@ class Fit {
   Eigen::VectorXd slope_, slope_at_;  // what x adds to kappa's gradient, and where that was found
   Eigen::MatrixXd data_, S_, P_;
   std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
-  std::array<Quarter, 4> quarters_;
+  std::array<Information, 4> quarters_;
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
   std::vector<DelaySums> delays_;  // of each log, at the begin of an iteration
   bool imitated_ = false;

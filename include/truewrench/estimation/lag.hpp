@@ -4,8 +4,9 @@
 // What was eliminated is a Gaussian on (first block that remains, theta), kept
 // in absolute coordinates: a later theta may use it.
 //
-// The same information as a Sweep over a stretch, on memory that is fixed at
-// construction, with twists or an IMU alone.
+// The same information as a Sweep over a stretch, by the same sums and
+// eliminations, on memory that is fixed at construction, with twists or an IMU
+// alone.
 //
 // theta's columns, and what waits for a later theta, are in the coordinates of
 // products.hpp.

@@ -1,4 +1,4 @@
-// One log within a fit, and its quarters, which are compared with each other (10.11).
+// One log within a fit, and its quarters: what each adds to those before it is compared (10.11).
 #pragma once
 
 #include "truewrench/estimation/traces.hpp"
@@ -20,12 +20,6 @@ struct LogFit {
   std::vector<Sweep> sweeps;
   Sizes sizes;
   double tau_step = 0.0, tau_limit = 0.7;  // of the last move of log k
-};
-
-// What the rows of a quarter of each log add to those before it: information on theta and gradient (10.11).
-struct Quarter {
-  Eigen::MatrixXd S;
-  Eigen::VectorXd g;
 };
 
 // Place of a time within a log, 0 ... 1.
