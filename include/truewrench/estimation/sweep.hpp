@@ -33,8 +33,8 @@ class Sweep {
   // stand, where only the smoothness and the motion's clocks differ.
   enum class Extent { whole, determinant, determinant_again };
 
-  // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction. `said`, where it is
-  // asked for: what the rows of blocks 0 ... g say by themselves, for every g of `breaks`, increasing.
+  // Eliminate the motion (and the discrepancy) of a stretch, at its last prediction. `said`, where it is asked for: what the rows
+  // of blocks 0 ... g say by themselves, for every g of `breaks`, increasing.
   Information forward(const Stretch& s, const Columns& columns, const Eigen::VectorXd& theta,
                       const RowMatrix& lagged, const Sizes& sizes, Extent extent = Extent::whole,
                       const std::vector<int>& breaks = {}, std::vector<Information>* said = nullptr) {
