@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tool_cases import a_rig, a_tool
 
 from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.motion.spatial import cross
 from truewrench.tool.model import Tool
 
 Array = NDArray[Any]
@@ -100,19 +101,19 @@ def unpacked(theta: Array) -> tuple[Array, float, Array, Array, Array, Array, Ar
 def tilted(gravity: Array, tilt: Array) -> Array:
     """Gravity turned by two angles about axes normal to it."""
     size = np.linalg.norm(gravity)
-    e1 = np.cross(gravity, np.eye(3)[int(np.argmin(np.abs(gravity)))])
+    e1 = cross(gravity, np.eye(3)[int(np.argmin(np.abs(gravity)))])
     e1 /= np.linalg.norm(e1)
-    e2 = np.cross(gravity, e1) / size
-    x = gravity + np.cross(e1, gravity) * tilt[0] + np.cross(e2, gravity) * tilt[1]
+    e2 = cross(gravity, e1) / size
+    x = gravity + cross(e1, gravity) * tilt[0] + cross(e2, gravity) * tilt[1]
     return np.asarray(x * size / np.linalg.norm(x))
 
 
 def body_wrench(mass: float, c: Array, inertia: Array, nu: Array, a: Array, g: Array) -> Array:
     """Reaction of a body on the sensor, (N, 6); Newton and Euler at the centre of mass."""
     v, omega, vdot, alpha = nu[:, :3], nu[:, 3:], a[:, :3], a[:, 3:]
-    of_mass = vdot + np.cross(omega, v) + np.cross(alpha, c) + np.cross(omega, np.cross(omega, c))
+    of_mass = vdot + cross(omega, v) + cross(alpha, c) + cross(omega, cross(omega, c))
     f = mass * (of_mass - g)
-    n = np.cross(c, f) + alpha @ inertia.T + np.cross(omega, omega @ inertia.T)
+    n = cross(c, f) + alpha @ inertia.T + cross(omega, omega @ inertia.T)
     return -np.hstack([f, n])
 
 

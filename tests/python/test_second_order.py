@@ -33,12 +33,12 @@ SPAN = np.array([40.0, 40.0, 40.0, 4.0, 4.0, 4.0])
 
 
 def spatial(b: Array) -> Array:
-    """Wrench at the sensor of the body (log m, c, I) by the acceleration there, of unit ones."""
-    m, c, inertia = np.exp(b[0]), b[1:4], tensor_of(b[4:])
+    """Wrench at the sensor of the body (log m, c, I) by the acceleration there."""
+    m, (x, y, z), inertia = np.exp(b[0]), b[1:4], tensor_of(b[4:])
+    lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     out = np.zeros((6, 6))
-    for k, unit in enumerate(np.eye(6)):
-        force = m * (unit[:3] + np.cross(unit[3:], c))
-        out[:, k] = np.append(force, inertia @ unit[3:] + np.cross(c, force))
+    out[:3, :3], out[:3, 3:], out[3:, :3] = m * np.eye(3), -m * lever, m * lever
+    out[3:, 3:] = inertia - m * lever @ lever
     return out
 
 

@@ -103,10 +103,10 @@ def _of_joints(robot: Robot, limits: Limits, motion: SplineJoints, time: Array) 
 def _origins(robot: Robot, q: Array) -> Array:
     """(N, n, 3) of every joint in the root, root first."""
     data, found = robot.model.createData(), np.empty((len(q), robot.n, 3))
+    places = [data.oMi[i + 1].translation for i in range(robot.n)]  # views of what is computed
     for k, position in enumerate(q):
         pin.forwardKinematics(robot.model, data, position)
-        for i in range(robot.n):
-            found[k, i] = data.oMi[i + 1].translation
+        found[k] = places
     return found
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.motion.spatial import cross
 from truewrench.motion.trajectory import Body, motion_of_wrench, rotation_matrix
 
 __all__ = ["Batch", "Motions", "integrated", "without_drift"]
@@ -54,7 +55,7 @@ class Batch:
         rate = 2.0 * np.pi * self.k / self.tau
         linear = self.force / (self.body.mass * rate)
         # Omegadot = I^-1 (c x f - n): what the sine of f gives is a cosine and needs an initial value
-        angular = -np.cross(self.body.center_of_mass, self.force / rate) @ np.linalg.inv(self.body.inertia).T
+        angular = -cross(self.body.center_of_mass, self.force / rate) @ np.linalg.inv(self.body.inertia).T
         return np.concatenate([linear, angular], axis=1)
 
 
@@ -99,7 +100,7 @@ def integrated(batch: Batch, initial: Array, *, placed: bool = True) -> Motions:
         if placed:
             q, omega = x[:, 9:], twist[:, 3:]
             found[:, 6:9] = np.einsum("bij,bj->bi", rotation_matrix(q), twist[:, :3])
-            found[:, 9:12] = 0.5 * (q[:, 3:] * omega + np.cross(q[:, :3], omega))
+            found[:, 9:12] = 0.5 * (q[:, 3:] * omega + cross(q[:, :3], omega))
             found[:, 12] = -0.5 * np.einsum("bi,bi->b", q[:, :3], omega)
         return found
 

@@ -126,10 +126,12 @@ class Robot:
         data = self.model.createData()
         twist, acceleration = np.empty((len(q), 6)), np.empty((len(q), 6))
         R_root_sensor, p_root_sensor = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+        placement = data.oMf[self.frame_id]
+        R, p = placement.rotation, placement.translation  # views of what is computed
         for k in range(len(q)):
             pin.forwardKinematics(self.model, data, q[k], qd[k], qdd[k])
-            placement = pin.updateFramePlacement(self.model, data, self.frame_id)
-            R_root_sensor[k], p_root_sensor[k] = placement.rotation, placement.translation
+            pin.updateFramePlacement(self.model, data, self.frame_id)
+            R_root_sensor[k], p_root_sensor[k] = R, p
             twist[k] = pin.getFrameVelocity(self.model, data, self.frame_id, pin.LOCAL).vector
             # a body's spatial acceleration, in its own axes, is the derivative of its twist's components
             acceleration[k] = pin.getFrameAcceleration(self.model, data, self.frame_id, pin.LOCAL).vector

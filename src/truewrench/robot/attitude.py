@@ -19,7 +19,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
-from truewrench.motion.spatial import cross_matrix
+from truewrench.motion.spatial import cross, cross_matrix, rotated
 
 __all__ = ["attitude_at", "attitude_of", "free_fall"]
 
@@ -120,14 +120,9 @@ def _turns(time: Array, omega_time: Array, omega: Array) -> Array:
         step, middle = np.diff(nodes)[:, None], 0.5 * (nodes[1:] + nodes[:-1])
         first, second = (path(middle + side * _GAUSS * step[:, 0]) for side in (-1.0, 1.0))
         # Magnus' expansion to the fourth order, of Rdot = R [Omega]
-        angle = 0.5 * step * (first + second) + step**2 / (4.0 * np.sqrt(3.0)) * np.cross(first, second)
-        small = Rotation.from_rotvec(-angle).as_matrix()
-        since = np.empty((nodes.size, 3, 3))
-        since[0] = np.eye(3)
-        for k in range(1, nodes.size):
-            since[k] = small[k - 1] @ since[k - 1]
-        of_rows = since[np.searchsorted(nodes, time[inside])]
-        turns[inside[:-1]] = of_rows[1:] @ of_rows[:-1].transpose(0, 2, 1)
+        angle = 0.5 * step * (first + second) + step**2 / (4.0 * np.sqrt(3.0)) * cross(first, second)
+        R = rotated(angle)[np.searchsorted(nodes, time[inside])]
+        turns[inside[:-1]] = R[1:].transpose(0, 2, 1) @ R[:-1]
     return turns
 
 
@@ -141,10 +136,8 @@ def _followed(down: Array, fall: Array, turns: Array) -> Array:
     """
     predicted = np.einsum("kij,kj->ki", turns, fall[:-1])
     steps = _least_rotation(predicted, fall[1:]) @ turns
-    R_sensor_root = np.empty((len(fall), 3, 3))
-    R_sensor_root[0] = _least_rotation(down[None], fall[:1])[0]
-    for k in range(1, len(fall)):
-        R_sensor_root[k] = steps[k - 1] @ R_sensor_root[k - 1]
+    back = rotated(Rotation.from_matrix(steps).inv().as_rotvec())  # in the axes at the first row
+    R_sensor_root = back.transpose(0, 2, 1) @ _least_rotation(down[None], fall[:1])
     # against the rounding of many products
     R_sensor_root = np.asarray(Rotation.from_matrix(R_sensor_root).as_matrix())
     return _least_rotation(R_sensor_root @ down, fall) @ R_sensor_root

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.motion.spatial import cross
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.simulation.imperfect import FineMotion, Hardware, integral_of
 from truewrench.simulation.truth import Truth, begin, readings, stamps_of, stated, write_run
@@ -129,14 +130,14 @@ def wrench_on_sensor(body: Body, point: Array, twist: Array, acceleration: Array
     """
     velocity, omega = twist[:, :3], twist[:, 3:]
     rotation_rate = acceleration[:, 3:]
-    of_point = acceleration[:, :3] + np.cross(omega, velocity)  # inertial acceleration, rotating axes
+    of_point = acceleration[:, :3] + cross(omega, velocity)  # inertial acceleration, rotating axes
     wrench = np.zeros((len(twist), 6))
     for mass, position in zip(*_material_points(body), strict=True):
         r = position - point
-        at = of_point + np.cross(rotation_rate, r) + np.cross(omega, np.cross(omega, r))
+        at = of_point + cross(rotation_rate, r) + cross(omega, cross(omega, r))
         force = mass * (at - gravity)
         wrench[:, :3] -= force
-        wrench[:, 3:] -= np.cross(position, force)
+        wrench[:, 3:] -= cross(position, force)
     return wrench
 
 

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-from truewrench.motion.spatial import cross_matrix
+from truewrench.motion.spatial import cross, cross_matrix
 from truewrench.tool.parameters import channel_turn, symmetric
 
 __all__ = ["flange_body", "flange_wrench", "joined", "nearest_physical", "total_body", "weight"]
@@ -17,6 +16,9 @@ Array = NDArray[np.float64]
 
 _THINNEST = 1e-8  # [m^2] of second moments: simulators refuse a body without any
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_ROWS, _COLUMNS = np.array(_PAIRS).T
+_UNIT = np.array([symmetric(element) for element in np.eye(6)])
+_CLOSE = 1e-7  # of a squared distance in units of sigma: tolerance
 _STEP = 1e-30  # of the complex step
 
 
@@ -56,7 +58,7 @@ def total_body(bodies: Array) -> tuple[Array, Array]:
 
 def weight(mass: float, center: Array, fall: Array) -> Array:
     """Wrench (T, 6) = m [g; c x g] at rest of free fall (T, 3) in sensor axes, `payload_on_sensor`."""
-    out: Array = mass * np.column_stack([fall, np.cross(center, fall)])
+    out: Array = mass * np.column_stack([fall, cross(center, fall)])
     return out
 
 
@@ -74,26 +76,32 @@ def nearest_physical(body: Array, covariance: Array) -> tuple[Array, float]:
     scale = np.sqrt(np.diag(P))
     eigen, basis = np.linalg.eigh(P / np.outer(scale, scale))
     white = (basis / np.sqrt(np.maximum(eigen, 1e-9))).T / scale
-
-    def physical(x: Array) -> Array:
-        L = np.array([[x[0], 0.0, 0.0], [x[3], x[1], 0.0], [x[4], x[5], x[2]]])
-        moments = L @ L.T + _THINNEST * np.eye(3)
-        return np.array([moments[i, j] for i, j in _PAIRS])
-
     clipped = (vectors * np.maximum(values, 1e-6)) @ vectors.T
-    L = np.linalg.cholesky(clipped)
-    start = np.array([L[0, 0], L[1, 1], L[2, 2], L[1, 0], L[2, 0], L[2, 1]])
-
-    def away(x: Array) -> Array:
-        out: Array = white @ (physical(x) - S)
-        return out
-
-    found = least_squares(away, start, method="lm", max_nfev=4000)
-    step = physical(found.x) - S
+    step = _least_change(S, white, clipped[_ROWS, _COLUMNS]) - S
     out = body.copy()
     out[:4] += covariance[:4, 4:] @ (white.T @ (white @ step))
     out[4:] += step
-    return out, float(2.0 * found.cost)
+    return out, float(np.sum((white @ step) ** 2))
+
+
+def _least_change(S: Array, white: Array, inside: Array) -> Array:
+    """Second moments (6,), none below `_THINNEST`, for which |white (x - S)| is least, from some `inside`.
+
+    A convex problem: Newton's steps with a barrier, - mu log det (Nesterov and Nemirovskii 1994).
+    """
+    Q, x = white.T @ white, inside
+    mu = 1.0 + 0.5 * float((x - S) @ Q @ (x - S))
+    while mu > _CLOSE:
+        mu *= 0.1
+        for _ in range(50):
+            felt = np.linalg.solve(symmetric(x) - _THINNEST * np.eye(3), _UNIT)  # (6, 3, 3)
+            pull = mu * np.trace(felt, axis1=1, axis2=2) - Q @ (x - S)
+            move = np.linalg.solve(Q + mu * np.einsum("kij,lji->kl", felt, felt), pull)
+            decrement = np.sqrt(max(float(pull @ move), 0.0) / mu)
+            x = x + move / (1.0 + decrement)
+            if decrement < 0.1:
+                break
+    return x
 
 
 def joined(
@@ -126,4 +134,4 @@ def flange_wrench(wrench: Array, flange: Array) -> Array:
     """(6,) at the flange's origin, along its axes, of a wrench (6,) at the sensor's; `flange` as above."""
     R = channel_turn(flange[3:])[0].T
     force, moment = R @ wrench[:3], R @ wrench[3:]
-    return np.concatenate([force, moment + np.cross(flange[:3], force)])
+    return np.concatenate([force, moment + cross(flange[:3], force)])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.model.rig import Rig
-from truewrench.motion.spatial import cross_matrix
+from truewrench.motion.spatial import cross, cross_matrix
 from truewrench.tool.bodies import total_body, weight
 from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, symmetric, tilted
 from truewrench.tool.poses import Move, Poses
@@ -245,7 +245,7 @@ class Problem:
         body_w = np.zeros((T, 6, 4))  # by log m and c
         body_w[:, :, 0] = w
         for k, e in enumerate(np.eye(3)):
-            body_w[:, 3:, 1 + k] = sign * mass * np.cross(e, fall)
+            body_w[:, 3:, 1 + k] = sign * mass * cross(e, fall)
         of_body = np.einsum(
             "ij,tjk,kp->itp", C, turned(R, body_w.transpose(0, 2, 1)).transpose(0, 2, 1), by_x[:4]
         )

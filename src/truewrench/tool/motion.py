@@ -19,6 +19,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
+from truewrench.motion.spatial import cross
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model_rows import MotionInformation, about_center
 from truewrench.tool.parameters import inertia_of, second_moments, symmetric
@@ -321,14 +322,14 @@ def measured_motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array,
 def regressor(nu: Array, a: Array, g: Array) -> Array:
     """Y (N, 6, 10): w = Y (m, m c, inertia about the sensor's origin), `payload_on_sensor`."""
     v, omega, alpha = nu[:, :3], nu[:, 3:], a[:, 3:]
-    force = a[:, :3] + np.cross(omega, v) - g
+    force = a[:, :3] + cross(omega, v) - g
     Y = np.zeros((len(nu), 6, 10))
     Y[:, :3, 0] = -force
     for k, e in enumerate(np.eye(3)):
-        Y[:, :3, 1 + k] = -(np.cross(alpha, e) + np.cross(omega, np.cross(omega, e)))
-        Y[:, 3:, 1 + k] = -np.cross(e, force)
+        Y[:, :3, 1 + k] = -(cross(alpha, e) + cross(omega, cross(omega, e)))
+        Y[:, 3:, 1 + k] = -cross(e, force)
     for k, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
         unit = np.zeros((3, 3))
         unit[i, j] = unit[j, i] = 1.0
-        Y[:, 3:, 4 + k] = -(alpha @ unit + np.cross(omega, omega @ unit))
+        Y[:, 3:, 4 + k] = -(alpha @ unit + cross(omega, omega @ unit))
     return Y

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.motion.spatial import cross
+
 __all__ = [
     "ELEMENTS",
     "Layout",
@@ -161,9 +163,9 @@ def tilted(gravity: Array, tilt: Array) -> tuple[Array, Array]:
     size = float(np.linalg.norm(gravity))
     if size == 0.0:
         return np.zeros(3), np.zeros((3, 2))
-    e1 = np.cross(gravity, np.eye(3)[int(np.argmin(np.abs(gravity)))])
+    e1 = cross(gravity, np.eye(3)[int(np.argmin(np.abs(gravity)))])
     e1 /= np.linalg.norm(e1)
-    axes = np.column_stack([np.cross(e1, gravity), np.cross(np.cross(gravity, e1), gravity) / size])
+    axes = np.column_stack([cross(e1, gravity), cross(cross(gravity, e1), gravity) / size])
     x = gravity + axes @ tilt
     square = float(x @ x)
     ratio = size / np.sqrt(square)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.model.rig import Rig
+from truewrench.motion.spatial import cross
 from truewrench.tool.poses import Poses
 
 __all__ = ["Recipe", "recipe"]
@@ -47,7 +48,7 @@ def recipe(rig: Rig, poses: Poses, chosen: Rows) -> Recipe:
     A = np.zeros((T, 6, 10))
     A[:, :3, 0] = fall
     for k, e in enumerate(np.eye(3)):
-        A[:, 3:, 1 + k] = np.cross(e, fall)
+        A[:, 3:, 1 + k] = cross(e, fall)
     A[:, :, 4:] = np.eye(6)
     weight = 1.0 / sensor.range_array
     rows = (A[chosen] * weight[:, None]).reshape(-1, 10)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.motion.spatial import cross
+
 __all__ = ["abba", "axes_of", "spread", "spread_among"]
 
 Array = NDArray[np.float64]
@@ -19,9 +21,9 @@ _FIRST_STEP = 0.2  # [rad]
 
 def axes_of(direction: Array) -> Array:
     """R (3, 3), right-handed, whose last column is a unit vector (3,)."""
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(direction)))], direction)
+    x = cross(np.eye(3)[int(np.argmin(np.abs(direction)))], direction)
     x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(direction, x), direction])
+    return np.column_stack([x, cross(direction, x), direction])
 
 
 def spread(count: int, axis: Array, half_angle: float) -> Array:
