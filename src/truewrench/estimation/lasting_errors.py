@@ -21,7 +21,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpttrf, dtbtrs
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 
 __all__ = ["Chain", "ErrorSize", "Spread", "find_sizes", "predicted", "spread_of_sizes", "whitened"]
 
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 _RANK = 1e-9  # of the largest: a smaller combination of regressors is rounding; tolerance
 _TIMES = 9  # correlation times where the search begins, from the shortest to the longest; tolerance
-_RATES = -10.0, 6.0, 8  # logarithms of the growth of what lasts over what is white likewise; tolerance
+_RATES = -12.0, 8.0, 26  # logarithms of the growth of what lasts over what is white likewise; tolerance
 _LOGIT = 16.0  # of a share: white errors of 1e-7 of what lasts are none; tolerance
 _GRID = 7  # points along each axis of the sizes' posterior; tolerance
 _REACH = 3.5  # of their sigma; tolerance
@@ -208,7 +208,7 @@ def find_sizes(
     for i in range(n):
         one = _Likelihood(chain, design, residual[:, i : i + 1], within[i : i + 1])
         share, time, best = 0.0, 0.0, float(white[i])
-        for point in _profile(one, times, rates, coarse[:, :, i]):
+        for point in _profile(chain, times, rates, coarse[:, :, i]):
             value = _of_coordinates(one, point)
             if value < best:
                 best, (share, time) = value, _share(chain, point)
@@ -230,18 +230,15 @@ def find_sizes(
     return sizes, likelihood.as_stated() - found, white - found
 
 
-def _profile(likelihood: _Likelihood, times: Array, rates: Array, coarse: Array) -> list[Array]:
-    """For each log time (T,) the (logit, log time) that is best, from values (T, R) at some rates."""
+def _profile(chain: Chain, times: Array, rates: Array, values: Array) -> list[Array]:
+    """For each log time (T,) the (logit, log time) that is best: a parabola's top about the best rate."""
     points, apart = [], float(rates[1] - rates[0])
-    for time, values in zip(times, coarse, strict=True):
-        near = float(rates[int(np.argmin(values))])
-        refined = minimize_scalar(
-            lambda rate, t=time: _of_coordinates(likelihood, _point(likelihood.chain, rate, t)),
-            bounds=(near - apart, near + apart),
-            method="bounded",
-            options={"xatol": 0.1, "maxiter": 10},
-        )
-        points.append(_point(likelihood.chain, float(refined.x), float(time)))
+    for time, along in zip(times, values, strict=True):
+        k = int(np.clip(np.argmin(along), 1, len(rates) - 2))
+        below, at, above = along[k - 1 : k + 2]
+        bend = below - 2.0 * at + above
+        away = 0.5 * (below - above) / bend if bend > 0.0 else float(np.argmin(along) - k)
+        points.append(_point(chain, float(rates[k] + apart * np.clip(away, -1.0, 1.0)), float(time)))
     return points
 
 
