@@ -79,7 +79,7 @@ build/cpp/build.ninja: CMakeLists.txt | $(VENV)/.dev
 
 test-cpp: build/cpp/build.ninja
 	$(BIN)/cmake --build build/cpp
-	$(BIN)/ctest --test-dir build/cpp --output-on-failure
+	$(BIN)/ctest --test-dir build/cpp --output-on-failure --parallel 2
 
 test-python: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS)

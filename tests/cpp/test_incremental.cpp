@@ -1,7 +1,7 @@
 // The estimator of a control loop: honest, the same as that of the whole record, and never at a loss.
 #include "incremental_case.hpp"
 #include "truewrench/estimation/corrector_of.hpp"
-#include "truewrench/estimation/estimator.hpp"
+#include "whole_record.hpp"
 
 #include <gtest/gtest.h>
 
@@ -59,17 +59,13 @@ TEST(Incremental, EndsWhereTheWholeRecordDoes) {
   };
   take(time[0], value[0], whole.motion[0].time, whole.motion[0].value);
   take(time[1], value[1], whole.time, whole.raw);
-  Settings of_record;
-  of_record.discrepancy = 0.0;
-  const Estimate map = Estimator(std::make_shared<const Statement>(loop.rig), {&whole}, of_record).run();
+  const WholeRecord map = of_whole_record(loop.rig, whole);
   ASSERT_EQ(map.status, Status::ok);
-  const Eigen::Map<const RowMatrix> gain(map.fit->theta.data(), 6, 6);
   const Eigen::Map<const RowMatrix> found = online.gain();
-  const Eigen::VectorXd a = map.gain_covariance.diagonal().cwiseSqrt(),
-                        b = online.covariance().diagonal().cwiseSqrt();
+  const Eigen::VectorXd &a = map.sigma, b = online.covariance().diagonal().cwiseSqrt();
   double apart = 0.0;  // in sigma
   for (int i = 0; i < 36; ++i) {
-    apart += std::pow((found(i / 6, i % 6) - gain(i / 6, i % 6)) / a[i], 2.0) / 36.0;
+    apart += std::pow((found(i / 6, i % 6) - map.gain(i / 6, i % 6)) / a[i], 2.0) / 36.0;
     EXPECT_NEAR(b[i], a[i], 0.06 * a[i]) << i;
   }
   EXPECT_LT(std::sqrt(apart), 0.1);
