@@ -250,19 +250,15 @@ class _Record:
         C = np.linalg.solve(R, Q.T @ Y)  # (7, n)
         left = self.raw[inside] - X @ C
         variance = (1.4826 * np.median(np.abs(left), axis=0)) ** 2
-        variance = np.maximum(variance, 1e-24)
-        score, information = np.zeros((len(moved), 3)), np.zeros((len(moved), 3, 3))
-        for i, v in enumerate(variance):
-            D = root[:, None] * np.einsum("kjc,j->kc", moved[..., 1:], C[:6, i])
-            D -= Q @ (Q.T @ D)
-            score += D * (root * left[:, i])[:, None] / v
-            information += D[:, :, None] * D[:, None, :] / v
+        sigma = np.sqrt(np.maximum(variance, 1e-24))
+        K, n = len(moved), len(sigma)
+        by_clock = (root[:, None, None] * moved[..., 1:].transpose(0, 2, 1)).reshape(-1, 6) @ C[:6]
+        D = by_clock.reshape(K, -1)
+        D = ((D - Q @ (Q.T @ D)).reshape(K, 3, n)) / sigma
+        r = root[:, None] * left / sigma
         parts = np.array_split(np.arange(len(moved)), PARTS)
-        n = len(variance)
         again = np.zeros(self.time.size)
-        again[inside] = (FREEDOM + n) / (FREEDOM + np.sum(left**2 / variance, axis=1))
-        return (
-            np.array([score[at].sum(axis=0) for at in parts]),
-            np.array([information[at].sum(axis=0) for at in parts]),
-            again,
-        )
+        again[inside] = (FREEDOM + n) / (FREEDOM + np.sum((left / sigma) ** 2, axis=1))
+        by_part = [D[at].transpose(1, 0, 2).reshape(3, -1) for at in parts]
+        score = [of @ r[at].ravel() for of, at in zip(by_part, parts, strict=True)]
+        return np.array(score), np.array([of @ of.T for of in by_part]), again

@@ -22,24 +22,15 @@ _CLOSE = 1e-7  # of a squared distance in units of sigma: tolerance
 _STEP = 1e-30  # of the complex step
 
 
-def _moments(values: Any) -> Any:
-    out = np.empty((3, 3), dtype=values.dtype)
-    for value, (i, j) in zip(values, _PAIRS, strict=True):
-        out[i, j] = out[j, i] = value
-    return out
-
-
 def _total(bodies: Any) -> Any:
-    """(log m, c, inertia) of bodies (B, 10) of (log m, c, S); any number type."""
-    masses = np.exp(bodies[:, 0])
-    mass = masses.sum()
-    center = (masses[:, None] * bodies[:, 1:4]).sum(axis=0) / mass
-    moments = np.zeros((3, 3), dtype=bodies.dtype)
-    for m, body in zip(masses, bodies, strict=True):
-        away = body[1:4] - center
-        moments = moments + m * (_moments(body[4:]) + np.outer(away, away))
-    inertia = np.trace(moments) * np.eye(3) - moments
-    return np.concatenate([[np.log(mass)], center, [inertia[i, j] for i, j in _PAIRS]])
+    """(..., 10) (log m, c, inertia) of bodies (..., B, 10) of (log m, c, S); any number type."""
+    masses = np.exp(bodies[..., 0])
+    mass = masses.sum(axis=-1)[..., None]
+    center = (masses[..., None] * bodies[..., 1:4]).sum(axis=-2) / mass
+    away = bodies[..., 1:4] - center[..., None, :]
+    moments = (masses[..., None] * (bodies[..., 4:] + away[..., _ROWS] * away[..., _COLUMNS])).sum(axis=-2)
+    inertia = moments[..., :3].sum(axis=-1)[..., None] * (_ROWS == _COLUMNS) - moments
+    return np.concatenate([np.log(mass), center, inertia], axis=-1)
 
 
 def total_body(bodies: Array) -> tuple[Array, Array]:
@@ -48,11 +39,8 @@ def total_body(bodies: Array) -> tuple[Array, Array]:
     Args:
         bodies: (B, 10) log mass, centre of mass, S about it, in the order of `ELEMENTS`.
     """
-    jacobian = np.empty((10, bodies.size))
-    for k in range(bodies.size):  # complex steps: exact to rounding
-        step = np.zeros(bodies.size, dtype=np.complex128)
-        step[k] = 1j * _STEP
-        jacobian[:, k] = _total(bodies + step.reshape(bodies.shape)).imag / _STEP
+    steps = 1j * _STEP * np.eye(bodies.size).reshape(-1, *bodies.shape)  # complex: exact to rounding
+    jacobian = _total(bodies + steps).imag.T / _STEP
     return np.asarray(_total(bodies), dtype=np.float64), jacobian
 
 
