@@ -171,14 +171,14 @@ def tour_log(
     turns, nu, a = [], [], []
     still = np.zeros((round(100 * dwell), 6))
     for k, pose in enumerate(poses):
-        turns += [pose] * len(still)
+        turns.append(Rotation.from_quat(np.tile(pose.as_quat(), (len(still), 1))))
         nu.append(still)
         a.append(still)
         if k + 1 == len(poses):
             break
         way = (pose.inv() * poses[k + 1]).as_rotvec()
         part = 10 * s**3 - 15 * s**4 + 6 * s**5
-        turns += [pose * Rotation.from_rotvec(share * way) for share in part]
+        turns.append(pose * Rotation.from_rotvec(part[:, None] * way))
         rate = (30 * s**2 - 60 * s**3 + 30 * s**4) / 1.5
         bend = (60 * s - 180 * s**2 + 120 * s**3) / 1.5**2
         nu.append(np.column_stack([np.zeros((s.size, 3)), rate[:, None] * way]))
@@ -207,18 +207,17 @@ def swing_log(
     f, phase = rng.uniform(0.2, 0.9, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
     size = np.repeat([0.3, 0.8], 3)
 
-    def twist(t: float) -> Array:
-        return size * np.sin(2.0 * np.pi * f * t + phase).sum(axis=1)
+    def twist(t: Array, derivative: int = 0) -> Array:
+        """(T, 6), or its derivative."""
+        angle = 2.0 * np.pi * f * t[:, None, None] + phase + 0.5 * np.pi * derivative
+        return np.asarray(size * ((2.0 * np.pi * f) ** derivative * np.sin(angle)).sum(axis=2))
 
-    nu = np.array([twist(t) for t in time])
-    a = np.array([size * (2.0 * np.pi * f * np.cos(2.0 * np.pi * f * t + phase)).sum(axis=1) for t in time])
-    R = [Rotation.random(random_state=rng)]
-    for t in time[:-1]:
-        now = R[-1]
-        for part in range(4):
-            now = now * Rotation.from_rotvec(twist(t + 0.0025 * (part + 0.5))[3:] * 0.0025)
-        R.append(now)
-    turns = Rotation.concatenate(R)
+    nu, a = twist(time), twist(time, 1)
+    R = [Rotation.random(random_state=rng).as_matrix()]
+    middle = 0.0025 * (np.arange(4 * (time.size - 1)) + 0.5)
+    for step in Rotation.from_rotvec(0.0025 * twist(middle)[:, 3:]).as_matrix():
+        R.append(R[-1] @ step)
+    turns = Rotation.from_matrix(np.array(R[::4]))
     fall = turns.inv().apply(rig.gravity_array)
     raw = rig.sensor.sign * newton_euler(mass, center, inertia, nu, a, fall)
     raw += rng.normal(size=raw.shape) * rig.sensor.noise_array + rng.normal(size=6) * 0.5
