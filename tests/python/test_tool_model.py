@@ -17,6 +17,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.files import read_yaml, write_yaml
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import GAIN_PRIOR, TILT_PRIOR, load_tool_rig, tool_rig
+from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model import read_tool
 from truewrench.tool.model_rows import about_center
 from truewrench.tool.motion import _widened
@@ -180,3 +181,28 @@ def test_what_stands_and_falls_together_is_said_in_words() -> None:
     covariance[mass, fz] = covariance[fz, mass] = -0.9e-4
     (said,) = correlations(replace(tool, covariance=covariance))
     assert said == "A larger mass goes with a smaller gain of channel fz by fz (-0.90)."
+
+
+def test_the_nearest_physical_body_is_where_no_other_is_nearer() -> None:
+    """By the conditions of Karush, Kuhn and Tucker: a gradient without negative eigenvalues, normal to S."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        S = 1e-3 * (
+            rng.uniform(0.1, 2.0) * np.repeat([1.0, 0.0], 3) + rng.choice([0.3, 3.0]) * rng.normal(size=6)
+        )
+        root = rng.normal(size=(10, 10)) * 10.0 ** rng.uniform(-2.0, 0.0, size=(10, 1))
+        P = 1e-4 * root @ root.T
+        body, square = nearest_physical(np.concatenate([[0.1, 0.0, 0.0, 0.1], S]), P)
+        step = body[4:] - S
+        if square == 0.0:
+            assert np.linalg.eigvalsh(symmetric(S))[0] > 0.0
+            assert not step.any()
+            continue
+        inverse = np.linalg.inv(P[4:, 4:])
+        assert square == pytest.approx(step @ inverse @ step, rel=1e-4)
+        gradient = symmetric(inverse @ step * np.repeat([1.0, 0.5], 3))
+        assert np.linalg.eigvalsh(symmetric(body[4:]))[0] > 0.0
+        assert np.linalg.eigvalsh(gradient)[0] > -1e-3 * np.linalg.norm(gradient)
+        assert abs(np.sum(gradient * symmetric(body[4:]))) < 1e-3 * square + 1e-4
+        link = P[:4, 4:] @ inverse
+        np.testing.assert_allclose(body[:4] - [0.1, 0.0, 0.0, 0.1], link @ step, rtol=1e-3, atol=1e-9)

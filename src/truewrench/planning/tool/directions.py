@@ -72,9 +72,10 @@ def spread_among(candidates: Array, count: int) -> Indices:
     """
     cosine = candidates @ candidates.T
     chosen = [int(k) for k in np.unravel_index(int(np.argmin(cosine)), cosine.shape)]
+    nearest = cosine[:, chosen].max(axis=1)
     while len(chosen) < min(count, len(candidates)):
-        nearest = cosine[:, chosen].max(axis=1)
         chosen.append(int(np.argmin(nearest)))
+        nearest = np.maximum(nearest, cosine[:, chosen[-1]])
     return np.array(chosen[:count], dtype=np.int64)
 
 
