@@ -45,10 +45,10 @@ class Batch:
         """Some of the wrenches."""
         return Batch(self.body, self.force[which], self.moment[which], self.k[which], self.tau)
 
-    def wrench(self, time: float) -> Array:
-        """(B, 6) at a time."""
-        angle = 2.0 * np.pi * self.k * time / self.tau
-        return np.concatenate([self.force * np.sin(angle), self.moment * np.cos(angle)], axis=1)
+    def wrench(self, time: Array) -> Array:
+        """(T, B, 6) at times (T,)."""
+        angle = (2.0 * np.pi / self.tau) * time[:, None, None] * self.k
+        return np.concatenate([self.force * np.sin(angle), self.moment * np.cos(angle)], axis=2)
 
     def slow_twist(self) -> Array:
         """(B, 6) initial twists without drift, for motions so slow that Omega x v does not matter."""
@@ -93,10 +93,20 @@ def integrated(batch: Batch, initial: Array, *, placed: bool = True) -> Motions:
     states = np.empty((steps + 1, count, 13))
     states[0] = state
 
-    def rate(t: float, x: Array) -> Array:
+    # what the wrench does, at every half step, is known beforehand; what the turning adds is not
+    half = batch.wrench(np.linspace(0.0, batch.tau, 2 * steps + 1))
+    driven = motion_of_wrench(batch.body, half, np.zeros_like(half))
+    inertia, inverse = batch.body.inertia.T, np.linalg.inv(batch.body.inertia).T
+
+    def turning(twist: Array) -> Array:
+        omega = twist[..., 3:]
+        angular = cross(omega, omega @ inertia) @ inverse
+        return np.concatenate([cross(omega, twist[..., :3]), angular], axis=-1)
+
+    def rate(at: int, x: Array) -> Array:
         twist = x[:, :6]
         found = np.zeros_like(x)
-        found[:, :6] = motion_of_wrench(batch.body, batch.wrench(t), twist)
+        found[:, :6] = driven[at] - turning(twist)
         if placed:
             q, omega = x[:, 9:], twist[:, 3:]
             found[:, 6:9] = np.einsum("bij,bj->bi", rotation_matrix(q), twist[:, :3])
@@ -104,18 +114,16 @@ def integrated(batch: Batch, initial: Array, *, placed: bool = True) -> Motions:
             found[:, 12] = -0.5 * np.einsum("bi,bi->b", q[:, :3], omega)
         return found
 
-    for s, t in enumerate(time[:-1]):
-        k1 = rate(t, state)
-        k2 = rate(t + 0.5 * h, state + 0.5 * h * k1)
-        k3 = rate(t + 0.5 * h, state + 0.5 * h * k2)
-        k4 = rate(t + h, state + h * k3)
+    for s in range(steps):
+        k1 = rate(2 * s, state)
+        k2 = rate(2 * s + 1, state + 0.5 * h * k1)
+        k3 = rate(2 * s + 1, state + 0.5 * h * k2)
+        k4 = rate(2 * s + 2, state + h * k3)
         state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         state[:, 9:] /= np.linalg.norm(state[:, 9:], axis=1, keepdims=True)
         states[s + 1] = state
     twist = states[..., :6]
-    acceleration = np.stack(
-        [motion_of_wrench(batch.body, batch.wrench(t), nu) for t, nu in zip(time, twist, strict=True)]
-    )
+    acceleration = driven[::2] - turning(twist)
     return Motions(time, twist, acceleration, states[..., 6:9], rotation_matrix(states[..., 9:]))
 
 
