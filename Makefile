@@ -2,7 +2,7 @@
 
 PYTHON ?= python3
 WERROR ?= OFF
-PYTEST_ARGS ?= -n auto --dist loadfile
+PYTEST_ARGS ?= -n auto --dist worksteal
 SEEDS ?= 20
 RUNS ?= 200
 WORKERS ?= 2
