@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.model.rig import Rig
+from truewrench.planning.buffered import Buffered
 
 __all__ = ["PACKED", "Criterion", "packed"]
 
@@ -54,17 +55,18 @@ class Criterion:
         of_gains = total / (6 * sensor.n)
         value = 0.5 * ca.log(of_gains) if kind == "A" else -0.5 * of_gains
         hessian, gradient = ca.hessian(value, moments)
-        self._value = ca.Function("criterion", [moments], [value])
-        self._derivatives = ca.Function("derivatives", [moments], [value, gradient, hessian])
+        both = [ca.densify(gradient), ca.densify(hessian)]
+        self._value = Buffered(ca.Function("criterion", [moments], [value]))
+        self._derivatives = Buffered(ca.Function("derivatives", [moments], [value, *both]))
 
     def __call__(self, moments: Array) -> float:
         """Value for the mean of [w; 1][w; 1]^T, packed (28,)."""
-        return float(self._value(moments))
+        return float(self._value(moments)[0].item())
 
     def derivatives(self, moments: Array) -> tuple[float, Array, Array]:
         """Value, gradient (28,) and Hessian (28, 28)."""
         value, gradient, hessian = self._derivatives(moments)
-        return float(value), np.array(gradient).ravel(), np.array(hessian)
+        return float(value.item()), gradient.ravel(), hessian
 
 
 def _factor(matrix: list[list[Any]]) -> tuple[list[list[Any]], list[Any]]:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class _Call(ca.Callback):
-    """A function of NumPy arrays as CasADi calls it."""
+    """A function of NumPy arrays, those of structural nonzeros column by column, as CasADi calls it."""
 
     def __init__(
         self, name: str, inputs: Sequence[Any], outputs: Sequence[Any], call: Callable[..., Sequence[Any]]
@@ -39,13 +39,19 @@ class _Call(ca.Callback):
     def get_sparsity_out(self, i: int) -> Any:
         return self._outputs[i]
 
-    def eval(self, arguments: Sequence[Any]) -> list[Any]:
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: Sequence[Any], results: Sequence[Any]) -> int:
         try:
-            found = self._call(*(np.asarray(argument).ravel() for argument in arguments))
-            return [ca.DM(sparsity, value) for sparsity, value in zip(self._outputs, found, strict=True)]
+            found = self._call(*(np.frombuffer(x or b"") for x in arguments))
+            for place, value in zip(results, found, strict=True):
+                if place is not None:
+                    np.frombuffer(place)[:] = value
         except Exception as error:
             self.failure = error
-            raise
+            return 1
+        return 0
 
 
 def minimise(

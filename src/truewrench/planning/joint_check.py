@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory_joint import SplineJoints
+from truewrench.planning.buffered import Buffered
 from truewrench.planning.check import Preview, check_times, place_usage, wrench_usage
 from truewrench.planning.joint_space import ArmOutputs, near_pairs
 from truewrench.planning.limits import Limits, Usage, clearance_usage, usage_of
@@ -76,7 +77,7 @@ def quick_usage(
     """The same use of the limits by the expressions that the motion is planned with: a tenth of the time."""
     time = check_times(until)
     states = (motion.position(time).T, motion.velocity(time).T, motion.acceleration(time).T)
-    wrench, every = (np.array(x).T for x in outputs.function.map(time.size)(*states))
+    wrench, every = (x.T for x in Buffered(outputs.function.map(time.size))(*states))
     workspace, torque = every[:, outputs.workspace], every[:, outputs.torque]
     high = limits.torque[: torque.shape[1]]
     return [

@@ -74,7 +74,7 @@ def arm_outputs(rig: Rig, payload: str, robot: Robot) -> ArmOutputs:
     names, distances = _distances(robot, arm, mass_at)
     ends = np.cumsum([0, 6, torque.numel(), len(distances)]).tolist()
     outputs = ca.vertcat(arm.p_root_sensor, mass_at, torque, *distances)
-    function = ca.Function("arm", [q, qd, qdd], [wrench, outputs])
+    function = ca.Function("arm", [q, qd, qdd], [ca.densify(wrench), ca.densify(outputs)])
     workspace, joints, distance = (slice(a, b) for a, b in pairwise(ends))
     return ArmOutputs(function, workspace, joints, distance, names)
 

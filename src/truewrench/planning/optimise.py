@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.planning.buffered import Buffered
 from truewrench.planning.criterion import PACKED, Criterion, packed
 from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
@@ -147,12 +148,12 @@ class Problem:
         weight, multiplier = ca.SX.sym("weight", 7, 7), ca.SX.sym("multiplier", self._out)
         one = ca.vertcat(w, 1.0)
         lagrangian = ca.dot(one, ca.mtimes(weight, one)) + ca.dot(multiplier, out)
-        self._values = ca.Function("values", [z], [out]).map(nodes)
-        self._jacobian = ca.Function("jacobian", [z], [ca.densify(ca.jacobian(out, z))]).map(nodes)
+        self._values = Buffered(ca.Function("values", [z], [ca.densify(out)]).map(nodes))
+        by_state = ca.Function("jacobian", [z], [ca.densify(ca.jacobian(out, z))])
+        self._jacobian = Buffered(by_state.map(nodes))
         hessian = ca.densify(ca.hessian(lagrangian, z)[0])
-        self._hessian = ca.Function("hessian", [z, weight, multiplier], [hessian]).map(
-            "hessians", "serial", nodes, [1], []
-        )
+        second = ca.Function("hessian", [z, weight, multiplier], [hessian])
+        self._hessian = Buffered(second.map("hessians", "serial", nodes, [1], []))
         bounds = space.bounds(limits)
         self.linear, self.linear_of = self._linear_rows(bounds)
         self.summed = np.flatnonzero(np.isfinite(bounds.integral_upper))
@@ -280,7 +281,7 @@ class Problem:
         multiplier[6 + self.bounded :] = closed[:, None] / K
         of_sums = sums.reshape(len(rows.sums), self.summed.size)
         multiplier[6 + self.bounded + self.summed] += of_sums.T @ rows.sums
-        blocks = np.array(self._hessian(self._at_nodes(x), weight, multiplier))
+        (blocks,) = self._hessian(self._at_nodes(x), weight, multiplier)
         H = blocks.reshape(3, n, K, 3, n).transpose(2, 0, 1, 3, 4)  # (K, d, j, e, l)
         right = np.einsum("kdjel,kem->kdjlm", H, self._tables, optimize=True)
         both = self._tables.reshape(3 * K, -1).T @ right.reshape(3 * K, -1)  # (p, j l m)
@@ -306,7 +307,7 @@ class Problem:
     def _outputs(self, x: Array) -> Array:
         """(K, out) of the node function."""
         if not np.array_equal(x, self._last[0]):
-            self._last = (x.copy(), np.array(self._values(self._at_nodes(x))).T)
+            self._last = (x.copy(), self._values(self._at_nodes(x))[0].T)
         return self._last[1]
 
     def _derivatives(self, x: Array) -> _Derivatives:
@@ -319,7 +320,7 @@ class Problem:
 
     def _differentiate(self, x: Array) -> _Derivatives:
         n, K = self.space.n, self.nodes
-        by_state = np.array(self._jacobian(self._at_nodes(x)))
+        (by_state,) = self._jacobian(self._at_nodes(x))
         by_state = by_state.reshape(self._out, K, 3, n).transpose(1, 0, 3, 2)  # (K, out, n, 3)
         jacobian = ((by_state @ self._tables[:, None]) * self._scale[:, None]).reshape(K, self._out, -1)
         if self._start_size:

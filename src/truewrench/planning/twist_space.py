@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.model.rig import Rig
+from truewrench.planning.buffered import Buffered
 from truewrench.planning.limits import Limits
 from truewrench.planning.optimise import Bounds, Space
 from truewrench.planning.series import FourierMotion
@@ -79,8 +80,9 @@ def pose_twist(motion: FourierMotion, time: Array) -> tuple[Array, Array]:
     nu = _twist(z, velocity)[0]
     a = total_derivative(nu, z, velocity, acceleration)
     states = (motion.position(time).T, motion.velocity(time).T, motion.acceleration(time).T)
-    twist, derivative = ca.Function("twist", [z, velocity, acceleration], [nu, a]).map(len(time))(*states)
-    return np.array(twist).T, np.array(derivative).T
+    function = ca.Function("twist", [z, velocity, acceleration], [ca.densify(nu), ca.densify(a)])
+    twist, derivative = Buffered(function.map(len(time)))(*states)
+    return twist.T, derivative.T
 
 
 def _twist(z: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
+from truewrench.planning.buffered import Buffered
 from truewrench.planning.joint_space import ArmOutputs, arm_outputs, joint_limits
 from truewrench.planning.limits import Limits
 from truewrench.planning.tool.collisions import Collisions, collisions_of
@@ -78,7 +79,7 @@ class Stand:
         """Whether every limit holds at rest, and nothing touches, in each of N postures (N, n)."""
         out = ((q >= self.limits.lower) & (q <= self.limits.upper)).all(axis=1)
         rest = np.zeros_like(q).T
-        wrench, every = (np.array(x).T for x in self.outputs.function.map(len(q))(q.T, rest, rest))
+        wrench, every = (x.T for x in Buffered(self.outputs.function.map(len(q)))(q.T, rest, rest))
         share = _SPARE * self.limits.wrench / self.rig.sensor.range_array
         out &= (np.abs(wrench) <= share).all(axis=1)
         low, high = self.limits.workspace.T
