@@ -81,6 +81,9 @@ test-cpp: build/cpp/build.ninja
 	$(BIN)/cmake --build build/cpp
 	$(BIN)/ctest --test-dir build/cpp --output-on-failure --parallel 2
 
+# One process a core: threads of linear algebra beside them take a third longer.
+test-python test-benchmarks: export OPENBLAS_NUM_THREADS = 1
+
 test-python: $(VENV)/.built $(VENV)/.dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
