@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["cross", "cross_matrix", "rotated", "twist_adjoint"]
+__all__ = ["cross", "cross_matrix", "rotated", "turns_between", "twist_adjoint"]
 
 Array = NDArray[np.float64]
 
@@ -49,3 +51,17 @@ def rotated(steps: Array) -> Array:
     for k in range(1, length):
         by_piece[k] = by_piece[k - 1, -1] @ by_piece[k]
     return np.asarray(by_piece.reshape(-1, 3, 3)[: count + 1])
+
+
+def turns_between(omega: Callable[[Array], Array], nodes: Array) -> Array:
+    """Rotations (N - 1, 3) in body axes from each of times (N,) [s] to the next, of Omega (M, 3) at any (M,).
+
+    By Magnus' expansion to the sixth order (Blanes, Casas and Ros 2000) of d/dt R^T = -[Omega] R^T.
+    """
+    h, middle = np.diff(nodes)[:, None], 0.5 * (nodes[1:] + nodes[:-1])
+    first, second, third = (omega(middle + side * np.sqrt(0.15) * h[:, 0]) for side in (-1.0, 0.0, 1.0))
+    a1 = -h * second
+    a2, a3 = -np.sqrt(15.0) / 3.0 * h * (third - first), -10.0 / 3.0 * h * (third - 2.0 * second + first)
+    c1 = cross(a1, a2)
+    c2 = -cross(a1, 2.0 * a3 + c1) / 60.0
+    return -(a1 + a3 / 12.0 + cross(-20.0 * a1 - a3 + c1, a2 + c2) / 240.0)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import OdeSolution, solve_ivp
 from scipy.interpolate import BSpline, make_interp_spline
 
-from truewrench.motion.spatial import cross, rotated
+from truewrench.motion.spatial import cross, rotated, turns_between
 
 Array = NDArray[np.float64]
 
@@ -207,17 +207,8 @@ def attitude(trajectory: Trajectory, time: Array) -> Array:
     """Rotations R_root_sensor (N, 3, 3) at times (N,) >= 0, integrated from Omega; the identity at time 0."""
     t = np.asarray(time, dtype=np.float64)
     nodes = np.union1d(np.append(t, 0.0), np.arange(0.0, float(t.max()), _ATTITUDE_STEP))
-    h, middle = np.diff(nodes)[:, None], 0.5 * (nodes[1:] + nodes[:-1])
-    first, second, third = (
-        trajectory.twist(middle + side * np.sqrt(0.15) * h[:, 0])[:, 3:] for side in (-1.0, 0.0, 1.0)
-    )
-    # Magnus' expansion to the sixth order (Blanes, Casas and Ros 2000) of d/dt R^T = -[Omega] R^T
-    a1 = -h * second
-    a2, a3 = -np.sqrt(15.0) / 3.0 * h * (third - first), -10.0 / 3.0 * h * (third - 2.0 * second + first)
-    c1 = cross(a1, a2)
-    c2 = -cross(a1, 2.0 * a3 + c1) / 60.0
-    turn = a1 + a3 / 12.0 + cross(-20.0 * a1 - a3 + c1, a2 + c2) / 240.0
-    return rotated(-turn)[np.searchsorted(nodes, t)]
+    turns = turns_between(lambda at: trajectory.twist(at)[:, 3:], nodes)
+    return rotated(turns)[np.searchsorted(nodes, t)]
 
 
 def excitation_alpha(time: Array, wrench: Array) -> float:

@@ -19,13 +19,12 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
-from truewrench.motion.spatial import cross, cross_matrix, rotated
+from truewrench.motion.spatial import cross_matrix, rotated, turns_between
 
 __all__ = ["attitude_at", "attitude_of", "free_fall"]
 
 Array = NDArray[np.float64]
 
-_GAUSS = 0.5 / np.sqrt(3.0)  # of a step, from its middle: the two points of Gauss' rule
 _NO_RATE = 1e6  # [rad/s]: tolerance
 _OPPOSITE = 1e-12  # 1 + cosine of two directions that are taken for opposite
 
@@ -117,11 +116,7 @@ def _turns(time: Array, omega_time: Array, omega: Array) -> Array:
             continue
         path = make_interp_spline(at, omega[piece], k=min(3, at.size - 1))
         nodes = np.union1d(at, time[inside])
-        step, middle = np.diff(nodes)[:, None], 0.5 * (nodes[1:] + nodes[:-1])
-        first, second = (path(middle + side * _GAUSS * step[:, 0]) for side in (-1.0, 1.0))
-        # Magnus' expansion to the fourth order, of Rdot = R [Omega]
-        angle = 0.5 * step * (first + second) + step**2 / (4.0 * np.sqrt(3.0)) * cross(first, second)
-        R = rotated(angle)[np.searchsorted(nodes, time[inside])]
+        R = rotated(turns_between(path, nodes))[np.searchsorted(nodes, time[inside])]
         turns[inside[:-1]] = R[1:].transpose(0, 2, 1) @ R[:-1]
     return turns
 

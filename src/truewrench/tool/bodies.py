@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.motion.spatial import cross, cross_matrix
-from truewrench.tool.parameters import channel_turn, symmetric
+from truewrench.tool.parameters import COLUMNS, ROWS, channel_turn, symmetric
 
 __all__ = ["flange_body", "flange_wrench", "joined", "nearest_physical", "total_body", "weight"]
 
 Array = NDArray[np.float64]
 
 _THINNEST = 1e-8  # [m^2] of second moments: simulators refuse a body without any
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-_ROWS, _COLUMNS = np.array(_PAIRS).T
 _UNIT = np.array([symmetric(element) for element in np.eye(6)])
 _CLOSE = 1e-7  # of a squared distance in units of sigma: tolerance
 _STEP = 1e-30  # of the complex step
@@ -28,8 +26,8 @@ def _total(bodies: Any) -> Any:
     mass = masses.sum(axis=-1)[..., None]
     center = (masses[..., None] * bodies[..., 1:4]).sum(axis=-2) / mass
     away = bodies[..., 1:4] - center[..., None, :]
-    moments = (masses[..., None] * (bodies[..., 4:] + away[..., _ROWS] * away[..., _COLUMNS])).sum(axis=-2)
-    inertia = moments[..., :3].sum(axis=-1)[..., None] * (_ROWS == _COLUMNS) - moments
+    moments = (masses[..., None] * (bodies[..., 4:] + away[..., ROWS] * away[..., COLUMNS])).sum(axis=-2)
+    inertia = moments[..., :3].sum(axis=-1)[..., None] * (ROWS == COLUMNS) - moments
     return np.concatenate([np.log(mass), center, inertia], axis=-1)
 
 
@@ -65,7 +63,7 @@ def nearest_physical(body: Array, covariance: Array) -> tuple[Array, float]:
     eigen, basis = np.linalg.eigh(P / np.outer(scale, scale))
     white = (basis / np.sqrt(np.maximum(eigen, 1e-9))).T / scale
     clipped = (vectors * np.maximum(values, 1e-6)) @ vectors.T
-    step = _least_change(S, white, clipped[_ROWS, _COLUMNS]) - S
+    step = _least_change(S, white, clipped[ROWS, COLUMNS]) - S
     out = body.copy()
     out[:4] += covariance[:4, 4:] @ (white.T @ (white @ step))
     out[4:] += step

@@ -328,8 +328,7 @@ def regressor(nu: Array, a: Array, g: Array) -> Array:
     for k, e in enumerate(np.eye(3)):
         Y[:, :3, 1 + k] = -(cross(alpha, e) + cross(omega, cross(omega, e)))
         Y[:, 3:, 1 + k] = -cross(e, force)
-    for k, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-        unit = np.zeros((3, 3))
-        unit[i, j] = unit[j, i] = 1.0
+    for k, element in enumerate(np.eye(6)):
+        unit = symmetric(element)
         Y[:, 3:, 4 + k] = -(alpha @ unit + cross(omega, omega @ unit))
     return Y

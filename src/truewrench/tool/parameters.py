@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from truewrench.motion.spatial import cross
 
 __all__ = [
+    "COLUMNS",
     "ELEMENTS",
+    "ROWS",
     "Layout",
     "channel_turn",
     "inertia_of",
@@ -32,7 +34,8 @@ Array = NDArray[np.float64]
 ELEMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
 """Order of the elements of S and of an inertia tensor."""
 
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+ROWS, COLUMNS = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]).T
+"""Where they stand in the matrix."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,13 +107,12 @@ class Layout:
 def symmetric(elements: Array) -> Array:
     """(3, 3) of six elements in the order of `ELEMENTS`."""
     out = np.empty((3, 3))
-    for value, (i, j) in zip(elements, _PAIRS, strict=True):
-        out[i, j] = out[j, i] = value
+    out[ROWS, COLUMNS] = out[COLUMNS, ROWS] = elements
     return out
 
 
 def _elements(matrix: Array) -> Array:
-    return np.array([matrix[i, j] for i, j in _PAIRS])
+    return np.asarray(matrix[ROWS, COLUMNS])
 
 
 def inertia_of(mass: float, S: Array) -> Array:
