@@ -87,12 +87,14 @@ class Fit {
 
   // w_t of 10.3 at the residuals and sizes as they stand.
   void reweigh() {
-    for (std::size_t l = 0; l < logs_.size(); ++l)
-      for (Stretch& s : logs_[l].stretches)
-        for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
-          s.raw.weight[k] = s.raw.size[k] * (s.raw.masked[static_cast<std::size_t>(k)] != 0 ? 0.0
-                                             : robust ? robust_weight(s.raw.channels[k], chi2(l, s, k))
-                                                      : 1.0);
+    for (std::size_t l = 0; l < logs_.size(); ++l) reweigh_log(l);
+  }
+  void reweigh_log(std::size_t l) {
+    for (Stretch& s : logs_[l].stretches)
+      for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
+        s.raw.weight[k] = s.raw.size[k] * (s.raw.masked[static_cast<std::size_t>(k)] != 0 ? 0.0
+                                           : robust ? robust_weight(s.raw.channels[k], chi2(l, s, k))
+                                                    : 1.0);
   }
 
   // chi^2(t) of the channels of one sample; the mean over those that a row stands for.
@@ -274,8 +276,8 @@ class Fit {
     }
   }
 
-  // Gauss-Newton and (10.6) until theta moves by less than 0.05 sigma (RMS) and the sizes by less than 5 %; or until it is as
-  // near to where another fit of the same rows has ended.
+  // Gauss-Newton and (10.6) until theta moves by less than 0.05 sigma (RMS) and the sizes by less than 5 %, then linearised once
+  // more unless both hardly moved; or until it is as near to where another fit of the same rows has ended.
   Fit& run(const Fit* known = nullptr) {
     lagged = Eigen::Map<const RowMatrix>(theta.data() + layout_.C, n_, 6);
     predict();
@@ -287,24 +289,27 @@ class Fit {
       compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
       if (iterations > 1 && !robust) find_slopes();
       const Eigen::VectorXd last = step_;
-      if (!linearise() || !solve()) return *this;
+      if (!find_step()) return *this;
       advance(turned(last) ? 0.5 : 1.0);
       const auto count = static_cast<double>(active_places().size());
-      const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
-      if (resize() < constants::move && move < constants::move && iterations > 1 &&
-          (robust || slopes_hold())) {
+      std::vector<Sizes> standing;
+      for (const LogFit& l : logs_) standing.push_back(l.sizes);
+      const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count), resized = resize();
+      if (resized < constants::move && move < (robust ? constants::robust_move : constants::move) &&
+          iterations > 1 && (robust || slopes_hold())) {
         converged = true;
-        break;
+        if (std::max(move, resized) >= constants::still) break;
+        for (std::size_t l = 0; l < logs_.size(); ++l) logs_[l].sizes = standing[l];
+        reweigh();
+        return end();
       }
       near_ = known && near(*known);
       if (near_) return *this;
     }
     if (robust) return *this;  // whose deviance is rarely asked for
-    if (!linearise() || !solve()) return *this;
-    stands_ = true;
+    if (!find_step()) return *this;
     advance();
-    deviance_ = likelihood();
-    return *this;
+    return end();
   }
 
   // -2 log L (10.7) where the fit has ended; nan where it failed, or came near to another.
@@ -446,6 +451,18 @@ class Fit {
   bool near_ = false, stands_ = false;
   std::vector<int> returns_;  // of what has been let go, in this run
 
+  bool find_step() {
+    if (!linearise() || !solve()) return false;
+    resize_blocks();
+    return solve(true);
+  }
+
+  Fit& end() {
+    stands_ = true;
+    deviance_ = likelihood();
+    return *this;
+  }
+
   template <typename Work>
   void each_stretch(const Work& work) {
     std::vector<std::pair<std::size_t, std::size_t>> all;
@@ -485,6 +502,9 @@ class Fit {
   }
 
   double resize_tau(LogFit& l, const std::vector<Traces>& traces);
+  void resize_blocks();
+  template <typename Resize>
+  double resize_raw(std::size_t l, const Eigen::VectorXd& trace, const Resize& resize_factor);
 
   void compare_delays();
   void imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& bend) const;

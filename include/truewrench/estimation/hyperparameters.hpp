@@ -6,7 +6,6 @@
 namespace truewrench {
 
 inline double Fit::resize() {
-  reweigh();
   double move = 0.0;
   for (std::size_t l = 0; l < logs_.size(); ++l) {
     LogFit& log = logs_[l];
@@ -27,27 +26,15 @@ inline double Fit::resize() {
     const double rest = std::max(0.0, share.sum() - motion_share);
     of_group *= rest / std::max(of_group.sum(), 1e-300);
 
-    Eigen::VectorXd squares = Eigen::VectorXd::Zero(z.raw_factor.size()), count = squares, trace = of_group;
+    Eigen::VectorXd trace = of_group;
     std::vector<Eigen::VectorXd> m_squares, m_count, m_trace;
     for (const auto& f : z.motion_factor)
       for (auto* v : {&m_squares, &m_count, &m_trace}) v->push_back(Eigen::VectorXd::Zero(f.size()));
     Eigen::VectorXd energy = Eigen::VectorXd::Zero(z.q.size()), q_trace = energy, size = energy;
-    double samples = 0.0, weights = 0.0;
     for (std::size_t s_ = 0; s_ < traces.size(); ++s_) {
       const Stretch& s = log.stretches[s_];
       const Traces& t = traces[s_];
       trace += t.raw;
-      for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
-        if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
-        samples += s.raw.size[k];
-        weights += s.raw.weight[k];
-        for (int i = 0; i < n_; ++i) {
-          if (!std::isfinite(s.raw.value(k, i))) continue;
-          const double r = s.now.residual(k, i), v = rig_->noise[i];
-          squares[raw_group(i, n_)] += s.raw.weight[k] * (r * r + s.raw.spread(k, i)) / (v * v);
-          count[raw_group(i, n_)] += s.raw.size[k];
-        }
-      }
       for (std::size_t i = 0; i < s.motion.size(); ++i) {
         const MotionStream& stream = log.log->motion[i];
         m_trace[i] += t.motion[i];
@@ -64,22 +51,19 @@ inline double Fit::resize() {
       }
       q_trace += t.q;
     }
-    const auto resize_factor = [&move](double& factor, double rss, double rows, double used) {
-      if (rows - used < constants::fewest_freedom) return;  // nothing is left to find it by
+    const auto resize_factor = [](double& factor, double rss, double rows, double used) {
+      if (rows - used < constants::fewest_freedom) return 0.0;  // nothing is left to find it by
       const double to = std::max(std::sqrt(rss / (rows - used)), constants::size_floor);
       const double ratio = std::clamp(to / factor, 0.2, 5.0);
       factor *= ratio;
-      move = std::max(move, std::abs(std::log(ratio)));
+      return std::abs(std::log(ratio));
     };
-    // In the end 1, as sum w (4 + chi^2) = sum (4 + n_t); on the way there it halves the number of steps (Kent, Tyler and
-    // Vardi 1994).
-    if (robust && weights > 0.0) squares *= (samples + trace.sum() / constants::freedom) / weights;
-    for (Eigen::Index r = 0; r < squares.size(); ++r)
-      if (count[r] > 0.0) resize_factor(z.raw_factor[r], squares[r], count[r], trace[r]);
+    move = std::max(move, resize_raw(l, trace, resize_factor));
     for (std::size_t i = 0; i < m_squares.size(); ++i)
       for (Eigen::Index r = 0; r < m_squares[i].size(); ++r)
         if (m_count[i][r] > 0.0)
-          resize_factor(z.motion_factor[i][r], m_squares[i][r], m_count[i][r], m_trace[i][r]);
+          move = std::max(
+              move, resize_factor(z.motion_factor[i][r], m_squares[i][r], m_count[i][r], m_trace[i][r]));
     for (Eigen::Index j = 0; j < z.q.size(); ++j) {
       const double to =
           smoothness_found(*log.log, static_cast<int>(j), log.h, energy[j], size[j] - q_trace[j] / z.q[j]);
@@ -112,12 +96,50 @@ inline double Fit::resize() {
     }
     if (z.form == Form::matern) move = std::max(move, resize_tau(log, traces));
   }
-  // upsilon and alpha: the same rule with R = E, exponent 1, to its end at what this linearisation says of the block
+  return move;
+}
+
+// The factors on the sensor's noise; robust ones with the weights that belong to them.
+template <typename Resize>
+double Fit::resize_raw(std::size_t l, const Eigen::VectorXd& trace, const Resize& resize_factor) {
+  LogFit& log = logs_[l];
+  Eigen::VectorXd& factor = log.sizes.raw_factor;
+  const Eigen::VectorXd before = factor;
+  for (int round = 0; round < (robust ? 20 : 1); ++round) {
+    reweigh_log(l);
+    Eigen::VectorXd squares = Eigen::VectorXd::Zero(factor.size()), count = squares;
+    double samples = 0.0, weights = 0.0, move = 0.0;
+    for (const Stretch& s : log.stretches)
+      for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
+        if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
+        samples += s.raw.size[k];
+        weights += s.raw.weight[k];
+        for (int i = 0; i < n_; ++i) {
+          if (!std::isfinite(s.raw.value(k, i))) continue;
+          const double r = s.now.residual(k, i), v = rig_->noise[i];
+          squares[raw_group(i, n_)] += s.raw.weight[k] * (r * r + s.raw.spread(k, i)) / (v * v);
+          count[raw_group(i, n_)] += s.raw.size[k];
+        }
+      }
+    // In the end 1, as sum w (4 + chi^2) = sum (4 + n_t); on the way there it halves the number of steps (Kent, Tyler and
+    // Vardi 1994).
+    if (robust && weights > 0.0) squares *= (samples + trace.sum() / constants::freedom) / weights;
+    for (Eigen::Index r = 0; r < squares.size(); ++r)
+      if (count[r] > 0.0) move = std::max(move, resize_factor(factor[r], squares[r], count[r], trace[r]));
+    if (move < 1e-3) break;
+  }
+  reweigh_log(l);
+  return (factor.array() / before.array()).log().abs().maxCoeff();
+}
+
+// upsilon and alpha: (10.6) with R = E, exponent 1, to its end at what this linearisation says of the block after its step. With
+// the noise's sizes, after the step, u would go on to where the new prior has it by a step of its own.
+inline void Fit::resize_blocks() {
   const auto resize_block = [this](int at, double floor) {
     Eigen::MatrixXd told, P = P_.block(at, at, n_, n_);
     double logdet = 0.0;
     if (!dense::invert(P, told, logdet)) return;
-    const Eigen::VectorXd pull = dense::times(told, theta.segment(at, n_));
+    const Eigen::VectorXd pull = dense::times(told, theta.segment(at, n_) + step_.segment(at, n_));
     double size = prior[at];
     told.diagonal().array() -= 1.0 / size;
     for (int round = 0; round < 200; ++round) {
@@ -136,8 +158,6 @@ inline double Fit::resize() {
   resize_block(layout_.u, constants::departure_floor);
   for (std::size_t l = 0; l < logs_.size(); ++l)
     for (const int step : layout_.in_theta(l).steps) resize_block(step, constants::departure_floor);
-  reweigh();
-  return move;
 }
 
 // k <- argmin sum_i [ S_i(k) / rho_i^2 - log |R(k)| ], rho_i^2 = 4 k^3 delta_i^2 held (10.3).
