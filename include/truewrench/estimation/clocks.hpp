@@ -1,7 +1,8 @@
 // Of a fit: s, kappa and gamma of its logs. What the gain imitates, what is held, and what the motion adds to kappa's score (10.1).
 #pragma once
 
-#include "truewrench/estimation/fit.hpp"
+#include "truewrench/estimation/information.hpp"
+#include "truewrench/estimation/likelihood.hpp"
 
 #include <utility>
 #include <vector>
@@ -48,7 +49,6 @@ inline void Fit::imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& be
   }
 }
 
-// s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2) (10.1).
 inline bool Fit::clock_prior() {
   Eigen::MatrixXd P;
   double logdet = 0.0;
@@ -56,10 +56,8 @@ inline bool Fit::clock_prior() {
   const Eigen::VectorXd step = dense::times(P, pull());
   for (std::size_t l = 0; l < logs_.size(); ++l)
     for (const int i : layout_.in_theta(l).clock) {
-      const double s = theta[i] + step[i];
-      const double V = 1.0 / std::max(1.0 / P(i, i) - 1.0 / prior[i], 1e-12);
-      const double apart = (s - layout_.mean()[i]) * V / P(i, i);
-      prior[i] = stated_[i] + (imitated_ ? 0.0 : std::max(0.0, apart * apart - V - stated_[i]));
+      prior[i] =
+          clock_variance(stated_[i], prior[i], P(i, i), theta[i] + step[i] - layout_.mean()[i], imitated_);
     }
   return true;
 }

@@ -10,6 +10,13 @@
 
 namespace truewrench {
 
+// Prior variance of s ~ N(s_0, stated + v), v = max(0, (s_hat - s_0)^2 - V - stated), from its posterior at the prior that stands:
+// so far apart from s_0, with this variance. The data's own are s_hat and V. Where the gain imitates it v is 0.       (10.1)
+inline double clock_variance(double stated, double prior, double variance, double apart, bool imitated) {
+  const double V = 1.0 / std::max(1.0 / variance - 1.0 / prior, 1e-12), own = apart * V / variance;
+  return stated + (imitated ? 0.0 : std::max(0.0, own * own - V - stated));
+}
+
 // The derivative at the middle of three samples, of the parabola through them: times between them, and changes.
 inline double middle_rate(double before, double after, double from, double to) {
   return (to * before / after + from * after / before) / (before + after);

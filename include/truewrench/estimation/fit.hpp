@@ -108,59 +108,7 @@ class Fit {
   }
 
   // Information and gradient of all rows, the motion eliminated; false where a factorisation fails.
-  bool linearise() {
-    std::vector<std::vector<Information>> parts(logs_.size());
-    std::vector<std::vector<std::vector<Information>>> said(logs_.size());
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      parts[l].resize(logs_[l].stretches.size());
-      said[l].resize(logs_[l].stretches.size());
-    }
-    each_stretch([&](std::size_t l, Stretch& s, Sweep& sweep) {
-      const auto i = static_cast<std::size_t>(&s - logs_[l].stretches.data());
-      parts[l][i] = sweep.forward(s, layout_.log(l), local(l), lagged, logs_[l].sizes, Sweep::Extent::whole,
-                                  breaks(logs_[l], s), &said[l][i]);
-    });
-    const Eigen::Index nt = layout_.size();
-    const Information nothing{Eigen::MatrixXd::Zero(nt, nt), Eigen::VectorXd::Zero(nt)};
-    Information all = nothing;
-    quarters_.fill(nothing);
-    logdet_x_ = 0.0;
-    log_data_.assign(logs_.size(), Eigen::MatrixXd());
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      const std::vector<int>& at = layout_.log(l).global;
-      const auto add = [&at](Information& to, const Information& part, double times) {
-        for (std::size_t i = 0; i < at.size(); ++i) {
-          to.g[at[i]] += times * part.g[static_cast<Eigen::Index>(i)];
-          for (std::size_t j = 0; j < at.size(); ++j)
-            to.S(at[i], at[j]) += times * part.S(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
-        }
-      };
-      log_data_[l] =
-          Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(at.size()), static_cast<Eigen::Index>(at.size()));
-      for (std::size_t i = 0; i < parts[l].size(); ++i) {
-        const Information& part = parts[l][i];
-        if (!std::isfinite(part.logdet)) {
-          failed = true;
-          return false;
-        }
-        logdet_x_ += part.logdet;
-        log_data_[l] += part.S;
-        add(all, part, 1.0);
-        const auto quarter = [&](int block) -> Information& {
-          return quarters_[quarter_of(logs_[l], logs_[l].stretches[i], block)];
-        };
-        add(quarter(static_cast<int>(logs_[l].stretches[i].spline.blocks()) - 1), part, 1.0);
-        const std::vector<int> ends = breaks(logs_[l], logs_[l].stretches[i]);
-        for (std::size_t k = 0; k < said[l][i].size(); ++k) {
-          add(quarter(ends[k]), said[l][i][k], 1.0);
-          add(quarter(ends[k] + 1), said[l][i][k], -1.0);
-        }
-      }
-    }
-    data_ = all.S;
-    gradient_ = all.g;
-    return true;
-  }
+  bool linearise();
 
   // The step of theta from the last linearisation; `frozen`: with priors and held parameters as they stand.
   bool solve(bool frozen = false) {
@@ -211,42 +159,7 @@ class Fit {
   }
 
   // What a step must lower at fixed sizes: the terms of (10.7) in x and theta.
-  double objective() const {
-    double sum = 0.0;
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      const Sizes& z = logs_[l].sizes;
-      for (const Stretch& s : logs_[l].stretches) {
-        for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
-          if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
-          const double x = chi2(l, s, k);
-          sum += s.raw.size[k] *
-                 (robust ? (constants::freedom + s.raw.channels[k]) * std::log1p(x / constants::freedom) : x);
-        }
-        for (std::size_t i = 0; i < s.motion.size(); ++i) {
-          const MotionStream& stream = logs_[l].log->motion[i];
-          for (int j = 0; j < s.components(); ++j) {
-            const double sigma_j = stream.sigma[j] * z.motion_factor[i][stream.group[j]];
-            sum += s.motion[i].squares(j) / (sigma_j * sigma_j);
-          }
-        }
-        for (int j = 0; j < s.components(); ++j)
-          sum += s.spline.smoothness(smoothness_order(logs_[l].log->source, j)).quadratic(s.c, j) / z.q[j];
-        if (z.form != Form::none) {
-          const Penalty R = s.spline.discrepancy(z.k, z.form);
-          for (int i = 0; i < n_; ++i) {
-            const double delta = z.delta[raw_group(i, n_)];
-            sum += R.quadratic(s.e, i) / (delta * delta);
-          }
-        }
-      }
-    }
-    for (Eigen::Index i = 0; i < layout_.size(); ++i)
-      if (active[static_cast<std::size_t>(i)] != 0) {
-        const double d = theta[i] - layout_.mean()[i];
-        sum += d * d / prior[i];
-      }
-    return sum;
-  }
+  double objective() const;
 
   // Take the step of the last solve, halved until the objective falls.
   void advance(double share = 1.0) {
@@ -285,6 +198,7 @@ class Fit {
     converged = near_ = stands_ = false;
     returns_.assign(active.size(), 0);
     deviance_ = std::numeric_limits<double>::quiet_NaN();
+    double resized = std::numeric_limits<double>::infinity();
     for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
       compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
       if (iterations > 1 && !robust) find_slopes();
@@ -294,7 +208,9 @@ class Fit {
       const auto count = static_cast<double>(active_places().size());
       std::vector<Sizes> standing;
       for (const LogFit& l : logs_) standing.push_back(l.sizes);
-      const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count), resized = resize();
+      const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
+      if (std::max(move, resized) >= constants::still)
+        resized = resize();  // else they stay as near as they are
       if (resized < constants::move && move < (robust ? constants::robust_move : constants::move) &&
           iterations > 1 && (robust || slopes_hold())) {
         converged = true;
@@ -350,35 +266,7 @@ class Fit {
   }
 
   // -2 log L (10.7), with the Student-t sum in place of the rows' r^2 / sigma^2 where robust.
-  double likelihood() const {
-    double sum = objective() + log_determinant();
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      const Sizes& z = logs_[l].sizes;
-      for (const Stretch& s : logs_[l].stretches) {
-        for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
-          if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
-          for (int i = 0; i < n_; ++i)
-            if (std::isfinite(s.raw.value(k, i))) sum += 2.0 * s.raw.size[k] * std::log(sigma(l, i));
-        }
-        for (std::size_t i = 0; i < s.motion.size(); ++i) {
-          const MotionStream& stream = logs_[l].log->motion[i];
-          for (int j = 0; j < s.components(); ++j)
-            sum += 2.0 * std::log(stream.sigma[j] * z.motion_factor[i][stream.group[j]]) *
-                   s.motion[i].samples[j];
-        }
-        const auto N = static_cast<double>(s.spline.size());
-        for (int j = 0; j < s.components(); ++j) {
-          const int p = smoothness_order(logs_[l].log->source, j);
-          sum += (N - p) * std::log(z.q[j]) - s.spline.smoothness_logdet(p);
-        }
-        if (z.form == Form::none) continue;
-        for (int i = 0; i < n_; ++i) sum += 2.0 * N * std::log(z.delta[raw_group(i, n_)]);
-        sum -= n_ * s.spline.logdet(s.spline.discrepancy(z.k, z.form));
-      }
-    }
-    for (const int i : active_places()) sum += std::log(prior[i]);
-    return sum;
-  }
+  double likelihood() const;
 
   // (10.6) once, at the state after the step, traces from the factor before it; the largest relative move.
   double resize();
@@ -503,8 +391,7 @@ class Fit {
 
   double resize_tau(LogFit& l, const std::vector<Traces>& traces);
   void resize_blocks();
-  template <typename Resize>
-  double resize_raw(std::size_t l, const Eigen::VectorXd& trace, const Resize& resize_factor);
+  double resize_raw(std::size_t l, const Eigen::VectorXd& trace);
 
   void compare_delays();
   void imitate(Eigen::Index i, Eigen::VectorXd& L, Eigen::VectorXd& bend) const;

@@ -51,26 +51,15 @@ inline double Fit::resize() {
       }
       q_trace += t.q;
     }
-    const auto resize_factor = [](double& factor, double rss, double rows, double used) {
-      if (rows - used < constants::fewest_freedom) return 0.0;  // nothing is left to find it by
-      const double to = std::max(std::sqrt(rss / (rows - used)), constants::size_floor);
-      const double ratio = std::clamp(to / factor, 0.2, 5.0);
-      factor *= ratio;
-      return std::abs(std::log(ratio));
-    };
-    move = std::max(move, resize_raw(l, trace, resize_factor));
+    move = std::max(move, resize_raw(l, trace));
     for (std::size_t i = 0; i < m_squares.size(); ++i)
       for (Eigen::Index r = 0; r < m_squares[i].size(); ++r)
         if (m_count[i][r] > 0.0)
           move = std::max(
               move, resize_factor(z.motion_factor[i][r], m_squares[i][r], m_count[i][r], m_trace[i][r]));
-    for (Eigen::Index j = 0; j < z.q.size(); ++j) {
-      const double to =
-          smoothness_found(*log.log, static_cast<int>(j), log.h, energy[j], size[j] - q_trace[j] / z.q[j]);
-      const double ratio = std::clamp(to / z.q[j], 1e-3, 1e3);
-      z.q[j] *= ratio;
-      move = std::max(move, 0.5 * std::abs(std::log(ratio)));
-    }
+    for (int j = 0; j < z.q.size(); ++j)
+      move =
+          std::max(move, resize_smoothness(z, *log.log, j, log.h, energy[j], size[j] - q_trace[j] / z.q[j]));
     if (z.form == Form::none || z.form == Form::bridge) continue;
     Eigen::VectorXd d_energy = Eigen::VectorXd::Zero(z.delta.size()), d_trace = d_energy, d_size = d_energy;
     for (std::size_t s_ = 0; s_ < traces.size(); ++s_) {
@@ -100,8 +89,7 @@ inline double Fit::resize() {
 }
 
 // The factors on the sensor's noise; robust ones with the weights that belong to them.
-template <typename Resize>
-double Fit::resize_raw(std::size_t l, const Eigen::VectorXd& trace, const Resize& resize_factor) {
+inline double Fit::resize_raw(std::size_t l, const Eigen::VectorXd& trace) {
   LogFit& log = logs_[l];
   Eigen::VectorXd& factor = log.sizes.raw_factor;
   const Eigen::VectorXd before = factor;

@@ -86,16 +86,12 @@ inline bool Incremental::solve(bool judge) {
   for (int round = 0; round < (judge ? 2 : 1); ++round) {
     gather(Z_, 0, S_);
     if (judge) {
-      // s ~ N(s_0, stated^2 + v), v = max(0, (s_hat - s_0)^2 - V - stated^2)
-      // (10.1)
       if (!invert(true)) return false;
       for (std::size_t i = 0; i < lag_.streams(); ++i) {
         const int at = lag_.columns().clock[i];
         double s = 0.0;
         for (int j = 0; j < nt; ++j) s += P_(at, j) * (S_(nt, j) + mean[j] / prior_[j]);
-        const double V = 1.0 / std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 1e-12);
-        const double apart = (s - mean[at]) * V / P_(at, at);
-        column_[at] = stated_[at] + (imitated_ ? 0.0 : std::max(0.0, apart * apart - V - stated_[at]));
+        column_[at] = clock_variance(stated_[at], prior_[at], P_(at, at), s - mean[at], imitated_);
       }
       for (std::size_t i = 0; i < lag_.streams(); ++i)
         prior_[lag_.columns().clock[i]] = column_[lag_.columns().clock[i]];
@@ -146,31 +142,24 @@ inline double Incremental::resize(const SizeSums& sums) {
     if (b >= 0 && b < n) of_group[static_cast<std::size_t>(raw_group(b, n))] += share;
   }
   const double scale = std::max(0.0, all) / std::max(of_group[0] + of_group[1], 1e-300);
-  const auto factor_of = [&move](double& f, double rss, double rows, double used) {
-    const double to = std::sqrt(std::max(rss, 1e-300) / std::max(rows - used, 1e-3 * std::max(rows, 1.0)));
-    const double ratio = std::clamp(to / f, 0.2, 5.0);
-    f *= ratio;
-    move = std::max(move, std::abs(std::log(ratio)));
-  };
   for (Eigen::Index r = 0; r < z.raw_factor.size(); ++r) {
     const auto g = static_cast<std::size_t>(r);
     if (sums.raw_count[g] > 0.0)
-      factor_of(z.raw_factor[r], sums.raw[g], sums.raw_count[g], sums.raw_trace[g] + scale * of_group[g]);
+      move = std::max(move, resize_factor(z.raw_factor[r], sums.raw[g], sums.raw_count[g],
+                                          sums.raw_trace[g] + scale * of_group[g]));
   }
   for (std::size_t i = 0; i < lag_.streams(); ++i)
     for (Eigen::Index r = 0; r < z.motion_factor[i].size(); ++r) {
       const auto g = static_cast<std::size_t>(r);
       if (sums.motion_count[i][g] > 0.0)
-        factor_of(z.motion_factor[i][r], sums.motion[i][g], sums.motion_count[i][g], sums.motion_trace[i][g]);
+        move = std::max(move, resize_factor(z.motion_factor[i][r], sums.motion[i][g], sums.motion_count[i][g],
+                                            sums.motion_trace[i][g]));
     }
   for (int j = 0; j < kComponents; ++j) {
     const auto ju = static_cast<std::size_t>(j);
     const double size = sums.knots + kDegree5 - smoothness_order(lag_.about().source, j);
-    const double to =
-        smoothness_found(lag_.about(), j, lag_.h(), sums.energy[ju], size - sums.energy_trace[ju]);
-    const double ratio = std::clamp(to / z.q[j], 1e-3, 1e3);
-    z.q[j] *= ratio;
-    move = std::max(move, 0.5 * std::abs(std::log(ratio)));
+    move = std::max(
+        move, resize_smoothness(z, lag_.about(), j, lag_.h(), sums.energy[ju], size - sums.energy_trace[ju]));
   }
   // upsilon: the same rule with R = E, exponent 1
   double squares = 0.0, freedom = 0.0;

@@ -46,11 +46,11 @@ class MotionAlone {
   }
 
   // rows(k, i, visit): calls visit(interval, basis, size, value) for every row of stream i in stretch k; size (M): samples that it
-  // stands for, 0 where a component is missing; value (M). Samples and remainders are the caller's to state. The noise is held for
-  // 8 steps, else q may end in a wrong optimum. Returns -2 log L (10.7) of the motion.
+  // stands for, 0 where a component is missing; value (M). Samples and remainders are the caller's to state. The noise is held until
+  // q moves by less than a tenth, and for 8 steps at most, else q may end in a wrong optimum. Returns -2 log L (10.7) of the motion.
   template <typename Rows>
   double fit(const RecordedLog& log, double h, Sizes& z, const Rows& rows) {
-    constexpr int held = 8, most = 80;
+    constexpr int longest_held = 8, most = 80;
     const int M = log.components();
     const std::size_t streams = log.motion.size();
     for (auto* v : {&count_, &rss_, &used_, &factor_}) {
@@ -61,6 +61,7 @@ class MotionAlone {
     for (std::size_t k = 0; k < parts.size(); ++k) standing += sum(parts[k], k, log, rows);
     z.q.setConstant(constants::smoothness_start);
     for (auto& f : z.motion_factor) f.setOnes();
+    bool held = true;
     for (int iteration = 0; iteration < most; ++iteration) {
       for (auto* v : {&rss_, &used_})
         for (Values& of : *v) of.fill(0.0);
@@ -84,7 +85,7 @@ class MotionAlone {
           const auto ru = static_cast<std::size_t>(r);
           const double now = z.motion_factor[i][r], left = count_[i][ru] - used_[i][ru];
           factor_[i][ru] = now;
-          if (iteration < held || left < constants::fewest_freedom) continue;
+          if (held || left < constants::fewest_freedom) continue;
           factor_[i][ru] = std::sqrt(std::max(rss_[i][ru], 1e-12) / std::max(left, 1e-3 * count_[i][ru]));
           move = std::max(move, 2.0 * std::abs(std::log(factor_[i][ru] / now)));
         }
@@ -93,7 +94,8 @@ class MotionAlone {
         q[at(j)] = smoothness_found(log, j, h, energy[at(j)], size[at(j)] - trace[at(j)] / z.q[j]);
         move = std::max(move, std::abs(std::log(q[at(j)] / z.q[j])));
       }
-      const bool last = (iteration > held && move < 1e-3) || iteration + 1 == most;
+      const bool last = (!held && move < constants::still) || iteration + 1 == most;
+      held = held && move >= 0.1 && iteration + 1 < longest_held;
       const double deviance = last ? standing + changing(log, z, energy, size) : 0.0;
       for (std::size_t i = 0; i < streams; ++i)
         std::copy_n(factor_[i].begin(), z.motion_factor[i].size(), z.motion_factor[i].data());

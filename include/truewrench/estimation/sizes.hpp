@@ -55,4 +55,23 @@ inline double smoothness_found(const RecordedLog& log, int component, double h, 
       constants::smoothness_least * sample * std::pow(h, 1 - 2 * smoothness_order(log.source, component)));
 }
 
+// (10.6) of one factor on noise, from squares in the stated sigma, rows, and how many of them the fit used; returns its move. Held
+// where nothing is left to find it by.
+inline double resize_factor(double& factor, double squares, double rows, double used) {
+  if (rows - used < constants::fewest_freedom) return 0.0;
+  const double to = std::max(std::sqrt(squares / (rows - used)), constants::size_floor);
+  const double ratio = std::clamp(to / factor, 0.2, 5.0);
+  factor *= ratio;
+  return std::abs(std::log(ratio));
+}
+
+// And of one q; its move as a standard deviation.
+inline double resize_smoothness(Sizes& sizes, const RecordedLog& log, int component, double h, double energy,
+                                double left) {
+  double& q = sizes.q[component];
+  const double ratio = std::clamp(smoothness_found(log, component, h, energy, left) / q, 1e-3, 1e3);
+  q *= ratio;
+  return 0.5 * std::abs(std::log(ratio));
+}
+
 }  // namespace truewrench
