@@ -241,6 +241,8 @@ void bind_fit(nb::module_& m) {
   m.attr("UNDETERMINED") = constants::undetermined;
   m.attr("NOISE_TOLD") = constants::noise_told;
   m.attr("MASK_SHORTEST") = constants::mask_shortest;
+  m.def("coarsest_spacing", &coarsest_spacing, nb::arg("period"),
+        "h of (10.2) at its coarsest [s], for this period of the motion [s].");
   m.def(
       "estimate",
       [](const Statement& rig, std::vector<const RecordedLog*> logs, const Settings& settings) {

@@ -1026,6 +1026,9 @@ NOISE_TOLD: float = 2.0
 
 MASK_SHORTEST: float = 0.03
 
+def coarsest_spacing(period: float) -> float:
+    """h of (10.2) at its coarsest [s], for this period of the motion [s]."""
+
 def estimate(rig: Statement, logs: Sequence[RecordedLog], settings: Settings) -> Estimate: ...
 
 class Part:

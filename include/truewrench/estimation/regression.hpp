@@ -17,8 +17,10 @@ class Regression {
   void reserve(std::size_t rows, int channels) {
     begin(channels);
     begin_log(0, Eigen::VectorXd::Zero(channels));
-    for (auto* v : {&values_, &remainder_, &size_, &weight_, &residual_, &sizes_})
-      v->reserve(rows * static_cast<std::size_t>(6 + channels));
+    const auto n = static_cast<std::size_t>(channels);
+    values_.reserve(rows * (6 + n));
+    for (auto* v : {&remainder_, &residual_}) v->reserve(rows * n);
+    for (auto* v : {&size_, &weight_, &sizes_}) v->reserve(rows);
     set_work();
   }
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench import _core
 from truewrench.model.log import Log
 from truewrench.motion.smooth import DEGREE, segments, uniform_spline
 
@@ -21,9 +22,6 @@ Array = NDArray[np.float64]
 MOST_LENT = 0.5
 """Of the noise of v, that the lever of Omega's may add where a twist is taken to the sensor: that both are
 independent is then wrong by a tenth."""
-
-_KNOT = 0.05  # [s] h of (10.2) at its coarsest, of the twist in Omega x v
-_SAMPLES = 3.0  # a knot at least
 
 
 def noise_at_sensor(noise: Array, point: Array) -> Array | None:
@@ -67,7 +65,7 @@ def told_acceleration(log: Log, fall: Array) -> Array:
         t, twist = time[piece], log.twist[rows[piece]]
         if t.size <= DEGREE + 1:
             continue
-        intervals = int((t[-1] - t[0]) / max(_KNOT, _SAMPLES * float(np.median(np.diff(t)))))
+        intervals = int((t[-1] - t[0]) / _core.coarsest_spacing(float(np.median(np.diff(t)))))
         if intervals < 1 or t.size < intervals + DEGREE + 1:
             continue
         at = np.flatnonzero((log.time >= t[0]) & (log.time <= t[-1]))
