@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from record_cases import light_rig
+from scipy import signal
 from scipy.signal import butter, lfilter
 
 import truewrench as tw
-from truewrench.estimation.colour import colour_of, without_filters
+from truewrench.estimation.colour import FEWEST, colour_of, welch, without_filters
 from truewrench.model.log import Log
 from truewrench.motion.trajectory import HarmonicTwist
 
@@ -39,6 +40,13 @@ def one_pole(values: Array, hz: float) -> Array:
     """As `y += share * (x - y)` of a driver."""
     share = 1.0 - np.exp(-2.0 * np.pi * hz / RATE)
     return np.asarray(lfilter([share], [1.0, share - 1.0], values, axis=0))
+
+
+@pytest.mark.parametrize("count", [FEWEST + 2, 1_500, 20_000])
+def test_the_spectrum_is_scipys(count: int) -> None:
+    values = samples(3, count)[2]
+    expected = signal.welch(values, RATE, nperseg=FEWEST, axis=0, average="median")[1]
+    np.testing.assert_allclose(welch(values, 1.0 / RATE)[1:-1], expected[1:-1], rtol=1e-9)
 
 
 def test_white_noise_is_left_as_it_is() -> None:
