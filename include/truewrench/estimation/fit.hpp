@@ -199,6 +199,7 @@ class Fit {
     returns_.assign(active.size(), 0);
     deviance_ = std::numeric_limits<double>::quiet_NaN();
     double resized = std::numeric_limits<double>::infinity();
+    std::vector<Sizes> standing(logs_.size());
     for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
       compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
       if (iterations > 1 && !robust) find_slopes();
@@ -206,11 +207,10 @@ class Fit {
       if (!find_step()) return *this;
       advance(turned(last) ? 0.5 : 1.0);
       const auto count = static_cast<double>(active_places().size());
-      std::vector<Sizes> standing;
-      for (const LogFit& l : logs_) standing.push_back(l.sizes);
+      for (std::size_t l = 0; l < logs_.size(); ++l) standing[l] = logs_[l].sizes;
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
-      if (std::max(move, resized) >= constants::still)
-        resized = resize();  // else they stay as near as they are
+      // else they are as near as they will be
+      if (std::max(move, resized) >= constants::still) resized = resize();
       if (resized < constants::move && move < (robust ? constants::robust_move : constants::move) &&
           iterations > 1 && (robust || slopes_hold())) {
         converged = true;
