@@ -44,7 +44,7 @@ inline constexpr double move =
     0.05;  // converged: of sigma of theta (RMS), and of the sizes as standard deviations: tolerance
 inline constexpr double robust_move = 0.25;  // of sigma of theta, where another fit begins: tolerance
 inline constexpr double still =
-    0.01;  // likewise: below it the last linearisation stands, and the sizes with it: tolerance
+    0.01;  // of the same as `move`: below it the last linearisation stands, and the sizes with it: tolerance
 inline constexpr int most_iterations = 25;         // tolerance
 inline constexpr double taus[] = {0.1, 0.3, 1.0};  // [s] of (10.9): d entered in 1 of 8 clean records
 inline constexpr double discrepancy_cap =

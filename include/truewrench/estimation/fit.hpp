@@ -339,12 +339,14 @@ class Fit {
   bool near_ = false, stands_ = false;
   std::vector<int> returns_;  // of what has been let go, in this run
 
+  // The step of a new linearisation, at the sizes of u and of steps that belong to it.
   bool find_step() {
     if (!linearise() || !solve()) return false;
     resize_blocks();
     return solve(true);
   }
 
+  // Where the factorisation that stands is that of the end.
   Fit& end() {
     stands_ = true;
     deviance_ = likelihood();
