@@ -18,7 +18,7 @@ namespace {
 
 using Stamps = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using StampsOut = nb::ndarray<nb::numpy, std::int64_t, nb::ndim<1>, nb::c_contig>;
-using Results = std::tuple<StampsOut, StampsOut, ArrayOut, ArrayOut, ArrayOut, ArrayOut>;
+using Results = std::tuple<StampsOut, StampsOut, ArrayOut, ArrayOut, ArrayOut, ArrayOut, ArrayOut>;
 using Event = std::tuple<std::int64_t, std::int64_t, double, Vector3>;
 
 Event told(const ContactEvent& e) { return {e.begin_ns, e.end_ns, e.peak_force, e.point}; }
@@ -26,7 +26,7 @@ Event told(const ContactEvent& e) { return {e.begin_ns, e.end_ns, e.peak_force, 
 // Contact wrenches of rows, as NumPy takes them.
 struct Found {
   std::vector<std::int64_t> rows, times;
-  std::vector<double> wrench, covariance, chi2, turn;
+  std::vector<double> wrench, covariance, chi2, turn, heading;
 
   void add(std::int64_t row, const ContactWrench& w) {
     rows.push_back(row);
@@ -36,6 +36,7 @@ struct Found {
     covariance.insert(covariance.end(), w.covariance.data(), w.covariance.data() + 36);
     const Matrix3 rowwise = w.R_sensor_root.transpose();
     turn.insert(turn.end(), rowwise.data(), rowwise.data() + 9);
+    heading.push_back(w.heading ? 1.0 : 0.0);
   }
 
   static StampsOut stamps(const std::vector<std::int64_t>& from) {
@@ -52,8 +53,8 @@ struct Found {
 
   Results results() const {
     const std::size_t m = rows.size();
-    return {stamps(rows),     stamps(times),         array(wrench, {m, 6}), array(covariance, {m, 6, 6}),
-            array(chi2, {m}), array(turn, {m, 3, 3})};
+    return {stamps(rows),     stamps(times),          array(wrench, {m, 6}), array(covariance, {m, 6, 6}),
+            array(chi2, {m}), array(turn, {m, 3, 3}), array(heading, {m})};
   }
 };
 
@@ -103,6 +104,11 @@ struct Rows {
     return found.results();
   }
 
+  void restart() {
+    if (const auto event = events.finish()) ended.push_back(told(*event));
+    rows.restart();
+  }
+
   std::string tare() {
     switch (rows.contact.tare()) {
       case Tare::accepted:
@@ -123,6 +129,7 @@ struct Rows {
 void bind_contact(nb::module_& m) {
   using contact::Settings;
   m.attr("contact_limit") = contact_limit;
+  m.attr("FARTHEST_NS") = contact::Ring::farthest;
   m.attr("PACKETS_APART") = contact::EvenStamps::apart_ns;
   m.attr("PACKETS_CLOSE") = contact::EvenStamps::close;
   m.attr("PACKETS_SHARE") = contact::EvenStamps::share;
@@ -172,8 +179,10 @@ void bind_contact(nb::module_& m) {
            "wrench "
            "now: their\n"
            "numbers (M,), moments (M,), wrench (M, 6), covariance (M, 6, 6), chi2 (M,), R_sensor_root (M, 3, "
-           "3).")
+           "3), and\n"
+           "(M,) 1 where its turn about gravity is known, else 0.")
       .def("finish", &Rows::finish, "The rows that waited for others, as `feed` gives them.")
+      .def("restart", &Rows::restart, "As if no row had come yet, where stamps begin again; tares stay.")
       .def("tare", &Rows::tare, "`accepted`, or why not: `in_contact`, `nothing`, `singular`.")
       .def(
           "ended", [](Rows& r) { return std::exchange(r.ended, {}); },
@@ -181,6 +190,10 @@ void bind_contact(nb::module_& m) {
       .def_prop_ro("in_contact", [](const Rows& r) { return r.events.active(); })
       .def_prop_ro(
           "lag", [](const Rows& r) { return r.rows.lag(); }, "Rows after which one has its wrench.")
+      .def_prop_ro("too_long", [](const Rows& r) { return r.rows.too_long(); })
+      .def_prop_ro(
+          "due", [](const Rows& r) { return r.rows.due(); },
+          "Number of the row that has its wrench with the latest one, at the earliest; -1: none yet.")
       .def_prop_ro(
           "delay", [](const Rows& r) { return r.rows.contact.delay(); }, "The same in seconds.")
       .def_prop_ro(

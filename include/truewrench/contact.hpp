@@ -19,7 +19,7 @@ namespace truewrench {
 enum class ContactState : std::uint8_t {
   ok = 0,
   waiting,         // samples after the moment are still to come
-  gap,             // samples around it are missing
+  gap,             // samples around it are missing, or so large that none can be told
   not_configured,  // nothing was configured yet, or its periods are not known
 };
 
@@ -62,6 +62,13 @@ class Contact : public contact::Estimate {
     return Status::ok;
   }
 
+  // No sample any more, nor periods; parameters stay as tares have left them.
+  void clear() noexcept {
+    raw_.clear();
+    motion_.clear();
+    ready_ = valid_ = false;
+  }
+
   // How long after a moment its wrench is known: (n - 1) dt / 2, or none [s].
   double delay() const noexcept { return newest_ || !ready_ ? 0.0 : 0.5 * (count_ - 1) * motion_period_; }
 
@@ -86,9 +93,10 @@ class Contact : public contact::Estimate {
 
   // Twist of the sensor's origin, free fall there, both in sensor axes, and how the sensor is turned. An IMU's motion
   // has no v, and the negative of the specific force for the fall. R_sensor_root: zero for an IMU; where else nothing tells
-  // it, ContactRows follows the turn, without which the tilt of gravity has no part in Sigma.
+  // it, ContactRows follows the turn, without which the tilt of gravity has no part in Sigma. `heading`: its turn about
+  // gravity is known too.
   Status add_motion(std::int64_t time_ns, const Vector6& twist, const Vector3& fall,
-                    const Matrix3& R_sensor_root, std::int64_t mark = 0) noexcept {
+                    const Matrix3& R_sensor_root, std::int64_t mark = 0, bool heading = true) noexcept {
     if (!configured_) return Status::not_configured;
     double* values = motion_.next(time_ns, mark);
     if (values == nullptr) return Status::not_increasing;
@@ -99,6 +107,7 @@ class Contact : public contact::Estimate {
     Eigen::Map<Vector6>{values + 9} << omega.cwiseAbs2(), omega[0] * omega[1], omega[0] * omega[2],
         omega[1] * omega[2];
     Eigen::Map<Matrix3>{values + 15} = R_sensor_root;
+    values[24] = heading ? 1.0 : 0.0;
     motion_.keep();
     return Status::ok;
   }
@@ -107,8 +116,7 @@ class Contact : public contact::Estimate {
   ContactState evaluate(std::int64_t time_ns, ContactWrench& out) noexcept {
     if (!ready_) return ContactState::not_configured;
     const ContactState state = gather(time_ns, out);
-    if (state == ContactState::ok) finish(out);
-    return state;
+    return state == ContactState::ok && !finish(out) ? ContactState::gap : state;
   }
 
   // The contact wrench of a pose: of one sample at rest, of both streams at this very stamp.
@@ -121,19 +129,19 @@ class Contact : public contact::Estimate {
     add_raw_mean(r, 1.0);
     add_motion_mean(m, 1.0);
     out.R_sensor_root = features_.R_sensor_root;
+    out.heading = motion_.values(m)[24] != 0.0;
     out.time_ns = moment_ = time_ns;
     out.newest = std::max(raw_.mark(r), motion_.mark(m));
     sums_ = {1.0, 0.0, 1.0};
     pose_ = true;
-    finish(out);
-    return ContactState::ok;
+    return finish(out) ? ContactState::ok : ContactState::gap;
   }
 
   bool configured() const noexcept { return configured_; }
 
  private:
   static constexpr int motion_values =
-      24;  // twist, apparent acceleration, six of Omega Omega^T, R_sensor_root
+      25;  // twist, apparent acceleration, six of Omega Omega^T, R_sensor_root, whether its heading is known
   // Neighbours further apart have a gap between them; a sample or two may be missing [s].
   double gap(double period) const noexcept {
     return std::min(5.0 * period, std::max(2.5 * period, 0.5 * window_));
@@ -214,6 +222,7 @@ class Contact : public contact::Estimate {
     }
     if (P_(at_.clock(), at_.clock()) > 0.0) add_rates(low, high, relative);
     out.R_sensor_root = Eigen::Map<const Matrix3>(motion_.values(middle) + 15);
+    out.heading = motion_.values(middle)[24] != 0.0;
     out.time_ns = moment_ = moment;
     out.newest = std::max(raw_.mark(end), motion_.mark(high));
     pose_ = false;

@@ -74,7 +74,8 @@ class Corrector {
   bool configured() const noexcept { return configured_; }
   const typename Sensor::Channels& offset() const { return sensor_.offset; }
 
-  // One sample of the n channels. A value that is not finite gives a NaN wrench and not_finite; without a
+  // One sample of the n channels. A value that is not finite, or so large that the wrench has no finite sigma, gives a
+  // NaN wrench and not_finite; without a
   // calibration every sample gives a NaN wrench and not_configured, and `raw` is not read.
   Status step(const double* raw, Correction& out) const noexcept {
     if (!configured_) return nothing(out, Status::not_configured);
@@ -91,7 +92,7 @@ class Corrector {
     out.wrench = w.template head<6>();
     // Rounding can leave a variance that is zero in truth slightly below it.
     out.std = variance.template head<6>().cwiseMax(0.0).cwiseSqrt();
-    return out.wrench.allFinite() ? Status::ok : nothing(out, Status::not_finite);
+    return out.wrench.allFinite() && out.std.allFinite() ? Status::ok : nothing(out, Status::not_finite);
   }
 
   // The full covariance of a wrench that step() gave; NaN without a calibration.

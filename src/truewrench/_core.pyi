@@ -288,6 +288,8 @@ class Corrector:
 
 contact_limit: float = 48.4
 
+FARTHEST_NS: int = 4611686016427387904
+
 PACKETS_APART: int = 250000000
 
 PACKETS_CLOSE: float = 0.1
@@ -425,15 +427,19 @@ class ContactRows:
         Kernels of `window` seconds around each row, or, `newest`, that end at it.
         """
 
-    def feed(self, time_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], twist: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], fall: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], turn: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], temperature: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], twist_noise: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')]]:
+    def feed(self, time_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], twist: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], fall: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], turn: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], temperature: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], twist_noise: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')]]:
         """
         Rows: stamps (N,), channels (N, n), twist (N, 6), free fall (N, 3), R_sensor_root (N, 9), temperature (N,) and,
         or none of it, the covariance of the twist (N, 36). Gives the M rows that have their contact wrench now: their
-        numbers (M,), moments (M,), wrench (M, 6), covariance (M, 6, 6), chi2 (M,), R_sensor_root (M, 3, 3).
+        numbers (M,), moments (M,), wrench (M, 6), covariance (M, 6, 6), chi2 (M,), R_sensor_root (M, 3, 3), and
+        (M,) 1 where its turn about gravity is known, else 0.
         """
 
-    def finish(self) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')]]:
+    def finish(self) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')]]:
         """The rows that waited for others, as `feed` gives them."""
+
+    def restart(self) -> None:
+        """As if no row had come yet, where stamps begin again; tares stay."""
 
     def tare(self) -> str:
         """`accepted`, or why not: `in_contact`, `nothing`, `singular`."""
@@ -449,6 +455,15 @@ class ContactRows:
     @property
     def lag(self) -> int:
         """Rows after which one has its wrench."""
+
+    @property
+    def too_long(self) -> bool: ...
+
+    @property
+    def due(self) -> int:
+        """
+        Number of the row that has its wrench with the latest one, at the earliest; -1: none yet.
+        """
 
     @property
     def delay(self) -> float:

@@ -104,7 +104,9 @@ def test_stream_answers_every_line_with_the_numbers_of_apply(
         {name: int(x) if name == "time_ns" else float(x) for name, x in zip(header, row, strict=True)}
         for row in rows
     ]
-    lines.insert(150, {"tare": True})
+    for k in range(295, 0, -5):  # lines without a sample, which nothing waits for
+        lines.insert(k, {"time_ns": lines[k - 1]["time_ns"] + 1, "temperature": 25.0})
+    lines.insert(180, {"tare": True})
     source = log.with_name("lines.jsonl")
     source.write_text("".join(json.dumps(line) + "\n" for line in lines))
     capsys.readouterr()

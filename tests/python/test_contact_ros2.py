@@ -14,7 +14,7 @@ from contact_cases import Swing, columns_of, raw_of, tool_of
 from truewrench.correction.contact.run import ContactRun
 from truewrench.live.ros2 import Topics
 from truewrench.live.ros2_contact import CONTACT, COVARIANCE, IN_CONTACT, TARE, contact_topics
-from truewrench.live.ros2_merge import Merger
+from truewrench.live.ros2_merge import RESTART, Merger
 from truewrench.live.ros2_node import Node, taken
 from truewrench.live.ros2_types import (
     Bool,
@@ -148,3 +148,8 @@ def test_rows_of_several_topics_come_out_in_order() -> None:
     assert [row.time_ns for row in merger.rows(1.0)] == [20]  # patience is over
     with pytest.raises(InputError, match="time that increases"):
         merger.add("/b", 20, ("vx",), (3.0,), None, 1.0)
+    assert not merger.add("/a", 3 * RESTART, ("raw_0",), (2.0,), "header", 1.0)
+    assert [row.time_ns for row in merger.rows(2.0)] == [3 * RESTART]
+    assert merger.add("/a", 30, ("raw_0",), (2.0,), "header", 2.0)  # of another run, or one stamp was wrong
+    assert not merger.add("/b", 30, ("vx",), (3.0,), None, 2.0)
+    assert [row.time_ns for row in merger.rows(2.0)] == [30]

@@ -19,6 +19,7 @@ struct ContactWrench {
   Matrix6 covariance;        // of it
   double chi2 = 0.0;         // wrench^T covariance^-1 wrench; above contact_limit it is a contact
   Matrix3 R_sensor_root;     // turns vectors of the root frame into sensor axes; zero where nothing tells it
+  bool heading = false;      // its turn about gravity is known
   std::int64_t time_ns = 0;  // centre of the kernel; of the newest one, its last sample
   std::int64_t newest = 0;   // largest mark of the samples in use
 };
@@ -328,7 +329,8 @@ class Estimate {
     return sum;
   }
 
-  void finish(ContactWrench& out) noexcept {
+  // False where the numbers are so large that there is no wrench with a sigma.
+  bool finish(ContactWrench& out) noexcept {
     contact_ = linearise();
     Matrix6 sigma = through(P_) + moment_noise();
     const double since = std::abs(static_cast<double>(moment_ - offset_time_)) * 1e-9;
@@ -337,10 +339,11 @@ class Estimate {
     Root factor;
     chi2_ = factor.compute(sigma) ? factor.lower(contact_).squaredNorm()
                                   : std::numeric_limits<double>::quiet_NaN();
-    valid_ = std::isfinite(chi2_);
+    valid_ = std::isfinite(chi2_) && sigma.allFinite();
     out.wrench = contact_;
     out.covariance = sigma;
     out.chi2 = chi2_;
+    return valid_;
   }
 
   Settings settings_;

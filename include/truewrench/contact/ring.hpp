@@ -18,6 +18,8 @@ class Ring {
     end_ = 0;
   }
 
+  void clear() noexcept { end_ = 0; }
+
   int capacity() const noexcept { return static_cast<int>(stamps_.size()); }
   std::int64_t end() const noexcept { return end_; }
   std::int64_t begin() const noexcept { return end_ > capacity() ? end_ - capacity() : 0; }

@@ -1,5 +1,5 @@
 // Rows of a table, or messages, as samples of sensor and motion: every row has its contact wrench once the rows after
-// it have come, a constant number of them later.
+// it have come, a constant number of them later; more where samples are missing.
 #pragma once
 
 #include "truewrench/contact.hpp"
@@ -37,23 +37,38 @@ class ContactRows {
     imu_ = imu;
     times_.assign(static_cast<std::size_t>(capacity), 0);
     numbers_.assign(static_cast<std::size_t>(capacity), 0);
-    rows_ = given_ = settled_ = reach_ns_ = 0;
-    timed_ = started_ = turned_ = lonely_ = false;
+    given_ = 0;
+    restart();
+    return Status::ok;
+  }
+
+  // As if no row had come yet, where stamps begin again: what tares have taught stays, and the rows' numbers go on.
+  void restart() noexcept {
+    contact.clear();
+    rows_ = next_ = settled_ = reach_ns_ = lag_ = 0;
+    first_ = true;
+    timed_ = started_ = turned_ = headed_ = lonely_ = too_long_ = false;
     raw_ = motion_ = Intervals();
     raw_stamps_ = motion_stamps_ = contact::EvenStamps();
-    lag_ = 0;
-    return Status::ok;
   }
 
   // Rows after which a row has its wrench; rows without a sample of sensor or motion are not counted.
   std::int64_t lag() const noexcept { return lag_; }
+  // Whether the kernels hold more samples than are kept, at the rates found: no row has a wrench.
+  bool too_long() const noexcept { return too_long_; }
+  // Number of the row that has its wrench with the latest one, at the earliest; -1: none yet.
+  std::int64_t due() const noexcept {
+    const std::int64_t row = rows_ - 1 - std::max<std::int64_t>(1, lag_);
+    return row < oldest() ? -1 : numbers_[slot(row)];
+  }
 
   // The next row. `sink(number, wrench)` is called for every earlier row (or this one) that has its wrench now.
   template <typename Sink>
   Status feed(const ContactRow& row, Sink&& sink) noexcept {
     if (!contact.configured()) return Status::not_configured;
-    if (!contact::Ring::near(row.time_ns) || (given_ > 0 && row.time_ns <= last_time_))
+    if (!contact::Ring::near(row.time_ns) || (!first_ && row.time_ns <= last_time_))
       return Status::not_increasing;
+    first_ = false;
     const std::int64_t number = given_++, k = rows_;
     last_time_ = row.time_ns;
     const bool sensed = add_raw(row, k), moved = add_motion(row, k);
@@ -68,7 +83,7 @@ class ContactRows {
       if (sensed) raw_.add(raw_stamps_.latest());
       if (moved) motion_.add(motion_stamps_.latest());
       if (raw_.full() && motion_.full()) start(sink);
-    } else if (!give(k - lag_, sink)) {
+    } else if (!give_until(k - lag_, sink)) {
       const bool packets = raw_stamps_.packets() || motion_stamps_.packets();
       if (k < settled_ || (packets && last_time_ - time_of(k - lag_) <= reach_ns_)) {
         ++lag_;  // another row needs one more than the first: this one comes with the next
@@ -84,7 +99,7 @@ class ContactRows {
   void finish(Sink&& sink) noexcept {
     if (!started_ && raw_.count > 1 && motion_.count > 1) start(sink);
     if (started_)
-      for (std::int64_t r = rows_ - lag_; r < rows_; ++r) give(r, sink);
+      for (; next_ < rows_; ++next_) give(next_, sink);
     if (lonely_ && !newest_) give_pose(rows_ - 1, sink);
     lonely_ = false;
   }
@@ -130,6 +145,14 @@ class ContactRows {
     return state != ContactState::waiting;
   }
 
+  // The rows that have not been given yet, up to one; whether none of them waits.
+  template <typename Sink>
+  bool give_until(std::int64_t last, Sink&& sink) noexcept {
+    for (next_ = std::max(next_, oldest()); next_ <= last; ++next_)
+      if (!give(next_, sink) && last_time_ - time_of(next_) <= reach_ns_) return false;
+    return true;
+  }
+
   template <typename Sink>
   void give_pose(std::int64_t row, Sink&& sink) noexcept {
     ContactWrench out;
@@ -143,7 +166,9 @@ class ContactRows {
   void start(Sink&& sink) noexcept {
     if (!timed_ || raw_.renewed() || motion_.renewed()) {
       const double raw = raw_.median(), motion = motion_.median();
-      timed_ = contact.set_periods(raw, motion) == Status::ok;
+      const Status status = contact.set_periods(raw, motion);
+      timed_ = status == Status::ok;
+      too_long_ = status == Status::wrong_size;
       if (!timed_) return;
       reach_ns_ = std::llround(1e9 * (2.0 * contact.delay() + learned * std::max(raw, motion)));
     }
@@ -160,7 +185,7 @@ class ContactRows {
       settled_ = most > least ? 0 : rows_ + learned;
     }
     started_ = true;
-    for (std::int64_t r = oldest(); r < rows_ - lag_; ++r) give(r, sink);
+    give_until(rows_ - 1 - lag_, sink);
   }
 
   bool add_raw(const ContactRow& row, std::int64_t k) noexcept {
@@ -174,12 +199,13 @@ class ContactRows {
     const std::int64_t time_ns = moving ? motion_stamps_.stamp(row.time_ns) : row.time_ns;
     if (imu_)
       return moving && fall &&
-             contact.add_motion(time_ns, row.twist, row.fall, Matrix3::Zero(), k) == Status::ok;
+             contact.add_motion(time_ns, row.twist, row.fall, Matrix3::Zero(), k, false) == Status::ok;
     follow(row, time_ns, moving, fall);
     if (!moving) return false;
     const Vector3 g = fall ? row.fall : Vector3(R_ * gravity_);
     if (!fall && !turned_ && !gravity_.isZero(0.0)) return false;
-    return contact.add_motion(time_ns, row.twist, g, turned_ ? R_ : Matrix3::Zero().eval(), k) == Status::ok;
+    return contact.add_motion(time_ns, row.twist, g, turned_ ? R_ : Matrix3::Zero().eval(), k, headed_) ==
+           Status::ok;
   }
 
   // How the sensor is turned: as the row says; else the last turn, carried on by the angular velocity, with the smallest
@@ -189,7 +215,7 @@ class ContactRows {
     const Vector3 omega = moving ? Vector3(row.twist.tail<3>()) : omega_;
     if (row.R_sensor_root.allFinite()) {
       R_ = row.R_sensor_root;
-      turned_ = true;
+      turned_ = headed_ = true;
     } else {
       const std::int64_t since = time_ns - turn_time_;
       if (turned_ && since < apart_ns) {
@@ -197,11 +223,14 @@ class ContactRows {
         const double size = angle.norm();
         if (size > 0.0) R_ = Eigen::AngleAxisd(size, angle / size).toRotationMatrix() * R_;
       } else if (turned_ && !fall) {
-        turned_ = false;
+        turned_ = headed_ = false;
       }
       const double weight = gravity_.norm(), found = fall ? row.fall.norm() : 0.0;
       if (weight > 0.0 && found > 0.0) {
-        if (!turned_ || since >= apart_ns) contact.forget_heading();
+        if (!turned_ || since >= apart_ns) {
+          contact.forget_heading();
+          headed_ = false;
+        }
         if (!turned_) R_.setIdentity();
         const Vector3 down = R_ * gravity_ / weight, logged = row.fall / found, axis = down.cross(logged);
         const double sine = axis.norm();  // by angle and axis: Eigen's FromTwoVectors brings an SVD along
@@ -221,11 +250,14 @@ class ContactRows {
   Matrix3 R_ = Matrix3::Zero();
   std::vector<std::int64_t> times_, numbers_;  // of the rows with a sample of sensor or motion
   std::int64_t rows_ = 0, given_ = 0, lag_ = 0, turn_time_ = 0, last_time_ = 0;
+  std::int64_t next_ = 0;      // row that is given next
   std::int64_t settled_ = 0;   // row from which on the lag stays
   std::int64_t reach_ns_ = 0;  // how far back a row may still wait
   Intervals raw_, motion_;
   contact::EvenStamps raw_stamps_, motion_stamps_;
-  bool newest_ = false, imu_ = false, timed_ = false, started_ = false, turned_ = false, lonely_ = false;
+  bool newest_ = false, imu_ = false, first_ = true, timed_ = false, started_ = false, lonely_ = false;
+  bool too_long_ = false;
+  bool turned_ = false, headed_ = false;  // R_ is known; its turn about gravity too
 };
 
 }  // namespace truewrench

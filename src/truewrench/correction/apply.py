@@ -156,9 +156,9 @@ class Run:
             compensated = self._warmth.without(raw, numbers(chunk.column("temperature"))[0])
         complete = ~np.isnan(compensated).any(axis=1)
         new[complete] = np.hstack(self._corrector.correct(compensated[complete]))
-        new[:, self._withheld] = np.nan
         self._rows += chunk.rows
-        self._corrected += int(complete.sum())
+        self._corrected += int(np.isfinite(new[:, 0]).sum())
+        new[:, self._withheld] = np.nan
         if self._progress is not None:
             self._progress(self._rows)
         return time, raw, new

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +59,10 @@ def joint_groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
 
 
 def check_attitude(
-    attitude: npt.NDArray[np.float64], names: Sequence[str], path: object, time_ns: npt.NDArray[np.int64]
+    attitude: npt.NDArray[np.float64],
+    names: Sequence[str],
+    path: str | Path | None,
+    time_ns: npt.NDArray[np.int64],
 ) -> None:
     """Refuse quaternions (N, 4), columns of these names, that are none; rows with NaN are passed over.
 
@@ -70,4 +74,4 @@ def check_attitude(
     if len(wrong):
         i = int(wrong[0])
         place = f"columns `{names[0]}` ... `{names[-1]}`, time {time_ns[i]} ns"
-        raise InputError.at(f"{path}", place, f"a quaternion of length {length[i]:.6g}", "length 1")
+        raise InputError.at(path, place, f"a quaternion of length {length[i]:.6g}", "length 1")

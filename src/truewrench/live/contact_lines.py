@@ -15,6 +15,7 @@ from truewrench.live.json_lines import Lines
 from truewrench.live.json_rows import LineError, Row, motion_of, read_row, tare_of
 from truewrench.live.lines import Output, batches
 from truewrench.live.stop import Stop
+from truewrench.model.errors import InputError
 
 __all__ = ["LiveContact", "contact_lines"]
 
@@ -30,16 +31,13 @@ class LiveContact:
 
     def __init__(self, run: ContactRun) -> None:
         self.run = run
-        self._rows = 0
 
     def feed(self, time_ns: int, raw: tuple[float, ...], motion: dict[str, float]) -> Contacts | None:
-        """The wrench of the row that is a constant number of rows earlier, where it has one."""
+        """The wrench of the row that is a constant number of rows with samples earlier, where it has one."""
         columns = {name: np.array([value]) for name, value in motion.items()}
         found = self.run.feed(np.array([time_ns], dtype=np.int64), np.array([raw]), columns)
-        self._rows += 1
-        # with the first of all, older ones become known too: their rows have been answered
-        expected = self._rows - 1 - max(1, self.run.lag)
-        if not len(found.rows) or found.rows[-1] < expected:
+        # with the first of all, and after missing samples, older ones become known too: their rows have been answered
+        if not len(found.rows) or found.rows[-1] < self.run.due:
             return None
         return Contacts(
             found.rows[-1:], found.time_ns[-1:], found.wrench[-1:], found.covariance[-1:], found.chi2[-1:]
@@ -89,8 +87,12 @@ def contact_lines(
         motion = motion_of(row)
         if row.raw is None and not motion:
             raise LineError("found neither channels nor motion, expected columns of a log")
+        try:
+            found = live.feed(row.time_ns, row.raw or nothing, motion)
+        except InputError as error:
+            raise LineError(str(error)) from None
         last = row.time_ns
-        output.write(_line(row, live.feed(row.time_ns, row.raw or nothing, motion)))
+        output.write(_line(row, found))
         for event in live.events():
             output.write(json.dumps(event))
 

@@ -17,6 +17,7 @@ from truewrench.correction.apply import corrector, used_in_part, without_weight
 from truewrench.correction.warmth import Warmth
 from truewrench.io.recordings.choice import KEYS
 from truewrench.live.progress import Progress
+from truewrench.live.ros2_merge import RESTART
 from truewrench.live.ros2_node import Node, finish, lost, ros_type, taken, unreliable
 from truewrench.live.ros2_sources import SensorSource, Source, motion_sources
 from truewrench.live.ros2_types import (
@@ -51,7 +52,6 @@ DIAGNOSTICS = "/diagnostics"
 _WAIT = 0.1  # [s] after which an end that was asked for is noticed at the latest
 _PATIENCE = 10.0  # [s] for a topic to appear
 _SILENCE = 5.0  # [s] without any message, which is told
-_RESTART = 1_000_000_000  # [ns] back in time, which is another run of the source and no disorder
 _PERIOD = 1.0  # [s] of diagnostics
 _OK, _WARNING = 0, 1
 
@@ -93,7 +93,7 @@ class _Order:
 
     def check(self, stamp: int) -> None:
         last = self._last
-        if last is not None and last - _RESTART < stamp <= last:
+        if last is not None and last - RESTART < stamp <= last:
             raise InputError(f"stamp: found {stamp} ns after {last} ns, expected time that increases")
         self._last = stamp
 

@@ -90,7 +90,8 @@ def contact_topics(
 ) -> Counts:
     """Publish the contact wrench of sensor and motion until `stop`.
 
-    Messages of all topics are rows in the order of their stamps, as in a recording. A message on
+    Messages of all topics are rows in the order of their stamps, as in a recording; a source that begins again
+    more than a second back is let through. A message on
     `/truewrench/tare`, or a call of the service of that name where rclpy can be imported, tares.
 
     Raises:
@@ -122,7 +123,9 @@ def contact_topics(
                     try:
                         columns, stamp, values = source.read(message, info)
                         header = source.header(message, info) if isinstance(source, SensorSource) else None
-                        merger.add(name, stamp, columns, values, header, now)
+                        if columns and merger.add(name, stamp, columns, values, header, now):
+                            run.restart()
+                            complain(f"{name}: stamps begin again at {stamp} ns: so does everything")
                     except InputError as error:
                         counts.refused += 1
                         complain(f"{name}: {error}")
@@ -132,7 +135,11 @@ def contact_topics(
                 raw = tuple(row.values[c] for c in channels) if channels[0] in row.values else nothing
                 frame = row.header.frame_id if row.header is not None else frame
                 motion = {key: value for key, value in row.values.items() if key not in channels}
-                found = live.feed(row.time_ns, raw, motion)
+                try:
+                    found = live.feed(row.time_ns, raw, motion)
+                except InputError as error:
+                    complain(str(error))
+                    continue
                 if found is not None:
                     publisher.write(found, frame, run.in_contact)
                 for event in live.events():

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from truewrench.model.errors import InputError
 
-__all__ = ["MergedRow", "Merger"]
+__all__ = ["RESTART", "MergedRow", "Merger"]
 
 _PATIENCE = 0.05  # [s] after which a topic that is late is no longer waited for
+
+RESTART = 1_000_000_000
+"""[ns] back in time, which is another run of the source and no disorder."""
 
 
 @dataclass(order=True)
@@ -42,9 +45,12 @@ class Merger:
     """
 
     def __init__(self, awaited: Sequence[str]) -> None:
+        self._carried: dict[str, float] = {}
+        self._begin(awaited)
+
+    def _begin(self, awaited: Iterable[str]) -> None:
         self._newest: dict[str, float] = dict.fromkeys(awaited, -math.inf)
         self._heap: list[MergedRow] = []
-        self._carried: dict[str, float] = {}
         self._at: dict[int, MergedRow] = {}
         self._last = -math.inf
 
@@ -56,15 +62,18 @@ class Merger:
         values: Sequence[float],
         header: Any,
         now: float,
-    ) -> None:
-        """A message.
+    ) -> bool:
+        """A message; whether with it stamps begin again, far back: rows that were not out yet are gone.
 
         Raises:
             InputError: rows after it have come out already.
         """
         if topic not in self._newest:
             self._carried.update(zip(columns, values, strict=True))
-            return
+            return False
+        again = time_ns <= self._last - RESTART
+        if again:
+            self._begin(list(self._newest))
         if time_ns <= self._last:
             raise InputError(
                 f"stamp: found {time_ns} ns after {self._last:.0f} ns, expected time that increases"
@@ -76,6 +85,7 @@ class Merger:
         row.values.update(zip(columns, values, strict=True))
         row.header = header or row.header
         self._newest[topic] = max(self._newest[topic], time_ns)
+        return again
 
     def rows(self, now: float) -> Iterator[MergedRow]:
         """Those that are complete by now."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST
+from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST, check_attitude
 from truewrench.io.table import ANGULAR_VELOCITY, ATTITUDE, GRAVITY, SPECIFIC_FORCE, TWIST
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
@@ -68,10 +68,20 @@ class MotionColumns:
             self._positions = tuple(f"q_{joint}" for joint in self._robot.joints)
             self._velocities = tuple(f"dq_{joint}" for joint in self._robot.joints)
             self._sigma = motion.noise_array if motion.noise is not None else np.zeros(self._robot.n)
-            self._base = self._present((*BASE_TWIST, *BASE_ATTITUDE), names)
             needed = (*self._positions, *self._velocities)
             self.attitude_known = True
             optional: tuple[str, ...] = (*BASE_TWIST, *BASE_ATTITUDE)
+            self._carried = self._turned = False  # whether the base's twist and attitude are told
+            if names is not None:
+                self._carried, self._turned = (
+                    any(name in names for name in group) for group in (BASE_TWIST, BASE_ATTITUDE)
+                )
+                needed += BASE_TWIST * self._carried + BASE_ATTITUDE * self._turned
+                if self._carried and not self._turned and rig.in_gravity:
+                    expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
+                    raise InputError.at(
+                        place, "header", "`base_vx` ... `base_wz`, a base that moves", expected
+                    )
         elif self.imu:
             needed, optional = (*ANGULAR_VELOCITY, *SPECIFIC_FORCE), ()
             self.twist_noise[3:, 3:] = np.diag(motion.noise_array**2)
@@ -89,11 +99,17 @@ class MotionColumns:
         missing = [] if names is None else [name for name in needed if name not in names]
         if missing:
             raise InputError.at(place, "header", f"no column `{missing[0]}`", f"{', '.join(needed)}")
-        self.columns = (*needed, *(name for name in optional if names is None or name in names))
+        further = (name for name in optional if name not in needed)
+        self.columns = (*needed, *(name for name in further if names is None or name in names))
 
     @staticmethod
     def _present(group: Collection[str], names: Collection[str] | None) -> bool:
         return names is None or all(name in names for name in group)
+
+    def restart(self) -> None:
+        """Where stamps begin again: no position is carried on from before."""
+        if self._source == "joints":
+            self._q[:] = np.nan
 
     def read(self, time_ns: NDArray[np.int64], columns: Columns) -> MotionRows:
         """N rows, after those that were read before.
@@ -101,6 +117,9 @@ class MotionColumns:
         Args:
             time_ns: (N,) stamps.
             columns: (N,) each; those that are absent hold no sample.
+
+        Raises:
+            InputError: an attitude is none.
         """
         count = len(time_ns)
         if self._source == "joints":
@@ -112,7 +131,8 @@ class MotionColumns:
         twist, fall = _group(columns, TWIST, count), _group(columns, GRAVITY, count)
         turn = np.full((count, 9), np.nan)
         attitude = _group(columns, ATTITUDE, count)
-        known = np.isfinite(attitude).all(axis=1) & (np.linalg.norm(np.nan_to_num(attitude), axis=1) > 0.5)
+        check_attitude(attitude, ATTITUDE, self._place, time_ns)
+        known = np.isfinite(attitude).all(axis=1)
         if known.any():
             R = rotation_of(attitude[known]).transpose(0, 2, 1)
             turn[known] = R.reshape(-1, 9)
@@ -131,15 +151,23 @@ class MotionColumns:
                 q[k] = self._q + since * qd[k] if since <= _HELD else np.nan
         twist, fall = np.full((count, 6), np.nan), np.full((count, 3), np.nan)
         turn, noise = np.full((count, 9), np.nan), np.full((count, 36), np.nan)
-        rows = np.flatnonzero(np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1))
-        base, R_inertial_root = None, np.tile(np.eye(3), (count, 1, 1))
-        if self._base:
-            carried, attitude = _group(columns, BASE_TWIST, count), _group(columns, BASE_ATTITUDE, count)
-            if np.isfinite(carried).any() or np.isfinite(attitude).any():
-                rows = rows[np.isfinite(np.hstack([carried, attitude])[rows]).all(axis=1)]
-                base = BaseMotion(carried[rows], np.zeros((rows.size, 6)))
-                R_inertial_root[rows] = rotation_of(attitude[rows])
+        told = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
+        carried, attitude = _group(columns, BASE_TWIST, count), _group(columns, BASE_ATTITUDE, count)
+        check_attitude(attitude, BASE_ATTITUDE, self._place, time_ns)
+        # once a base has been told of, every row needs it: where it is missing the base has not stopped
+        moves, turned = _ever(self._carried, carried), _ever(self._turned, attitude)
+        known = np.isfinite(attitude).all(axis=1)
+        told &= np.isfinite(carried).all(axis=1) | ~moves
+        told &= known | ~(turned | moves if self._rig.in_gravity else turned)
+        if count:
+            self._carried, self._turned = bool(moves[-1]), bool(turned[-1])
+        rows = np.flatnonzero(told)
+        R_inertial_root = np.tile(np.eye(3), (count, 1, 1))
+        R_inertial_root[known & told] = rotation_of(attitude[known & told])
         if rows.size:
+            base = None
+            if moves.any():
+                base = BaseMotion(np.where(moves[rows, None], carried[rows], 0.0), np.zeros((rows.size, 6)))
             moved = self._robot.motion(q[rows], qd[rows], np.zeros_like(qd[rows]), base)
             R = (R_inertial_root[rows] @ moved.R_root_sensor).transpose(0, 2, 1)
             twist[rows], turn[rows] = moved.twist, R.reshape(-1, 9)
@@ -147,6 +175,12 @@ class MotionColumns:
             J = self._robot.jacobian(q[rows]) * self._sigma
             noise[rows] = (J @ J.transpose(0, 2, 1)).reshape(-1, 36)
         return MotionRows(twist, fall, turn, noise)
+
+
+def _ever(before: bool, values: Array) -> NDArray[np.bool_]:
+    """Whether a row, or one before it, told anything."""
+    told: NDArray[np.bool_] = np.logical_or.accumulate(np.isfinite(values).any(axis=1))
+    return told | before
 
 
 def _group(columns: Columns, names: Collection[str], count: int) -> Array:

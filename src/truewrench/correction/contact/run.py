@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 DELAY = 0.01
 """[s] half the length of the kernels: how long after a moment its wrench is known."""
 
-CAPACITY = 8192
+CAPACITY = 32768
 """Rows after which one that has no wrench will never have one."""
 
 NEWEST_WINDOW = 0.02  # [s] of the kernels without delay
@@ -163,6 +163,7 @@ class ContactRun:
             raise InputError.at(None, "--delay", f"{delay:g}", f"seconds from 0 to {LONGEST:g}")
         self.motion = MotionColumns(tool.rig, names, place)
         self._view, self._n, self._rig = view or View(), tool.n, tool.rig
+        self._place, self._delay = place, delay
         if self._view.axes == "base" and not self.motion.attitude_known:
             expected = "joints, or the attitude qw qx qy qz: gravity alone leaves the turn about it open"
             raise InputError.at(place, "--axes", "`base` without an attitude", expected)
@@ -190,6 +191,11 @@ class ContactRun:
         return int(self._rows.lag)
 
     @property
+    def due(self) -> int:
+        """Number of the row that has its wrench with the latest one, at the earliest; -1: none yet."""
+        return int(self._rows.due)
+
+    @property
     def in_contact(self) -> bool:
         """Whether an event lasts."""
         return bool(self._rows.in_contact)
@@ -201,7 +207,14 @@ class ContactRun:
             time_ns: (N,) stamps, increasing.
             raw: (N, n) channels, NaN where there is no sample.
             columns: (N,) each, of `self.columns`; those that are absent hold no sample.
+
+        Raises:
+            InputError: a stamp is beyond what is counted with, or an attitude is none.
         """
+        late = np.flatnonzero(np.abs(time_ns) >= _core.FARTHEST_NS)
+        if late.size:
+            expected = f"less than {_core.FARTHEST_NS} ns on either side of zero"
+            raise InputError.at(self._place, "time", f"{time_ns[late[0]]} ns", expected)
         motion = self.motion.read(time_ns, columns)
         raw = self._with_weight(raw, motion.fall)
         untold = np.full(len(time_ns), np.nan)
@@ -211,8 +224,21 @@ class ContactRun:
         return self._seen(self._rows.feed(stamps, *map(np.ascontiguousarray, args)))
 
     def finish(self) -> Contacts:
-        """Those of the rows that still waited for others."""
-        return self._seen(self._rows.finish())
+        """Those of the rows that still waited for others.
+
+        Raises:
+            InputError: the delay holds more samples than are kept.
+        """
+        found = self._seen(self._rows.finish())
+        if self._rows.too_long:
+            expected = f"kernels of at most {CAPACITY // 3} samples: less at this rate"
+            raise InputError.at(self._place, "--delay", f"{self._delay:g} s", expected)
+        return found
+
+    def restart(self) -> None:
+        """As if no row had come yet, where stamps begin again; what tares have taught stays."""
+        self._rows.restart()
+        self.motion.restart()
 
     def events(self) -> list[ContactEvent]:
         """Contacts that have ended since the last call."""
@@ -227,7 +253,11 @@ class ContactRun:
         return answer == "accepted", TARED.get(answer, "")
 
     def _seen(self, found: tuple[Any, ...]) -> Contacts:
-        rows, time_ns, wrench, covariance, chi2, R_sensor_root = found
+        rows, time_ns, wrench, covariance, chi2, R_sensor_root, heading = found
+        if self._view.axes == "base" and not np.all(heading):  # the root's axes are not known there
+            told = heading > 0.0
+            rows, time_ns, wrench = rows[told], time_ns[told], wrench[told]
+            covariance, chi2, R_sensor_root = covariance[told], chi2[told], R_sensor_root[told]
         if not self._view.plain and len(wrench):
             X = self._view.maps(R_sensor_root)
             wrench = np.einsum("kij,kj->ki", X, wrench)
