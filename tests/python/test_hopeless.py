@@ -173,8 +173,12 @@ def test_a_stray_row_comes_back_and_is_no_jump(arm: tuple[Rig, Log]) -> None:
         (lambda x: -x, "wrong sign of the whole wrench"),
         (lambda x: x[:, ::-1].copy(), "axes mixed up"),
         (lambda x: x * [1, -1, 1, 1, -1, 1], "wrong sign of fy and my"),
+        (lambda x: x * [1, 1, 1, 1e3, 1e3, 1e3], "moments 1000 times too large (N mm for N m)"),
+        (lambda x: x * [1, 1, 1, 1e2, 1e2, 1e2], "moments 100 times too large (N cm for N m)"),
+        (lambda x: x * [1e3, 1e3, 1e3, 1, 1, 1], "forces 1000 times too large (mN for N"),
+        (lambda x: 1e3 * x, "all axes 1000 times too large"),
     ],
-    ids=["kilograms", "sign", "order", "left-handed"],
+    ids=["kilograms", "sign", "order", "left-handed", "N mm", "N cm", "mN", "all mN"],
 )
 def test_gross_mistakes_of_the_set_up_need_no_estimate(
     twist_log: Log, raw: Callable[[Array], Array], words: str

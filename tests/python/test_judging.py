@@ -11,6 +11,7 @@ import pytest
 
 from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step
 from truewrench.judging import Comparisons, Judgement, blind_to, findings, judge, setup_errors
+from truewrench.judging.setup_mistakes import payload_directions
 from truewrench.judging.setup_odds import payload_errors, suspected_setup_errors
 from truewrench.model.calibration_parts import KINDS
 from truewrench.model.log import Log
@@ -373,6 +374,24 @@ def test_the_payloads_uncertainty_is_in_the_odds() -> None:
         assert bool(found) == suspected
 
 
+@pytest.mark.parametrize("sigma", [0.05, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize("prior", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("size", [0.0, 0.3])
+def test_a_payload_that_is_hardly_known_is_not_in_other_units(
+    sigma: float, prior: float, size: float
+) -> None:
+    """A sound sensor, size of its departures in priors; mass and inertia known to sigma, all else exactly."""
+    center = np.array([0.2, 0.0, 0.0])
+    gain = departed(3, size * prior)
+    of = [gain @ d for d in payload_directions(SPAN, center)[:2]]
+    data = 1e-8 * np.eye(36) + sigma**2 * sum(np.outer(u, u) for u in (x.ravel() for x in of))
+    P = np.linalg.inv(np.linalg.inv(data) + np.eye(36) / prior**2)
+    pulled = ONE.ravel() + P @ np.linalg.solve(data, (gain - ONE).ravel())
+    assert not suspected_setup_errors(
+        pulled.reshape(6, 6), P, ONE, prior, SPAN, SPAN, centers_of_mass=[center]
+    )
+
+
 def test_least_squares_name_the_units_where_the_estimate_is_lost() -> None:
     rig = rig_of(required=0.02)
     estimate, log = estimate_of(rig, departed(11))
@@ -383,6 +402,10 @@ def test_least_squares_name_the_units_where_the_estimate_is_lost() -> None:
     assert setup_errors(noisy, rig, [log], lambda: plain) == ()  # vibration: its gain is known all the same
     lost = replace(noisy, before_pose=np.diag(estimate.gain_prior**2))
     assert "1000 times too large" in setup_errors(lost, rig, [log], lambda: plain)[0].words
+    forces = replace(noisy, before_pose=np.diag(np.repeat([1.0, 1e-6], 18) * estimate.gain_prior**2))
+    assert "1000 times too large" in setup_errors(forces, rig, [log], lambda: plain)[0].words
+    moments = replace(forces, noise=((FoundNoise("moment", 300.0),),))
+    assert setup_errors(moments, rig, [log], lambda: plain) == ()  # whose gains are known
     assert setup_errors(replace(estimate, solved=False), rig, [log], lambda: None) == ()
 
 

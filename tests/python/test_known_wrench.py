@@ -205,6 +205,24 @@ def test_weights_in_kilograms_are_suspected(rig: Rig, truth: tuple[Array, Array]
     assert any("suspected set-up error" in reason and "9.807" in reason for reason in verdict.reasons)
 
 
+@pytest.mark.parametrize("loaded", [[1, 1, 1, 1, 1, 0], [1, 1, 1, 0, 0, 0], [1, 0, 0, 0, 0, 0]])
+@pytest.mark.parametrize("period", [0.02, 10.0])
+def test_an_axis_that_was_never_loaded_is_not_known_and_nothing_is_suspected(
+    rig: Rig, loaded: list[int], period: float
+) -> None:
+    draw = np.random.default_rng(5)
+    wrench = np.repeat(0.5 * SPAN * draw.uniform(-1.0, 1.0, (30, 6)) * loaded, 40, axis=0)
+    raw = 1.02 * wrench + NOISE * draw.normal(size=wrench.shape)
+    time_ns = (1e9 * period * np.arange(len(raw))).astype(np.int64)
+    calibration = tw.calibrate(rig, Log(None, "default", "", time_ns, raw, reference=wrench))
+    (reason,) = calibration.verdict.reasons
+    assert "reference wrenches that load that axis by itself" in reason
+    assert list(calibration.axes.values()) == [bool(x) for x in loaded]
+    log = Log(None, "default", "", time_ns, raw - 1.02 * wrench, reference=0.0 * wrench)
+    nothing = tw.calibrate(rig, log)
+    assert nothing.verdict.reasons[0].endswith("the wrench was nearly the same in all of it")
+
+
 def test_accuracy_that_is_not_reached_says_what_helps(rig: Rig, truth: tuple[Array, Array]) -> None:
     strict = Rig.from_mapping(SETTINGS | {"required": 1e-5})
     verdict = tw.calibrate(strict, weights(truth)).verdict

@@ -33,7 +33,8 @@ struct MomentTotals {
     out.z = -std::numeric_limits<double>::infinity();
     if (!(nu > 0.0) || !(rss > 0.0)) return out;
     for (std::size_t t = 0; t < count; ++t) {
-      const double top = num[t] - t1[t] * rss / nu, den = std::max(t2[t] - t1[t] * t1[t] / nu, 1e-300);
+      const double top = num[t] - t1[t] * rss / nu, den = t2[t] - t1[t] * t1[t] / nu;
+      if (!(den > 1e-9 * t2[t])) continue;  // a record so short that this tau is a constant in it
       const double sd = rss / nu * std::sqrt(2.0 / den), z = sd > 0.0 ? top / den / sd : 0.0;
       if (z > out.z) out = {constants::taus[t], std::max(0.0, top / den), sd, z};
     }

@@ -25,7 +25,6 @@ __all__ = ["hopeless", "plain_gain"]
 Array = NDArray[np.float64]
 
 SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator
-LARGEST = 40.0  # of nominal: what is larger is noise to the estimator, which ends at once
 FREE = 1e3  # 1 sigma of the gains that pulls none
 FOLLOWED = 0.02  # share of the raw output that least squares leave, up to which its gain is the sensor's
 LEFT, MISFIT = 0.003, 4.0  # the same, and chi-square, from which on joints may be logged otherwise,
@@ -55,8 +54,7 @@ def hopeless(rig: Rig, logs: Sequence[Log], known: Sequence[Log]) -> list[str]:
     plain = _plain(rig, short)
     if plain is None:
         return []
-    unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
-    if plain.left < FOLLOWED and np.abs(plain.gain * unit).max() < LARGEST:
+    if plain.left < FOLLOWED:
         found = _confirmed(rig, known) if gross_errors(rig, known, plain.gain, plain.covariance) else []
     return found or _logged_otherwise(rig, short, plain)
 

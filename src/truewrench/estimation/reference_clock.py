@@ -226,9 +226,9 @@ class _Record:
             pull = np.array([0.0, (bend - p[1]) * bend**-2.0, 0.0])
             at = np.ix_(free, free)
             A = (information.sum(axis=0) + prior)[at]
-            if not np.isfinite(A).all() or np.linalg.matrix_rank(
-                A / np.sqrt(np.outer(np.diag(A), np.diag(A)))
-            ) < len(free):
+            if not np.isfinite(A).all() or not (np.diag(A) > 0.0).all():  # nothing that would move
+                return None
+            if np.linalg.matrix_rank(A / np.sqrt(np.outer(np.diag(A), np.diag(A)))) < len(free):
                 return None
             inverse = np.linalg.inv(A)
             step = inverse @ (score.sum(axis=0) + pull)[list(free)]
@@ -247,7 +247,7 @@ class _Record:
         X = np.column_stack([moved[..., 0], np.ones(len(moved))])
         Q, R = np.linalg.qr(root[:, None] * X)
         Y = root[:, None] * self.raw[inside]
-        C = np.linalg.solve(R, Q.T @ Y)  # (7, n)
+        C = np.linalg.lstsq(R, Q.T @ Y, rcond=None)[0]  # (7, n); an axis may never have been loaded
         left = self.raw[inside] - X @ C
         variance = (1.4826 * np.median(np.abs(left), axis=0)) ** 2
         sigma = np.sqrt(np.maximum(variance, 1e-24))

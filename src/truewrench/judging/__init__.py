@@ -49,6 +49,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 CONDITION = 100.0  # of the normalised gain, beyond which it is told: words only
+SURE = 20.0  # nats of the odds of a set-up error: the order of words only
 SINGULAR = 1e12  # that only rounding keeps from infinity: tolerance
 
 
@@ -101,7 +102,10 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
         if len(undetermined) == 6 * n:
             reasons += still_motion(logs) or [_nothing_learnt(estimate)]
     if estimate.solved and not silent:  # whose gains look like any mistake
-        reasons += _suspicions(estimate, comparisons, rig, logs, alone=not of_record)
+        suspicions = _suspicions(estimate, comparisons, rig, logs, alone=not of_record)
+        # a mistake that is sure comes before what it does to the record
+        sure = bool(comparisons.setup) and comparisons.setup[0].log_odds > SURE
+        reasons = [*suspicions, *reasons] if sure else [*reasons, *suspicions]
     reasons += comparisons.worse
     std = _std(estimate, n)
     std[silent] = 0.0  # no further reason is needed
@@ -169,13 +173,13 @@ def _suspicions(
 
 
 def _nothing_learnt(estimate: Estimate) -> str:
+    nothing = "nothing was learnt: no direction of the gain is known better than before; "
     swing = 0.0
     if np.isfinite(estimate.ww).all():
         swing = float(np.sqrt(np.maximum(np.diag(estimate.ww), 0.0)).max(initial=0.0))
-    return (
-        "nothing was learnt: no direction of the gain is known better than before; the payload's wrench is "
-        f"{100 * swing:.2g}% of range (RMS of its largest axis)"
-    )
+    if swing == 0.0:  # of poses and references, which are known by what changes from one to the next
+        return nothing + "the wrench was nearly the same in all of it"
+    return f"{nothing}the payload's wrench is {100 * swing:.2g}% of range (RMS of its largest axis)"
 
 
 def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
@@ -236,10 +240,11 @@ def _accuracy(
     failed = [axis for axis, fine in zip(AXES, accurate, strict=True) if not fine]
     others = f" (of {', '.join(failed)}, this is the worst)" if len(failed) > 1 else ""
     slow = listed(looks_slow(estimate, rig, logs))
+    by_reference = bool(logs) and all(log.reference is not None for log in logs)
     return (
         f"accuracy: the gain of {rig.sensor.channels[i]} on {AXES[j]} has a sigma of {std[i, j]:.3g} of "
         f"range, more than the required {required[j]:.3g}{others}; "
-        f"{advice(estimate, rig, required, logs[-1].payload if logs else None, slow)}"
+        f"{advice(estimate, rig, required, logs[-1].payload if logs else None, slow, by_reference)}"
     )
 
 

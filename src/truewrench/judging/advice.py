@@ -15,12 +15,20 @@ __all__ = ["advice"]
 
 Array = NDArray[np.float64]
 
-_GENERAL = "a longer, faster or heavier motion of that axis helps"
-_UNSEEN = "a motion, or a second payload, that loads that axis by itself helps"
+_GENERAL = (
+    "a longer, faster or heavier motion of that axis helps",
+    "more or larger wrenches along that axis help",
+)
+_UNSEEN = (
+    "a motion, or a second payload, that loads that axis by itself helps",
+    "reference wrenches that load that axis by itself help",
+)
 _BISECTIONS = 60  # tolerance
 
 
-def advice(estimate: Estimate, rig: Rig, required: Array, payload: str | None, slow: str) -> str:
+def advice(
+    estimate: Estimate, rig: Rig, required: Array, payload: str | None, slow: str, by_reference: bool = False
+) -> str:
     """What takes the gains of an estimate to what is required of them, where they are not there yet.
 
     The largest contributions to sigma are cut down to one level at which the worst gain is accurate enough;
@@ -32,17 +40,19 @@ def advice(estimate: Estimate, rig: Rig, required: Array, payload: str | None, s
         required: (6,) sigma of each wrench axis' gains.
         payload: of the last log.
         slow: kinds of what disturbs it slowly.
+        by_reference: wrenches that are known from elsewhere, and no motion.
     """
     n = rig.sensor.n
     std = np.sqrt(np.maximum(np.diag(estimate.normalised_covariance)[: 6 * n], 0.0)).reshape(n, 6)
     prior = estimate.gain_prior.reshape(n, 6)
     worst = np.unravel_index(int(np.argmax(np.where(np.isfinite(required), std / required, 0.0))), std.shape)
-    if std[worst] > _core.UNDETERMINED * prior[worst]:
-        return _UNSEEN
+    before_pose = np.sqrt(np.maximum(np.diag(estimate.before_pose), 0.0)).reshape(n, 6)
+    if not before_pose[worst] <= _core.UNDETERMINED * prior[worst]:
+        return _UNSEEN[by_reference]
     parts = {name: float(sigma[worst]) for name, sigma in estimate.sources.items()}
     parts = {name: s for name, s in parts.items() if np.isfinite(s) and s > 0.0}
     if not parts:
-        return _GENERAL
+        return _GENERAL[by_reference]
     low, high = 0.0, max(parts.values())
     for _ in range(_BISECTIONS):
         level = 0.5 * (low + high)
@@ -51,7 +61,8 @@ def advice(estimate: Estimate, rig: Rig, required: Array, payload: str | None, s
         else:
             low = level
     factors = {name: low / s for name, s in sorted(parts.items(), key=lambda p: -p[1]) if s > low}
-    return _words(estimate, rig, factors, payload, slow) if factors and low > 0.0 else _GENERAL
+    words = _words(estimate, rig, factors, payload, slow) if factors and low > 0.0 else ""
+    return words or _GENERAL[by_reference]
 
 
 def _words(estimate: Estimate, rig: Rig, factors: dict[str, float], payload: str | None, slow: str) -> str:
@@ -87,7 +98,7 @@ def _words(estimate: Estimate, rig: Rig, factors: dict[str, float], payload: str
                 f"the {name} known to {_stated(getattr(stated.uncertainty, source), factor, size, unit)}"
             )
     if not causes:
-        return _GENERAL
+        return ""
     return f"limited by {_listed(causes)}: {_listed(cures)} would do"
 
 
