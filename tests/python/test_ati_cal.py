@@ -149,6 +149,14 @@ def test_a_faulty_file_is_refused_with_place_and_value(
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize("encoding", ["klingon", "gb2312"])
+def test_an_encoding_that_is_not_read_is_named(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "FT.cal"
+    path.write_text(f'<?xml version="1.0" encoding="{encoding}"?><FTSensor/>', encoding="utf-8")
+    with pytest.raises(InputError, match=r"FT\.cal: found an encoding that cannot be read \(.*XML in UTF-8"):
+        read_ati_cal(path)
+
+
 def test_a_missing_file_and_a_missing_calibration_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"FT.cal: cannot be read"):
         read_ati_cal(tmp_path / "FT.cal")

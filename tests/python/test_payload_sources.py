@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -136,7 +137,7 @@ URDF = {"urdf": "tool.urdf", "frame": "ft"}
         (URDF | {"link": "hnd"}, ["payloads.tool.link", "'hnd'", "nearest: `hand`"]),
         (URDF | {"frme": "ft"}, ["payloads.tool.frme", "nearest known key: `frame`"]),
         ({"urdf": "light.urdf", "frame": "ft"}, ["payloads.tool.urdf", "no mass in `ft`", "<inertial>"]),
-        ({"urdf": "odd.urdf", "frame": "ft"}, ["payloads.tool.urdf", "<mass> of the link `hand`", "numbers"]),
+        ({"urdf": "odd.urdf", "frame": "ft"}, ["odd.urdf: link `hand`: <mass>", 'value="heavy"', "a finite"]),
         ({"urdf": "bent.urdf", "frame": "ft"}, ["bent.urdf", "rpy=\"0 0.4\"", "three numbers"]),
         ({"urdf": "flat.urdf", "frame": "ft"}, ["payloads.tool.urdf", "triangle inequality"]),
         ({"franka": FRANKA | {"load_inertia": [1, 0, 0]}}, ["franka.load_inertia", "3 entries", "9: a 3"]),
@@ -154,7 +155,7 @@ def test_faults_of_a_source_are_named(
     settings: dict[str, Any], rig_of: RigOf, tmp_path: Path, payload: dict[str, Any], words: list[str]
 ) -> None:
     (tmp_path / "tool.urdf").write_text(TOOL, encoding="utf-8")
-    bare = TOOL[: TOOL.index('<joint name="bolted"')] + "</robot>"
+    bare = re.sub("<inertial>.*?</inertial>", "", TOOL, flags=re.DOTALL)
     (tmp_path / "light.urdf").write_text(bare, encoding="utf-8")
     (tmp_path / "odd.urdf").write_text(TOOL.replace('value="1.3"', 'value="heavy"'), encoding="utf-8")
     flat = TOOL.replace('izz="0.008"', 'izz="0.8"')
@@ -164,3 +165,56 @@ def test_faults_of_a_source_are_named(
         payload_of(rig_of, settings, payload)
     for word in words:
         assert word in str(caught.value)
+
+
+SECOND = '<joint name="x" type="fixed"><parent link="ft"/><child link="hand"/></joint></robot>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('joint name="bolted"', "joint", "joint 3: found no name, expected <joint name=...>"),
+        ('link name="plate"', "link", "link 4: found no name, expected <link name=...>"),
+        ('joint name="held"', 'joint name="bolted"', "joint `bolted`: found a second one of this name"),
+        ('link name="hand"', 'link name="plate"', "link `plate`: found a second one of this name"),
+        ("</robot>", SECOND, "joint `x`: found a second parent of the link `hand`"),
+        ('parent link="ft"', 'parent link="finger"', "link `hand`: found a loop of joints through it"),
+        ("</robot>", '<link name="x"/></robot>', "found links without a parent: `base`, `x`, expected one"),
+        ('mass value="0.2"', 'mass value="-0.2"', "link `finger`: <mass>: found -0.2, expected 0 kg or more"),
+        ('mass value="0.2"', 'mass value="1e400"', 'link `finger`: <mass>: found value="1e400"'),
+        ('iyz="-0.0002"', "", "link `plate`: <inertia>: found no iyz, expected a finite number"),
+        ('upper="0.04"', 'upper="-1"', "joint `grip`: <limit>: found lower 0 above upper -1"),
+    ],
+)  # fmt: skip
+def test_a_urdf_that_says_no_single_body_is_refused(
+    settings: dict[str, Any], rig_of: RigOf, tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    assert old in TOOL
+    (tmp_path / "tool.urdf").write_text(TOOL.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        payload_of(rig_of, settings, URDF)
+    assert f"tool.urdf: {message}" in str(caught.value)
+
+
+@pytest.mark.parametrize("encoding", ["klingon", "gb2312"])
+def test_an_encoding_that_is_not_read_is_named(
+    settings: dict[str, Any], rig_of: RigOf, tmp_path: Path, encoding: str
+) -> None:
+    text = f'<?xml version="1.0" encoding="{encoding}"?>{TOOL}'
+    (tmp_path / "tool.urdf").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"tool\.urdf: found an encoding that cannot be read .*XML in UTF-8"):
+        payload_of(rig_of, settings, URDF)
+
+
+def test_a_chain_may_have_any_length(settings: dict[str, Any], rig_of: RigOf, tmp_path: Path) -> None:
+    n = 1500
+    body = TOOL[TOOL.index("<inertial>") : TOOL.index("</inertial>")] + "</inertial>"
+    links = "".join(f'<link name="l{k}">{body}</link>' for k in range(n))
+    joints = "".join(
+        f'<joint name="j{k}" type="fixed"><parent link="l{k}"/><child link="l{k + 1}"/></joint>'
+        for k in range(n - 1)
+    )
+    (tmp_path / "tool.urdf").write_text(f'<robot name="chain">{links}{joints}</robot>', encoding="utf-8")
+    payload = payload_of(rig_of, settings, {"urdf": "tool.urdf", "frame": "l0"})
+    assert payload.mass == pytest.approx(0.7 * n)
+    np.testing.assert_allclose(payload.center_of_mass_array, [0.01, 0, 0.02], atol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.joint_space import arm_outputs, joint_limits, joint_space
@@ -182,6 +184,26 @@ def problems(arm_rig: Callable[..., Rig]) -> list[tuple[str, Problem]]:
     space = joint_space(ground, outputs, bounds, typical_velocity(bounds, basis), None, kinds)
     add("joints", space, ground, bounds)
     return found
+
+
+@pytest.mark.parametrize(
+    ("position", "upper", "words"),
+    [
+        ([3, 3, 3, 0.01, 3, 3, 3], None, "limits.position (-0.01 to 0.01) and the URDF (-3.0718 to -0.0698)"),
+        (None, -2.8973, "limits.position (-inf to inf) and the URDF (-2.8973 to -2.8973)"),
+    ],
+)
+def test_a_joint_without_any_range_is_named(
+    arm_rig: Callable[..., Rig], position: list[float] | None, upper: float | None, words: str
+) -> None:
+    rig = arm_rig("panda", limits={"position": position})
+    robot = robot_of(rig)
+    joint = "panda_joint4"
+    if upper is not None:
+        joint, robot = "panda_joint1", replace(robot, upper=np.array([upper, *robot.upper[1:]]))
+    with pytest.raises(InputError) as caught:
+        joint_limits(rig, robot)
+    assert f"joint `{joint}`: found no range within both {words}" in str(caught.value)
 
 
 def test_derivatives_of_every_plan_are_those_by_finite_differences(arm_rig: Callable[..., Rig]) -> None:

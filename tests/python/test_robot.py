@@ -178,17 +178,54 @@ def test_meshes_are_never_looked_for_and_nothing_is_printed(
         ('name="ft"', 'name="fx"', ["joint `mount`", "`ft`", "nearest: `fx`"]),
         ('<limit lower="-1" upper="2" velocity="3" effort="4"/>', "", ["joint `extend`", "limits of a"]),
         ('<parent link="upper"/>', "", ["joint `extend`", "no parent link"]),
-        ('child link="wrist"', 'child link="upper"', ["arm.urdf", "one tree of links"]),
+        ('child link="wrist"', 'child link="upper"', ["joint `roll`", "parent of the link `upper`"]),
+        ('parent link="base"', 'parent link="finger"', ["link `upper`", "a loop", "one tree of links"]),
+        ('name="pan"', 'name="turn"', ["joint `turn`", "a second one of this name"]),
+        ('type="prismatic"', 'type="hinge"', ["joint `extend`: type", "`hinge`", "revolute, continuous"]),
+        ('type="prismatic"', "", ["joint `extend`: type", "`None`", "revolute, continuous"]),
+        ('lower="-2"', 'lower="a"', ["joint `roll`: <limit>", 'lower="a"', "a finite number"]),
+        ('lower="-2"', 'lower="nan"', ["joint `roll`: <limit>", 'lower="nan"', "a finite number"]),
+        ('lower="-2"', 'lower="2.5"', ["joint `roll`: <limit>", "lower 2.5 above upper 2", "lower <= upper"]),
+        (' velocity="5"', "", ["joint `roll`: <limit>", "no velocity", "a finite number"]),
+        ('effort="6"', "", ["joint `roll`: <limit>", "no effort", "a finite number"]),
+        ('velocity="5"', 'velocity="-5"', ["joint `roll`: <limit> velocity", "-5", "0 or more"]),
+        ('xyz="0.6 0 0.8"', 'xyz="0.6 0.8"', ["joint `roll`: <axis>", 'xyz="0.6 0.8"', "three numbers"]),
+        ('xyz="0.6 0 0.8"', 'xyz="0 0 0"', ["joint `roll`: <axis>", "a length of 0", "a direction"]),
+        ('xyz="0.6 0 0.8"', "", ["joint `roll`: <axis>", "no xyz", "three numbers"]),
+        ('mass value="2"', 'mass value="-2"', ["link `upper`: <mass>", "-2", "0 kg or more"]),
+        ('mass value="2"', 'mass value="2,5"', ["link `upper`: <mass>", 'value="2,5"', "a finite number"]),
     ],
 )  # fmt: skip
-def test_faults_of_a_urdf_are_named(
-    arm_of: Callable[[str], Path], old: str, new: str, words: list[str]
+def test_faults_of_a_urdf_are_named_and_nothing_else_is_said(
+    arm_of: Callable[[str], Path],
+    capfd: pytest.CaptureFixture[str],
+    old: str,
+    new: str,
+    words: list[str],
 ) -> None:
     assert old in ARM
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"arm\.urdf") as caught:
         load_robot(arm_of(ARM.replace(old, new)), "ft")
     for word in words:
         assert word in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_pinocchio_alone_refuses_is_not_called_a_fault_of_the_tree(
+    arm_of: Callable[[str], Path],
+) -> None:
+    path = arm_of(ARM.replace('<robot name="arm"', "<robot"))
+    with pytest.raises(InputError, match=r"arm\.urdf: found a robot that Pinocchio cannot .*check_urdf"):
+        load_robot(path, "ft")
+
+
+def test_what_urdf_lets_be_absent_may_be(arm_of: Callable[[str], Path]) -> None:
+    """Limits of position are 0 and the axis is x; a fixed joint may have an axis that is none."""
+    text = ARM.replace('<axis xyz="0.6 0 0.8"/>', "").replace('lower="-2" ', "")
+    text = text.replace('rpy="0 0 1"/></joint>', 'rpy="0 0 1"/><axis xyz="0 0 0"/></joint>')
+    robot = load_robot(arm_of(text), "ft")
+    assert (robot.lower[2], robot.upper[2]) == (0.0, 2.0)
+    assert robot.model.joints[3].shortname() == "JointModelRX"
 
 
 def test_a_frame_that_is_missing_names_the_nearest(arm_of: Callable[[str], Path]) -> None:

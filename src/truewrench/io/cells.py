@@ -22,6 +22,7 @@ from truewrench.model.errors import InputError
 __all__ = ["Column", "numbers", "to_nanoseconds"]
 
 _LARGEST_SECONDS = 9_000_000_000  # int64 nanoseconds end at 9.22e9 s
+_UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}  # [ns] of Arrow's timestamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,23 +115,25 @@ def to_nanoseconds(column: Column, per_second: bool) -> npt.NDArray[np.int64]:
         raise column.error(i, "an empty cell", "a time in every row")
     if _is_text(cells):
         return _text_to_nanoseconds(column, cells, per_second)
+    unit, words = (1_000_000_000 if per_second else 1), ""
     if pa.types.is_timestamp(kind) and not per_second:
-        cells = pc.cast(cells, pa.timestamp("ns", tz=kind.tz)).cast(pa.int64())
+        cells, unit, words = cells.cast(pa.int64()), _UNITS[kind.unit], f" {kind.unit}"
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         raise InputError.at(column.file, f"column `{column.name}`", f"values of type {kind}", "numbers")
     values: npt.NDArray[Any] = cells.to_numpy(zero_copy_only=False)
-    limit = _LARGEST_SECONDS if per_second else 2**63 - 1 if values.dtype.kind in "iu" else 2.0**53
+    whole = values.dtype.kind in "iu"
+    limit = _LARGEST_SECONDS if per_second else (2**63 - 1) // unit if whole else 2.0**53
     fits = (values >= -limit) & (values <= limit)  # False for NaN
-    if not per_second and values.dtype.kind == "f":
+    if not per_second and not whole:
         fits &= values == np.rint(values)
     if not fits.all():
         i = int(np.flatnonzero(~fits)[0])
-        raise column.error(i, repr(values[i].item()), _expected_time(per_second))
-    if not per_second or values.dtype.kind in "iu":
-        stamps: npt.NDArray[np.int64] = values.astype(np.int64) * (1_000_000_000 if per_second else 1)
+        raise column.error(i, f"{values[i].item()!r}{words}", _expected_time(per_second))
+    if not per_second or whole:
+        stamps: npt.NDArray[np.int64] = values.astype(np.int64) * unit
         return stamps
-    whole = np.floor(values)
-    stamps = whole.astype(np.int64) * 1_000_000_000 + np.rint((values - whole) * 1e9).astype(np.int64)
+    floor = np.floor(values)
+    stamps = floor.astype(np.int64) * 1_000_000_000 + np.rint((values - floor) * 1e9).astype(np.int64)
     return stamps
 
 

@@ -22,23 +22,40 @@ def is_parquet(path: str | Path) -> bool:
 
 
 def write_batches(path: str | Path, batches: Iterable[pa.RecordBatch]) -> None:
-    """Write one or more batches of one schema; the file appears whole or not at all."""
-    rest = iter(batches)
-    first = next(rest)
-    with atomic_output(path) as temporary, _writer(path, temporary, first.schema) as writer:
-        try:
+    """Write one or more batches of one schema; the file appears whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written, or a column is of a type that its format does not hold.
+    """
+    with atomic_output(path) as temporary:
+        rest = iter(batches)
+        first = next(rest)
+        _check_types(path, first.schema)
+        with _writer(path, temporary, first.schema) as writer:
             for batch in chain([first], rest):
-                writer.write_batch(batch)
+                try:
+                    writer.write_batch(batch)
+                except pa.ArrowException as error:
+                    raise InputError(f"{path}: cannot be written: {error}") from error
+
+
+def _check_types(path: str | Path, schema: pa.Schema) -> None:
+    for field in schema:
+        try:
+            _writer(path, pa.BufferOutputStream(), pa.schema([field]))
         except pa.ArrowException as error:
-            raise InputError(f"{path}: cannot be written: {error}") from error
+            found, expected = f"values of type {field.type}", "numbers or text, or a file named .parquet"
+            raise InputError.at(path, f"column `{field.name}`", found, expected) from error
 
 
-def _writer(path: str | Path, temporary: Path, schema: pa.Schema) -> pq.ParquetWriter | pacsv.CSVWriter:
+def _writer(
+    path: str | Path, sink: Path | pa.NativeFile, schema: pa.Schema
+) -> pq.ParquetWriter | pacsv.CSVWriter:
     if is_parquet(path):
-        return pq.ParquetWriter(temporary, schema)
+        return pq.ParquetWriter(sink, schema)
     plain = not any(set(name) & set(',"\r\n') for name in schema.names)
     options = pacsv.WriteOptions(quoting_header="none" if plain else "needed")
-    return pacsv.CSVWriter(temporary, schema, write_options=options)
+    return pacsv.CSVWriter(sink, schema, write_options=options)
 
 
 def write_lines(path: str | Path, blocks: Iterable[bytes]) -> None:

@@ -7,6 +7,7 @@ a key given twice is an error.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import tempfile
@@ -162,30 +163,48 @@ def write_yaml(path: str | Path, data: Mapping[str, Any]) -> None:
         yaml.dump(data, file, Dumper=_ExactDumper, sort_keys=False, allow_unicode=True, width=10**6)
 
 
+# what only writing meets: any other OSError of a block may be that of an input it reads
+_NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EROFS})
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}")
+
+
 @contextmanager
 def atomic_output(path: str | Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place when the block ends without an error.
 
     Until then nothing that stood at `path` is touched; after an error nothing of the attempt is left.
+
+    Raises:
+        InputError: `path` is a folder, lies in none that can be written, or there is no room for it.
     """
     target = Path(path)
-    created = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
     try:
+        if target.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        created = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
     except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from error
+        raise _unwritable(target, error) from error
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
         mask = os.umask(0)
         os.umask(mask)
-        temporary.chmod(0o666 & ~mask)  # mkstemp made it private
-        temporary.replace(target)
-    except BaseException:
+        try:
+            temporary.chmod(0o666 & ~mask)  # mkstemp made it private
+            temporary.replace(target)
+        except OSError as error:
+            raise _unwritable(target, error) from error
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
         for folder in created:
             with suppress(OSError):  # something else has been put there meanwhile
                 folder.rmdir()
+        if isinstance(error, OSError) and error.errno in _NO_ROOM:
+            raise _unwritable(target, error) from error
         raise

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.planning.arm import ArmExpressions, arm_expressions, has_link_inertias
 from truewrench.planning.limits import Limits
@@ -45,14 +46,23 @@ class ArmOutputs:
 
 
 def joint_limits(rig: Rig, robot: Robot) -> Limits:
-    """The stricter of the limits of the rig and those of the URDF."""
+    """The stricter of the limits of the rig and those of the URDF.
+
+    Raises:
+        InputError: they leave a joint no range.
+    """
     limits = Limits.of(rig, robot.n)
+    lower, upper = np.maximum(limits.lower, robot.lower), np.minimum(limits.upper, robot.upper)
+    for k in np.flatnonzero(lower >= upper)[:1]:
+        stated = f"limits.position ({limits.lower[k]:g} to {limits.upper[k]:g})"
+        found = f"no range within both {stated} and the URDF ({robot.lower[k]:g} to {robot.upper[k]:g})"
+        raise InputError.at(rig.path, f"joint `{robot.joints[k]}`", found, "room to move")
     lengths = [np.linalg.norm(robot.model.jointPlacements[i + 1].translation) for i in range(robot.n)]
     lengths.append(np.linalg.norm(robot.model.frames[robot.frame_id].placement.translation))
     return replace(
         limits,
-        lower=np.maximum(limits.lower, robot.lower),
-        upper=np.minimum(limits.upper, robot.upper),
+        lower=lower,
+        upper=upper,
         velocity=np.minimum(limits.velocity, robot.velocity),
         torque=robot.effort if has_link_inertias(robot) else np.full(robot.n, np.inf),
         clearance=_CLEARANCE * float(np.sum(lengths)),

@@ -146,6 +146,8 @@ def _root(path: str | Path) -> ElementTree.Element:
         line, column = error.position
         why = ErrorString(error.code)
         raise InputError(f"{path}:{line}: column {column + 1}: not readable as XML: {why}") from error
+    except (LookupError, ValueError) as error:
+        raise InputError.at(path, "", f"an encoding that cannot be read ({error})", "XML in UTF-8") from error
     if root.tag != "FTSensor":
         raise InputError.at(path, "", f"an element <{root.tag}>", "a calibration file of ATI: <FTSensor>")
     return root

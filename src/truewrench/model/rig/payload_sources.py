@@ -33,7 +33,7 @@ from truewrench.model.rig.strict import (
     refuse,
     shown,
 )
-from truewrench.model.rig.urdf import nearest, read_urdf
+from truewrench.model.rig.urdf import link_at, nearest, read_urdf
 
 __all__ = ["AnyPayload", "FrankaPayload", "UrPayload", "UrdfPayload"]
 
@@ -125,7 +125,7 @@ class UrdfPayload(Section):
         if self.frame in links:
             frame = self.frame
         elif self.frame in joints:
-            frame = _end(joints[self.frame], "child")
+            frame = link_at(joints[self.frame], "child")
         else:
             expected = f"a link or joint of `{self.urdf}` (nearest: {nearest(self.frame, [*links, *joints])})"
             raise refuse("frame", shown(self.frame), expected)
@@ -135,23 +135,21 @@ class UrdfPayload(Section):
             raise refuse("link", shown(first), expected)
         children: dict[str, list[ElementTree.Element]] = {name: [] for name in links}
         for joint in joints.values():
-            children[_end(joint, "parent")].append(joint)
-        T_root_link = dict(_poses(links, children))
-        for name in (frame, first):
-            if name not in T_root_link:
-                raise refuse("urdf", f"the link `{name}` in no tree", "one tree of links")
+            children[link_at(joint, "parent")].append(joint)
+        (root,) = links.keys() - {link_at(joint, "child") for joint in joints.values()}
+        T_root_link = dict(_outward(root, np.eye(4), children))
         beyond = dict(_outward(first, np.linalg.inv(T_root_link[frame]) @ T_root_link[first], children))
         return self._sum({name: (links[name], T) for name, T in beyond.items()})
 
     def _sum(self, beyond: Mapping[str, tuple[ElementTree.Element, Array]]) -> dict[str, Any]:
         mass, moment, about_origin = 0.0, np.zeros(3), np.zeros((3, 3))
-        for name, (link, T) in beyond.items():
+        for link, T in beyond.values():
             inertial = link.find("inertial")
             if inertial is None:
                 continue
             T_sensor_body = T @ _origin(inertial)
-            m = self._numbers(inertial, "mass", ("value",), name)[0]
-            xx, yy, zz, xy, xz, yz = self._numbers(inertial, "inertia", _TENSOR, name)
+            (m,) = _stated(inertial, "mass", "value")
+            xx, yy, zz, xy, xz, yz = _stated(inertial, "inertia", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
             R, p = T_sensor_body[:3, :3], T_sensor_body[:3, 3]
             inertia = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
             mass, moment = mass + m, moment + m * p
@@ -162,23 +160,6 @@ class UrdfPayload(Section):
         c = moment / mass
         about_c = about_origin - mass * (c @ c * np.eye(3) - np.outer(c, c))
         return _spelt(mass, c, about_c)
-
-    def _numbers(
-        self, inertial: ElementTree.Element, tag: str, names: tuple[str, ...], link: str
-    ) -> list[float]:
-        element = inertial.find(tag)
-        texts = [None if element is None else element.get(name) for name in names]
-        try:
-            values = [float(text or "") for text in texts]
-        except ValueError:
-            values = [np.nan]
-        if not np.isfinite(values).all():
-            found = f"<{tag}> of the link `{link}` with {dict(zip(names, texts, strict=True))}"
-            raise refuse("urdf", found, "numbers")
-        return values
-
-
-_TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def _source(value: Any) -> str:
@@ -263,24 +244,18 @@ def _origin(element: ElementTree.Element) -> Array:
     return _transform(np.array(xyz), np.array(rpy))
 
 
-def _end(joint: ElementTree.Element, tag: str) -> str:
-    element = joint.find(tag)
+def _stated(inertial: ElementTree.Element, tag: str, *keys: str) -> list[float]:
+    element = inertial.find(tag)
     assert element is not None  # read_urdf has looked
-    return element.get("link", "")
+    return [float(element.get(key, "")) for key in keys]
 
 
 def _outward(
     link: str, T: Array, children: Mapping[str, list[ElementTree.Element]]
 ) -> Iterator[tuple[str, Array]]:
-    yield link, T
-    for joint in children[link]:
-        yield from _outward(_end(joint, "child"), T @ _origin(joint), children)
-
-
-def _poses(
-    links: Mapping[str, Any], children: Mapping[str, list[ElementTree.Element]]
-) -> Iterator[tuple[str, Array]]:
-    inner = {_end(joint, "child") for joints in children.values() for joint in joints}
-    for link in links:
-        if link not in inner:
-            yield from _outward(link, np.eye(4), children)
+    """A link and those beyond it, with their poses; T is that of the first."""
+    waiting = [(link, T)]
+    while waiting:
+        link, T = waiting.pop()
+        yield link, T
+        waiting += [(link_at(joint, "child"), T @ _origin(joint)) for joint in reversed(children[link])]
