@@ -197,6 +197,20 @@ def test_log_is_not_overwritten_by_itself(cells: Cells, csv_of: CsvOf, calibrati
         apply(calibration, path, path)
 
 
+@pytest.mark.parametrize("output", ["new/out.csv", "new/out.parquet"])
+def test_a_log_of_which_no_row_can_be_corrected_is_refused(
+    cells: Cells, csv_of: CsvOf, tmp_path: Path, calibration: Calibration, output: str
+) -> None:
+    path = csv_of(cells | {"raw_2": [""] * 10})
+    with pytest.raises(InputError, match=r"run\.csv: found no row with all raw channels, expected at least"):
+        apply(calibration, path, tmp_path / output)
+    warm = replace(calibration, offset_temperature=np.ones(6))
+    path = csv_of(cells | {"temperature": ["nan"] * 10})
+    with pytest.raises(InputError, match=r"no row with all raw channels and a temperature"):
+        apply(warm, path, tmp_path / output)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]
+
+
 def test_empty_log_is_refused(cells: Cells, csv_of: CsvOf, tmp_path: Path, calibration: Calibration) -> None:
     path = csv_of({name: [] for name in cells})
     for output in ("out.csv", "out.parquet"):

@@ -74,7 +74,9 @@ def pipeline(monkeypatch: pytest.MonkeyPatch, calibration: Calibration) -> Modul
 def test_usable_calibration_is_written_with_status_0(
     run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path
 ) -> None:
-    logs = [csv_of(cells, "a.csv"), f"{csv_of(cells, 'b.csv')}@default"]
+    logs: list[object] = [csv_of(cells, "a.csv")]
+    cells["vx"][3] = "0.25"
+    logs.append(f"{csv_of(cells, 'b.csv')}@default")
     status, out, err = run("calibrate", rig_file, *logs, "-o", tmp_path / "out", "--estimator", "online")
     assert (status, err) == (0, "")
     assert out.startswith("USABLE")
@@ -254,11 +256,30 @@ def words_of(command: str, names: Mapping[str, object]) -> list[str]:
         ("calibrate NONE LOG -o OUT", "none.csv: cannot be read"),
         ("calibrate RIG BAD -o OUT", "row 3 (line 4), column `raw_0`: found the text 'oops'"),
         ("calibrate RIG LOG -o LOG", "found a file, expected a folder"),
+        ("calibrate RIG LOG -o OUT --estimator ekf --process-density inf", "--process-density"),
+        ("calibrate RIG LOG SAME -o OUT", "same.csv: log 2: found the same content as log 1, "),
         ("apply RIG LOG -o OUT", "format: found nothing, expected `truewrench/1`"),
         ("apply NONE LOG -o OUT", "none.csv: cannot be read"),
         ("inspect NONE", "none.csv: cannot be read"),
         ("simulate RIG NONE -o OUT", "none.csv"),
         ("simulate RIG -o OUT --payload hammer", "hammer"),
+        ("simulate RIG LOG -o LOG", "run.csv: found an input of the command itself, expected another file"),
+        ("simulate RIG -o RIG", "rig.yaml: found an input of the command itself"),
+        ("simulate RIG -o MCAP", "out.mcap: found the name of a recording for a table, expected a"),
+        ("plan RIG -o RIG", "rig.yaml: found an input of the command itself"),
+        ("plan RIG -o LINK", "link.yaml: found an input of the command itself"),
+        ("plan RIG --tool -o RIG", "rig.yaml: found an input of the command itself"),
+        ("plan RIG --tool -o MCAP", "out.mcap: found the name of a recording"),
+        ("plan RIG --tool -o OUT --poses 100000", "--poses: found 100000, expected at least 4"),
+        ("plan RIG --tool -o OUT --dwell inf", "--dwell: found inf, expected more than 1.5 s"),
+        ("plan RIG --tool -o OUT --cone inf", "--cone: found inf"),
+        ("follow RIG LOG -o LOG", "run.csv: found an input of the command itself"),
+        ("follow RIG LOG -o MCAP", "out.mcap: found the name of a recording"),
+        ("follow RIG LOG -o OUT --rate inf", "--rate"),
+        ("apply RIG LOG -o RIG", "rig.yaml: found an input of the command itself"),
+        ("apply RIG LOG -o LOG", "run.csv: found an input of the command itself"),
+        ("apply RIG LOG --tool BAD -o BAD", "bad.csv: found an input of the command itself"),
+        ("apply RIG LOG -o BAG", "out.bag: found the name of a recording for a table, expected a name"),
         ("demo", "Missing option '-o'"),
         ("demo -o LOG", "found a file, expected a folder"),
         ("fly", "No such command 'fly'"),
@@ -271,8 +292,13 @@ def test_bad_input_gives_status_2_one_message_and_no_file(
 ) -> None:  # fmt: skip
     log = csv_of(cells)
     cells["raw_0"][2] = "oops"
-    bad = csv_of(cells, "bad.csv")
-    names = {"RIG": rig_file, "LOG": log, "BAD": bad, "NONE": tmp_path / "none.csv", "OUT": tmp_path / "out"}
+    bad, same, link = csv_of(cells, "bad.csv"), tmp_path / "same.csv", tmp_path / "link.yaml"
+    same.write_bytes(log.read_bytes())
+    link.symlink_to(rig_file)
+    names = {
+        "RIG": rig_file, "LOG": log, "BAD": bad, "SAME": same, "LINK": link, "NONE": tmp_path / "none.csv",
+        "OUT": tmp_path / "out", "MCAP": tmp_path / "out.mcap", "BAG": tmp_path / "out.bag",
+    }  # fmt: skip
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     status, out, err = run(*words_of(command, names), *(["--json"] if as_json else []))
     assert status == 2
@@ -345,3 +371,52 @@ def test_installed_command_answers_without_terminal_codes(tmp_path: Path) -> Non
     assert done.stderr == f"truewrench: {tmp_path / 'none.csv'}: cannot be read: No such file or directory\n"
     done = subprocess.run([command, "--version"], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_one_file_is_no_two_logs(
+    run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, calibration: Calibration,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    log, made = csv_of(cells), tmp_path / "calibration.yaml"
+    calibration.write_yaml(made)
+    for command in (["calibrate"], ["validate", made]):
+        status, _, err = run(*command, rig_file, log, f"{log}@default", "-o", tmp_path / "out")
+        assert status == 2
+        assert f"{log}: log 2: found the same content as log 1, {log}, expected every log once" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_table_is_not_written_over_a_folder(run: Run, rig_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    status, _, err = run("simulate", rig_file, "-o", tmp_path / "there")
+    assert status == 2
+    assert "there: found a folder, expected a file to write" in err
+
+
+def test_many_faults_are_fifteen_lines(
+    run: Run, settings: dict[str, Any], tmp_path: Path, csv_of: Callable[..., Path], cells: Cells
+) -> None:
+    settings["sensor"] |= {f"key{i}": 1 for i in range(40)}
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    status, out, err = run("calibrate", rig, csv_of(cells), "-o", tmp_path / "out", "--json")
+    lines = err.splitlines()
+    assert (status, len(lines)) == (2, 15)
+    assert all("unknown key `key" in line for line in lines[:14])
+    assert lines[14] == "truewrench: and 26 more"
+    assert len(json.loads(out)["verdict"]["reasons"]) == 40
+
+
+def test_control_characters_are_shown_escaped(
+    run: Run, settings: dict[str, Any], tmp_path: Path, csv_of: Callable[..., Path], cells: Cells
+) -> None:
+    settings["sensor"]["\x1b[31mred\nline"] = 1
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    status, _, err = run("calibrate", rig, csv_of(cells), "-o", tmp_path / "out")
+    assert status == 2
+    assert len(err.splitlines()) == 1
+    assert "sensor.\\x1b[31mred\\nline: unknown key `\\x1b[31mred\\nline`" in err
+    status, _, err = run("inspect", tmp_path / "no\x1b[2Jne.csv")
+    assert status == 2
+    assert "no\\x1b[2Jne.csv: cannot be read" in err

@@ -353,6 +353,22 @@ def test_a_calibration_in_place_of_its_rig_promises_what_its_covariance_allows(
     assert better.contact_std[0] < 1.5 * plain.contact_std[0]
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"poses": 3}, "--poses: found 3, expected at least 4 and at most 200"),
+        ({"poses": 100_000}, "--poses: found 100000, expected at least 4 and at most 200"),
+        ({"dwell": 1.5}, r"--dwell: found 1\.5, expected more than 1\.5 s"),
+        ({"dwell": np.inf}, "--dwell: found inf, expected .* at most 600 s"),
+        ({"dwell": np.nan}, "--dwell: found nan"),
+        ({"cone": np.inf}, "--cone: found inf"),
+    ],
+)
+def test_options_beyond_their_bounds_are_refused(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        plan_tool(twists(), **options)
+
+
 def test_an_imu_is_refused() -> None:
     motion = {"source": "imu", "noise": [1e-3] * 3, "acceleration_noise": [1e-2] * 3}
     with pytest.raises(UnsupportedError, match="`imu`, expected `twist` or `joints`"):

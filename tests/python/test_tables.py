@@ -215,11 +215,13 @@ def test_one_row_with_measurements_is_not_enough(cells: Cells, csv_of: CsvOf, ri
     [
         (b"", "line 1: found an empty file"),
         (b"\n1,2\n", "line 1: found an empty line"),
+        (b"time_ns,raw_0", "header: found no column"),
         (b"time_ns;raw_0\n0;1\n", "line 1: found one column, .*expected columns separated by commas"),
         (b"\x1f\x8b\x08\x00\xff\xfe", "line 1: found bytes that are not text"),
         (b"PAR1 and no more", "found a broken file"),
         (b"time_ns,vx,vx\n0,1,2\n", "header, column 3: found `vx` a second time"),
         (b"time_ns,vx\r0,1\r", "line 1: found a carriage return within"),
+        (b"time_ns," + b"x" * 200_000 + b"\n0,1\n", "line 1: found field larger than field limit"),
     ],
 )
 def test_what_is_no_table_is_refused(tmp_path: Path, rig: Rig, content: bytes, message: str) -> None:
@@ -244,6 +246,56 @@ def test_line_that_is_no_row_is_named(
     path.write_bytes(path.read_bytes().replace(b"\n10000000,", b"\n10000000," + cell, 1))
     with pytest.raises(InputError, match=rf"run\.csv: lines? (2 to 11|3): found {message}"):
         read_log(path, rig)
+
+
+def last_cells(kind: str, count: int) -> list[str]:
+    """Numbers as programs write them, of sizes from 1e-2 to 1e4."""
+    draw = np.random.default_rng(3)
+    values = [float(x) for x in draw.normal(size=count) * 10.0 ** draw.uniform(-2.0, 4.0, size=count)]
+    write: dict[str, Callable[[float], str]] = {
+        "repr": repr, "fixed": "{:.6f}".format, "exponent": "{:.18e}".format, "integer": "{:.0f}".format,
+        "gaps": lambda x: repr(x) if x > 0.0 else "",
+    }  # fmt: skip
+    return [write[kind](x) for x in values]
+
+
+def csv_that_ends(path: Path, cells: list[str], last: str) -> Path:
+    """A log whose last column has these cells, the last row without a line end."""
+    rows = [f"{1_000_000 * k},0.5,{cell}" for k, cell in enumerate([*cells, last])]
+    path.write_text("\n".join(["time_ns,vx,raw_0", *rows]))
+    return path
+
+
+def is_read(path: Path) -> bool:
+    try:
+        return bool(sum(chunk.rows for chunk in csv_table.CsvTable(path).chunks()))
+    except InputError as error:
+        if "run.csv: last line: found a line that ends within a number, `" in str(error):
+            return False
+        raise
+
+
+@pytest.mark.parametrize("kind", ["repr", "fixed", "exponent", "integer", "gaps"])
+def test_a_last_line_without_an_end_is_read(tmp_path: Path, kind: str) -> None:
+    cells, path = last_cells(kind, 2000), tmp_path / "run.csv"
+    assert sum(not is_read(csv_that_ends(path, cells[:-1], cell)) for cell in cells[::20]) <= 1
+    for last in ("nan", "", "0.5\r", "0.5\n") if kind == "gaps" else ("nan", "NaN", cells[0] + "\r"):
+        assert is_read(csv_that_ends(path, cells, last))
+    assert is_read(csv_that_ends(path, cells[:49], "1"))  # too few rows tell how long a cell is
+
+
+@pytest.mark.parametrize(
+    ("kind", "loss"), [("repr", 1e-9), ("fixed", 0.0), ("exponent", 0.0), ("gaps", 1e-9)]
+)
+def test_a_number_that_is_cut_off_is_refused_or_is_hardly_another(
+    tmp_path: Path, kind: str, loss: float
+) -> None:
+    cells, path = last_cells(kind, 2000), tmp_path / "run.csv"
+    for whole in [cell for cell in cells[1000:] if cell][:12]:
+        for length in range(1, len(whole)):
+            if is_read(csv_that_ends(path, cells[:1000], whole[:length])):
+                assert float(whole[:length]) == pytest.approx(float(whole), rel=loss, abs=0.0)
+    assert is_read(csv_that_ends(path, cells[:1000], "")) == (kind == "gaps")
 
 
 def test_missing_file_and_plain_folder_are_refused(tmp_path: Path, rig: Rig) -> None:

@@ -21,9 +21,10 @@ import yaml
 from contact_cases import tilted
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from tool_cases import FLANGE, a_mounted_tool, stated
+from tool_cases import FLANGE, a_mounted_tool, a_rig, stated
 
-from truewrench.tool.exports import write_tool_exports
+from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.tool.exports import left_out, write_tool_exports
 from truewrench.tool.model import Tool
 
 Array = NDArray[np.float64]
@@ -201,6 +202,20 @@ def test_nothing_is_left_of_weight_and_offset_at_the_flange(
         left = force - found["force_offset"] - weight
         turned = moment - found["torque_offset"] - np.cross(found["sensor_frame_to_com"], weight)
         np.testing.assert_allclose(np.concatenate([left, turned]), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [6, 8])
+def test_an_offset_in_units_of_its_own_is_not_written_as_newtons(n: int, tmp_path: Path) -> None:
+    gain = np.vstack([np.diag([100.0, 100.0, 100.0, 1e3, 1e3, 1e3]), np.ones((2, 6))])[:n]
+    sensor = {"channels": list("abcdefgh")[:n], "noise": [50.0] * n, "nominal_gain": gain.tolist()}
+    tool = replace(
+        a_mounted_tool(housing=False), gain=gain, offset=np.full(n, 4e3), rig=tool_rig(a_rig(sensor=sensor))
+    )
+    assert set(written(tool, tmp_path)) == {"admittance_controller.yaml", "gravity_compensation_filter.yaml"}
+    reasons = left_out(tool, ["ros"])
+    assert set(reasons) == {"tool_ros/ft_tools.yaml", "tool_ros/force_torque_tools.yaml"}
+    assert all("N and N m" in reason for reason in reasons.values())
+    assert left_out(tool, ["ur"]) == left_out(a_mounted_tool(), ["ros"]) == {}
 
 
 def test_without_a_flange_ros_files_are_in_the_sensors_frame(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ __all__ = ["hopeless", "plain_gain"]
 Array = NDArray[np.float64]
 
 SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator
+LARGEST = 40.0  # of nominal: what is larger is noise to the estimator, and nothing that smoothing does
 FREE = 1e3  # 1 sigma of the gains that pulls none
 FOLLOWED = 0.02  # share of the raw output that least squares leave, up to which its gain is the sensor's
 LEFT, MISFIT = 0.003, 4.0  # the same, and chi-square, from which on joints may be logged otherwise,
@@ -55,7 +56,10 @@ def hopeless(rig: Rig, logs: Sequence[Log], known: Sequence[Log]) -> list[str]:
     if plain is None:
         return []
     if plain.left < FOLLOWED:
-        found = _confirmed(rig, known) if gross_errors(rig, known, plain.gain, plain.covariance) else []
+        found = [s.words for s in gross_errors(rig, known, plain.gain, plain.covariance)]
+        unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
+        if found and np.abs(plain.gain * unit).max() < LARGEST:
+            found = _confirmed(rig, known)
     return found or _logged_otherwise(rig, short, plain)
 
 

@@ -18,7 +18,9 @@ from truewrench.cli.common import (
     OutputFolderOption,
     OutputLogOption,
     RigArgument,
+    check_distinct,
     check_folder,
+    check_output,
     progress_bar,
     report_left_out,
     report_notes,
@@ -43,7 +45,9 @@ def calibrate(
     published: Annotated[bool, typer.Option("--published", help="ekf: start from P = I in SI.")] = False,
     smooth: Annotated[Literal["spline"] | None, typer.Option(help="ls: differentiate a spline.")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
-    process_density: Annotated[float | None, typer.Option(min=0.0, help="ekf: of the acceleration.")] = None,
+    process_density: Annotated[
+        float | None, typer.Option(min=0.0, max=1e12, help="ekf: of the acceleration.")
+    ] = None,
     held_out: Annotated[
         bool,
         typer.Option("--held-out/--no-held-out", help="Compare with the nominal gain on unseen data."),
@@ -64,6 +68,7 @@ def calibrate(
     found: list[Evidence] = []
     with progress_bar() as update:
         records = [read_log(log, settings) for log in logs]
+        check_distinct(records)
         calibration = run(
             settings,
             records,
@@ -148,6 +153,7 @@ def validate(
     loaded, settings = load_calibration(calibration), load_rig(rig)
     with progress_bar() as update:
         records = [read_log(log, settings) for log in logs]
+        check_distinct(records)
         update("validating", None)
         validation = run(loaded, settings, records)
     for record in records:
@@ -195,6 +201,7 @@ def apply(
 
     With --tool it is the contact wrench, tool removed.
     """
+    check_output(output, calibration, log, tool, recording=True)
     if tool is not None:
         from truewrench.cli.contacts import apply_tool
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -28,7 +29,9 @@ __all__ = [
     "OutputFolderOption",
     "OutputLogOption",
     "RigArgument",
+    "check_distinct",
     "check_folder",
+    "check_output",
     "progress_bar",
     "report_left_out",
     "report_notes",
@@ -78,6 +81,36 @@ def check_folder(path: Path) -> None:
     """Refuse a file where results want a folder, before any work is done."""
     if path.exists() and not path.is_dir():
         raise InputError.at(path, "", "a file", "a folder, or a name that is free")
+
+
+def check_output(output: Path, *inputs: Path | str | None, recording: bool = False) -> None:
+    """Refuse to write a file over an input of the same command, before any work is done.
+
+    Args:
+        output: refused where it is a folder, too, or has the name of a recording and becomes a table.
+        inputs: those given; one that does not exist is told by whoever reads it.
+        recording: whether FILE.mcap becomes a recording.
+    """
+    exists = os.path.exists  # False, and no error, of a name that no file can have
+    if exists(output) and output.is_dir():
+        raise InputError.at(output, "", "a folder", "a file to write")
+    for given in inputs:
+        if given is not None and exists(output) and exists(given) and output.samefile(given):
+            raise InputError.at(output, "", "an input of the command itself", "another file to write")
+    suffix = output.suffix.lower()
+    if suffix in (".bag", ".db3") or (suffix == ".mcap" and not recording):
+        expected = "a name in .csv, .parquet or .mcap" if recording else "a name in .csv or .parquet"
+        raise InputError.at(output, "", "the name of a recording for a table", expected)
+
+
+def check_distinct(logs: Sequence[Log]) -> None:
+    """Refuse one file given twice: as two logs it would seem to tell more than it does."""
+    first: dict[str, int] = {}
+    for number, log in enumerate(logs, start=1):
+        same = first.setdefault(log.sha256, number)
+        if log.sha256 and same != number:
+            found = f"the same content as log {same}, {logs[same - 1].path}"
+            raise InputError.at(log.path, f"log {number}", found, "every log once")
 
 
 def report_left_out(log: Log) -> None:

@@ -13,6 +13,7 @@ from truewrench.cli.common import (
     Outcome,
     OutputLogOption,
     RigArgument,
+    check_output,
     progress_bar,
 )
 from truewrench.model.errors import InputError
@@ -55,6 +56,7 @@ def plan(
 
     With --tool: poses, or a motion, that determine an unknown tool.
     """
+    check_output(output, rig)
     options = {"--motion": motion or None, "--poses": poses, "--dwell": dwell, "--cone": cone}
     if tool:
         if method != "optimal" or criterion != "A":
@@ -97,7 +99,7 @@ def follow(
         Literal["com", "sensor"], typer.Option(help="The point that the plan moves: mass or sensor.")
     ] = "com",
     payload: Annotated[str | None, typer.Option(help="Payload carried; the first of the rig.")] = None,
-    rate: Annotated[float, typer.Option(min=1.0, help="Commands a second [Hz].")] = 100.0,
+    rate: Annotated[float, typer.Option(min=1.0, max=1e6, help="Commands a second [Hz].")] = 100.0,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -105,6 +107,7 @@ def follow(
     from truewrench.model.rig import load_rig
     from truewrench.planning.follow import follow_plan
 
+    check_output(output, rig, plan)
     settings = load_rig(rig)
     settings.check_motion("which is to follow the plan")
     done = follow_plan(settings, plan, of=of, payload=payload, rate=rate)
@@ -134,6 +137,7 @@ def simulate(
     """Simulate a log, and write its truth beside it."""
     from truewrench.model.rig import load_rig
 
+    check_output(output, rig, plan)
     settings = load_rig(rig)
     simulated: ArmRun | SimulatedRun
     if settings.motion.source == "joints":

@@ -18,6 +18,8 @@ from truewrench.cli.common import Outcome
 
 __all__ = ["fail", "show_outcome"]
 
+_LINES = 15  # of why a command failed
+
 
 def show_outcome(outcome: Outcome, as_json: bool) -> None:
     """Print what a command did."""
@@ -38,8 +40,14 @@ def fail(reasons: Sequence[str], status: int, as_json: bool, error: BaseExceptio
     """Print why a command failed, with the traceback of an error if one is given; the status is returned."""
     if error is not None:
         traceback.print_exception(error)
-    for reason in filter(None, reasons):  # no reason: the command line was empty, and help has been printed
-        print(f"truewrench: {reason}", file=sys.stderr)  # noqa: T201
+    from truewrench.model.rig.strict import printable
+
+    # no reason: the command line was empty, and help has been printed
+    lines = [printable(line) for reason in filter(None, reasons) for line in reason.split("\n")]
+    if len(lines) > _LINES:
+        lines[_LINES - 1 :] = [f"and {len(lines) - _LINES + 1} more"]
+    for line in lines:
+        print(f"truewrench: {line}", file=sys.stderr)  # noqa: T201
     if as_json:
         _print_json(status, {"usable": False, "reasons": list(reasons)}, [], {})
     return status

@@ -14,7 +14,9 @@ from truewrench.cli.common import (
     JsonOption,
     Outcome,
     OutputFolderOption,
+    check_distinct,
     check_folder,
+    check_output,
     progress_bar,
     report_left_out,
 )
@@ -39,9 +41,12 @@ def tool(
         list[str] | None, typer.Option(help="NAME=VALUE:SIGMA of mass, center_of_mass.x, inertia.xx ...")
     ] = None,
     mounting_sigma: Annotated[
-        float | None, typer.Option(min=0.0, help="[rad] of the channels' axes in the sensor frame.")
+        float | None,
+        typer.Option(min=0.0, max=np.pi, help="[rad] of the channels' axes in the sensor frame."),
     ] = None,
-    tilt_sigma: Annotated[float | None, typer.Option(min=0.0, help="[rad] of gravity's direction.")] = None,
+    tilt_sigma: Annotated[
+        float | None, typer.Option(min=0.0, max=np.pi, help="[rad] of gravity's direction.")
+    ] = None,
     flange: Annotated[
         str | None, typer.Option(help="x,y,z,roll,pitch,yaw of the sensor frame on the flange [m, rad].")
     ] = None,
@@ -59,7 +64,14 @@ def tool(
     """Identify an unknown tool from static poses or motion."""
     from truewrench.io.tables import read_log
     from truewrench.tool.checks import check_known
-    from truewrench.tool.exports import TARGETS, write_tool_exports
+    from truewrench.tool.exports import (
+        FILES,
+        TARGETS,
+        left_out,
+        remove_exports,
+        tool_exports,
+        write_tool_exports,
+    )
     from truewrench.tool.identify import identify_tool
     from truewrench.tool.model import read_tool
     from truewrench.tool.page import write_page
@@ -82,9 +94,13 @@ def tool(
     if before is not None and before.n != settings.sensor.n:
         found, expected = f"a tool on {before.n} channels", f"{settings.sensor.n} channels, as in {source}"
         raise InputError.at(on, "gain", found, expected)
+    target_file, page = output / "tool.yaml", output / "tool.html"
+    for path in [target_file, *(output / name for target in targets for name in FILES[target])]:
+        check_output(path, source, *logs, on, settings.urdf_path)
     evidence: list[Evidence] = []
     with progress_bar() as update:
         records = [read_log(log, settings) for log in logs]
+        check_distinct(records)
         found_tool = identify_tool(
             sensor,
             records,
@@ -98,23 +114,30 @@ def tool(
             progress=update,
             evidence=evidence.append,
         )
-    target_file = output / "tool.yaml"
+    kept = tool_exports(found_tool, targets)  # what one cannot take is told before anything is written
+    page.unlink(missing_ok=True)
+    remove_exports(output, kept)
     found_tool.write_yaml(target_file)
     outputs = [target_file]
     try:
-        write_page(output / "tool.html", found_tool, evidence[0])
-        outputs.append(output / "tool.html")
+        write_page(page, found_tool, evidence[0])
+        outputs.append(page)
     except Exception as error:  # the result stands without its page
-        print(f"{output / 'tool.html'}: not written: {type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
+        print(f"{page}: not written: {type(error).__name__}: {error}", file=sys.stderr)  # noqa: T201
     outputs += write_tool_exports(found_tool, targets, output)
+    unfit = left_out(found_tool, targets)
     for record in records:
         report_left_out(record)
     figures = found_tool.to_mapping()
     verdict = figures.pop("verdict")
     for key in ("covariance", "rig"):
         figures.pop(key)
+    said = [tool_summary(found_tool), *(f"No {name}: {reason}." for name, reason in unfit.items())]
     return Outcome(
-        outputs=outputs, verdict=verdict, figures=figures, words=lambda: iter([tool_summary(found_tool)])
+        outputs=outputs,
+        verdict=verdict,
+        figures=figures | {"exports": {"left_out": unfit}},
+        words=lambda: iter(said),
     )
 
 

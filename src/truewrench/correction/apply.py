@@ -166,6 +166,9 @@ class Run:
     def _check_rows(self) -> None:
         if self._rows == 0:
             raise InputError.at(self.table.path, "", "no row", "at least one row below the header")
+        if self._corrected == 0:
+            known = " and a temperature" if self._celsius else ""
+            raise InputError.at(self.table.path, "", f"no row with all raw channels{known}", "at least one")
 
 
 def used_in_part(calibration: Calibration) -> tuple[str, ...]:

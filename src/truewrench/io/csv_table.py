@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +19,8 @@ from truewrench.model.errors import InputError
 __all__ = ["CsvChunk", "CsvTable"]
 
 _BLOCK = 4 << 20  # bytes read at once
+_END = 1 << 18  # bytes of a file's end that tell whether its last line is whole
+_TELLING = 50  # cells with a number that tell how long one is
 
 
 class CsvChunk(Chunk):
@@ -82,6 +85,8 @@ class CsvTable(Table):
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[CsvChunk]:
         """Blocks of whole lines; blank lines are skipped."""
         with self.path.open("rb") as file:
+            _check_end(self.path, file)
+            file.seek(0)
             _read_header(self.path, file)
             line, row = 2, 0
             rest = b""
@@ -163,7 +168,46 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[bytes, list[str]]:
         raise InputError.at(path, "line 1", found, "a header with the names of the columns")
     if "\r" in text.removesuffix("\n").removesuffix("\r"):
         raise InputError.at(path, "line 1", "a carriage return within", "one row a line")
-    names = [name.strip() for name in next(csv.reader([text]))]
+    try:
+        names = [name.strip() for name in next(csv.reader([text]))]
+    except csv.Error as error:
+        raise InputError.at(path, "line 1", str(error), "a header with the names of the columns") from None
     if len(names) == 1:
         raise InputError.at(path, "line 1", f"one column, {names[0][:60]!r}", "columns separated by commas")
     return line, names
+
+
+def _check_end(path: Path, file: BinaryIO) -> None:
+    """Refuse a last line that was cut off within its last cell; within another it has too few.
+
+    Editors and programs leave out the last line end, too, so that its absence alone says nothing. But what is
+    left of a number is shorter than any above it, or has fewer decimals, by two where theirs differ: a whole
+    one is so once in many thousands. What cannot be told so has lost its last digits only, or is an integer
+    among integers of any length.
+    """
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - _END))
+    *lines, last = file.read().split(b"\n")
+    cell, cells = _last_cell(last), [_last_cell(line) for line in lines[1:]]  # [0]: header, or a part
+    numbers = [one for one in cells if one[-1:].isdigit()]
+    # an end of line, words (`nan`, `true`), an empty cell that others have, too
+    whole = last.endswith(b"\r") or cell.isalpha() or cell in cells
+    if whole or not last.strip() or len(numbers) < _TELLING:
+        return
+
+    def short(measure: Callable[[bytes], int]) -> bool:
+        sizes = [measure(number) for number in numbers]
+        return measure(cell) < min(sizes) - (min(sizes) < max(sizes))
+
+    if short(len) or short(_decimals):
+        found = f"a line that ends within a number, `{cell.decode(errors='replace')}`"
+        raise InputError.at(path, "last line", found, "a whole row, or a line end after it")
+
+
+def _last_cell(line: bytes) -> bytes:
+    """Without its sign."""
+    return line.rpartition(b",")[2].strip().lstrip(b"+-")
+
+
+def _decimals(cell: bytes) -> int:
+    return len(cell.lower().partition(b"e")[0].partition(b".")[2])

@@ -90,13 +90,14 @@ class _Seen:
     variance: Array  # (r, r)
     open: Array  # (r, k) where to relative errors of payloads, as large as what they turn, turn the estimate
     width: Array  # (k, k) covariance of such errors in `variance`
+    turned: Array  # (k, 6, 6) by what one sigma of them turns gains, where it is not in `variance`
 
     def stretched(self, solved: Array) -> float:
-        """What the payloads' errors cost, in nats, beyond what `variance` says.
+        """What the payloads' errors that are in `variance` cost, in nats, beyond what it says.
 
         To first order a gain of zero is one error away, and all others are known as well there as at the
-        estimate: masses known to 10 to 30% were grams in 24 of 24 records. A share x of what was found takes an
-        error of x / (1 - x), and the 3n gains that it turns are 1 - x as large there, and known so well.
+        estimate: masses known to 10 to 30% were grams in 24 of 24 records. A share x of what was found takes
+        an error of x / (1 - x), and the 3n gains that it turns are 1 - x as large there, and known so well.
 
         Args:
             solved: (r,) misfit by its covariance.
@@ -142,8 +143,7 @@ def setup_errors(
         return ()
     gain, covariance = known
     unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel()
-    P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit) + _payload_unknown(gain, rig, names)
-    return _of_gain(gain, P, None, prior, rig, names)
+    return _of_gain(gain, covariance[: 6 * n, : 6 * n] * np.outer(unit, unit), None, prior, rig, names)
 
 
 def gross_errors(rig: Rig, logs: Sequence[Log], gain: Array, covariance: Array) -> tuple[Suspicion, ...]:
@@ -161,7 +161,7 @@ def gross_errors(rig: Rig, logs: Sequence[Log], gain: Array, covariance: Array) 
     if not apart > max(GROSS, SURE * sensor.gain_prior):
         return ()
     n = sensor.n
-    P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit) + _payload_unknown(gain, rig, names)
+    P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit)
     found = _of_gain(gain, P, None, sensor.gain_prior, rig, names)
     return found if found and found[0].kind in ("scale", "axes") and found[0].log_odds > NEGLIGIBLE else ()
 
@@ -181,6 +181,7 @@ def _of_gain(
         centers_of_mass=[rig.payloads[name].center_of_mass_array for name in names],
         before_pose=before_pose,
         prior_in_estimate=before_pose is not None,
+        unknown=_unknown(rig, names) if before_pose is None else (),
     )
 
 
@@ -202,17 +203,15 @@ def _stated(rig: Rig, name: str) -> Array:
     return np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
 
 
-def _payload_unknown(gain: Array, rig: Rig, names: Sequence[str]) -> Array:
-    """(6n, 6n) what the uncertainty of the payload leaves open of a normalised gain, to first order."""
-    sensor, out = rig.sensor, np.zeros((gain.size, gain.size))
-    normalised = gain * sensor.range_array / sensor.channel_scale[:, None]
+def _unknown(rig: Rig, names: Sequence[str]) -> list[Array]:
+    """(6, 6) each: by what 1 sigma of the payloads turns normalised gains, C (1 + unknown)."""
+    found = []
     for name in names:
-        u = rig.payloads[name].uncertainty
-        of = payload_directions(sensor.range_array, rig.payloads[name].center_of_mass_array)
-        for direction, sigma in zip(of, (u.mass, u.inertia, *[u.center_of_mass] * 3), strict=True):
-            along = sigma * (normalised @ direction).ravel()
-            out += np.outer(along, along)
-    return out
+        u, at = rig.payloads[name].uncertainty, rig.payloads[name].center_of_mass_array
+        sigma = (u.mass, u.inertia, *[u.center_of_mass] * 3)
+        directions = payload_directions(rig.sensor.range_array, at)
+        found += [s * direction for s, direction in zip(sigma, directions, strict=True)]
+    return found
 
 
 def suspected_setup_errors(
@@ -226,6 +225,7 @@ def suspected_setup_errors(
     centers_of_mass: Sequence[Array] = (),
     before_pose: Array | None = None,
     prior_in_estimate: bool = True,
+    unknown: Sequence[Array] = (),
 ) -> tuple[Suspicion, ...]:
     """Set-up errors that a gain suggests, most likely first; empty when none does.
 
@@ -242,14 +242,15 @@ def suspected_setup_errors(
             looked for in these.
         before_pose: (6n, 6n) the covariance before (10.10), if `covariance` is after it.
         prior_in_estimate: False for an estimate that `prior` has not pulled towards nominal (least squares).
+        unknown: (6, 6) each, by what 1 sigma of the payloads turns gains, where `covariance` is without.
     """
     known = all(np.all(np.abs(x) < WIDEST) for x in (gain, covariance, nominal))  # NaN is not
     if not known or not prior > 0.0:
         return ()
     prior = min(prior, WIDEST)
     P = covariance if before_pose is None or not np.isfinite(before_pose).all() else before_pose
-    turned = [d for c in centers_of_mass for d in payload_directions(span, c)[:2]]
-    seen = _seen_in_data(gain, P, covariance - P, nominal, prior, prior_in_estimate, turned)
+    relative = [d for c in centers_of_mass for d in payload_directions(span, c)[:2]]
+    seen = _seen_in_data(gain, P, covariance - P, nominal, prior, prior_in_estimate, relative, unknown)
     if seen.value.size == 0:
         return ()
     n, spread = len(nominal), min(prior, COMMON)
@@ -319,7 +320,8 @@ def _seen_in_data(
     nominal: Array,
     prior: float,
     prior_in_estimate: bool,
-    turned: Sequence[Array],
+    relative: Sequence[Array],
+    unknown: Sequence[Array],
 ) -> _Seen:
     """Likelihood of the data alone. The prior is isotropic, so it leaves along the axes of the covariance."""
     p, axes = np.linalg.eigh(0.5 * (P + P.T))
@@ -330,19 +332,18 @@ def _seen_in_data(
     pulled_less = 1.0 / (1.0 - p / prior**2) if prior_in_estimate else np.ones_like(p)
     value = basis @ nominal.ravel() + pulled_less * (basis @ (gain - nominal).ravel())
     variance = p * pulled_less
-    open_ = np.array([gain @ by for by in turned]).reshape(-1, gain.size)
-    if prior_in_estimate:
-        # where a payload is known less well than gains, they are known along it as well as the payload is:
-        # badly, but not so badly that they may be a thousandth
-        for along in open_:
-            rest = along - basis.T @ (basis @ along)
-            if np.linalg.norm(rest) > 0.5 * np.linalg.norm(along):
-                basis = np.vstack([basis, rest / np.linalg.norm(rest)])
-                value = np.append(value, basis[-1] @ gain.ravel())
-                variance = np.append(variance, prior**2 * UNSEEN / (1.0 - UNSEEN))
+    open_ = np.array([gain @ by for by in relative if prior_in_estimate]).reshape(-1, gain.size)
+    # where a payload is known less well than gains, they are known along it as well as the payload is:
+    # badly, but not so badly that they may be a thousandth
+    for along in open_:
+        rest = along - basis.T @ (basis @ along)
+        if np.linalg.norm(rest) > 0.5 * np.linalg.norm(along):
+            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
+            value = np.append(value, basis[-1] @ gain.ravel())
+            variance = np.append(variance, prior**2 * UNSEEN / (1.0 - UNSEEN))
     V, E = np.diag(variance) + basis @ added @ basis.T, basis @ open_.T
     inverse = np.linalg.pinv(E)
-    return _Seen(basis, value, V, E, inverse @ V @ inverse.T)
+    return _Seen(basis, value, V, E, inverse @ V @ inverse.T, np.reshape(unknown, (-1, 6, 6)))
 
 
 def _beside_sound(
@@ -356,7 +357,7 @@ def _beside_sound(
     """
     found = _log_evidence(seen, nominal, hypotheses, spread)
     size = np.array([abs(np.linalg.det(h.left) * np.linalg.det(h.right)) for h in hypotheses])
-    narrow = np.flatnonzero(size < 1.0 - SAME)
+    narrow = np.flatnonzero(size < 1.0 - SAME).tolist()
     level = np.full(len(hypotheses), sound)
     about = _log_evidence(seen, nominal, [hypotheses[k] for k in narrow], spread, moved=False)
     level[narrow] = np.maximum(sound, about)
@@ -378,7 +379,9 @@ def _log_evidence(
         np.swapaxes(left, 1, 2)[:, None] @ seen.basis.reshape(r, n, 6) @ np.swapaxes(right, 1, 2)[:, None]
     )
     factor = spread * factor.reshape(-1, r, 6 * n)
-    totals = factor @ np.swapaxes(factor, 1, 2) + seen.variance
+    along = means[..., None, :, :] @ seen.turned
+    along = along.reshape(*along.shape[:-2], 6 * n) @ seen.basis.T
+    totals = factor @ np.swapaxes(factor, 1, 2) + seen.variance + np.swapaxes(along, -2, -1) @ along
     found = np.full(len(hypotheses), -np.inf)
     for k, (h, total) in enumerate(zip(hypotheses, totals, strict=True)):
         if h.drift is not None:
@@ -388,9 +391,7 @@ def _log_evidence(
         if fault == 0:
             white, _ = dtrtrs(root, misfit[k], lower=1)
             found[k] = -0.5 * (white @ white) - np.log(np.diagonal(root)).sum()
-            if (
-                seen.open.size and moved and h.kind != "departure"
-            ):  # the benefit of the doubt is the sound rig's
+            if seen.open.size and moved and h.kind != "departure":  # a sound rig has the benefit of the doubt
                 found[k] -= seen.stretched(dtrtrs(root, white, lower=1, trans=1)[0])
     return found
 

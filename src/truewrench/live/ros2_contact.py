@@ -90,9 +90,9 @@ def contact_topics(
 ) -> Counts:
     """Publish the contact wrench of sensor and motion until `stop`.
 
-    Messages of all topics are rows in the order of their stamps, as in a recording; a source that begins again
-    more than a second back is let through. A message on
-    `/truewrench/tare`, or a call of the service of that name where rclpy can be imported, tares.
+    Messages of all topics are rows in the order of their stamps, as in a recording; a source that begins
+    again more than a second back is let through. A message on `/truewrench/tare`, or a call of the service of
+    that name where rclpy can be imported, tares.
 
     Raises:
         InputError: no topic is found.

@@ -7,7 +7,8 @@ ABB, KUKA), else that of the sphere which `exported` holds, each with a comment 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,13 +23,30 @@ from truewrench.tool.bodies import flange_body, flange_wrench
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import roll_pitch_yaw
 
-__all__ = ["TARGETS", "write_tool_exports"]
+__all__ = ["FILES", "TARGETS", "left_out", "remove_exports", "tool_exports", "write_tool_exports"]
 
 FloatArray = npt.NDArray[np.float64]
 
 _ASSUMED = "inertia: not determined"
 _FLANGE = "flange"  # name of its frame, where it is not the sensor's
 _UR_LARGEST = 133.0  # kg m^2: what the controller takes of any element
+
+FILES = {
+    "ur": ("tool_ur.script",),
+    "franka": ("tool_franka.json",),
+    "urdf": ("tool.urdf",),
+    "abb": ("tool_abb.mod",),
+    "kuka": ("tool_kuka.dat",),
+    "ros": (
+        "tool_ros/admittance_controller.yaml",
+        "tool_ros/gravity_compensation_filter.yaml",
+        "tool_ros/ft_tools.yaml",
+        "tool_ros/force_torque_tools.yaml",
+    ),
+}
+"""What each target's files are called, in the folder of tool.yaml."""
+
+_WITH_OFFSET = FILES["ros"][2:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,16 +60,12 @@ class _Held:
     words: tuple[str, ...]
 
 
-def write_tool_exports(tool: Tool, targets: Sequence[str], folder: str | Path) -> list[Path]:
-    """Write a tool for some targets.
+def tool_exports(tool: Tool, targets: Sequence[str]) -> dict[str, str]:
+    """The text of a tool's files for some targets, by their names in the folder of tool.yaml.
 
     Args:
         tool: with flange and housing.
         targets: of `TARGETS`.
-        folder: that of tool.yaml.
-
-    Returns:
-        The files.
 
     Raises:
         InputError: for a target that is not known, or a body that one cannot take.
@@ -59,14 +73,48 @@ def write_tool_exports(tool: Tool, targets: Sequence[str], folder: str | Path) -
     for target in targets:
         if target not in TARGETS:
             raise InputError.at(None, "export", f"`{target}`", f"one of {', '.join(TARGETS)}")
-    held, written = _held(tool), []
+    held = _held(tool)
+    texts: dict[str, str] = {}
     for target in targets:
-        for name, text in TARGETS[target](tool, held):
-            path = Path(folder) / name
-            with atomic_output(path) as temporary:
-                temporary.write_text(text, encoding="utf-8", newline="\n")
-            written.append(path)
+        texts |= zip(FILES[target], TARGETS[target](tool, held), strict=False)  # what is left out comes last
+    return texts
+
+
+def left_out(tool: Tool, targets: Sequence[str]) -> dict[str, str]:
+    """Files of some targets that cannot hold a tool, by name, and why."""
+    if "ros" not in targets or _reads_wrenches(tool):
+        return {}
+    reason = "it wants the offset in N and N m; the raw channels of this sensor are something else"
+    return dict.fromkeys(_WITH_OFFSET, reason)
+
+
+def write_tool_exports(tool: Tool, targets: Sequence[str], folder: str | Path) -> list[Path]:
+    """Write a tool for some targets, as `tool_exports` has it, beside tool.yaml; the files are returned."""
+    written = []
+    for name, text in tool_exports(tool, targets).items():
+        path = Path(folder) / name
+        with atomic_output(path) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+        written.append(path)
     return written
+
+
+def remove_exports(folder: str | Path, kept: Container[str] = ()) -> None:
+    """Remove what an earlier tool left in a folder for any target: it would be taken for this one's.
+
+    A file that does not say that it is from here, such as an arm of one's own in `tool.urdf`, stays.
+    """
+    for name in (name for names in FILES.values() for name in names if name not in kept):
+        path = Path(folder) / name
+        if path.is_file() and b"truewrench" in path.read_bytes():
+            path.unlink()
+    with suppress(OSError):  # none there, or something else in it
+        (Path(folder) / "tool_ros").rmdir()
+
+
+def _reads_wrenches(tool: Tool) -> bool:
+    """Whether the raw channels are a wrench in N and N m, and so is the offset."""
+    return np.array_equal(tool.rig.sensor.nominal_gain_array, np.eye(tool.n, 6))
 
 
 def _held(tool: Tool) -> _Held:
@@ -102,7 +150,7 @@ def _principal(tensor: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.maximum(values, 0.0), axes
 
 
-def _ur(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+def _ur(tool: Tool, held: _Held) -> list[str]:
     inertia = [0.0] * 6 if held.assumed else _elements(held.inertia)
     if max(map(abs, inertia)) > _UR_LARGEST:
         raise InputError.at(
@@ -115,10 +163,10 @@ def _ur(tool: Tool, held: _Held) -> list[tuple[str, str]]:
         + "# [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity. Calling this zeroes the sensor.\n"
         + f"set_target_payload({held.mass:.9g}, [{_numbers(held.center)}], [{_numbers(inertia)}])\n"
     )
-    return [("tool_ur.script", text)]
+    return [text]
 
 
-def _franka(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+def _franka(tool: Tool, held: _Held) -> list[str]:
     comment = " ".join(held.words)
     if held.assumed:
         comment += f" {_ASSUMED}: assumed, a solid sphere."
@@ -128,10 +176,10 @@ def _franka(tool: Tool, held: _Held) -> list[tuple[str, str]]:
         "load_inertia": held.inertia.ravel(order="F").tolist(),  # column-major
         "comment": comment + " For setLoad, on top of the end effector; not while moving.",
     }
-    return [("tool_franka.json", json.dumps(document, indent=2) + "\n")]
+    return [json.dumps(document, indent=2) + "\n"]
 
 
-def _urdf(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+def _urdf(tool: Tool, held: _Held) -> list[str]:
     ixx, iyy, izz, ixy, ixz, iyz = _elements(held.inertia)
     words = [*held.words, *([f"{_ASSUMED}: assumed, a solid sphere."] if held.assumed else [])]
     comment = "\n".join(f"  <!-- {word.replace('--', '- -')} -->" for word in words)
@@ -148,10 +196,10 @@ izz="{izz:.12g}"/>
   </link>
 </robot>
 """
-    return [("tool.urdf", text)]
+    return [text]
 
 
-def _abb(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+def _abb(tool: Tool, held: _Held) -> list[str]:
     moments, axes = (np.zeros(3), np.eye(3)) if held.assumed else _principal(held.inertia)
     x, y, z, w = Rotation.from_matrix(axes).as_quat()
     note = f"  ! {_ASSUMED}: zeros, a point mass\n" if held.assumed else ""
@@ -164,10 +212,10 @@ def _abb(tool: Tool, held: _Held) -> list[tuple[str, str]]:
         + f"[{_numbers([w, x, y, z])}], {_numbers(moments)}];\n"
         + "ENDMODULE\n"
     )
-    return [("tool_abb.mod", text)]
+    return [text]
 
 
-def _kuka(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+def _kuka(tool: Tool, held: _Held) -> list[str]:
     moments, axes = (np.zeros(3), np.eye(3)) if held.assumed else _principal(held.inertia)
     roll, pitch, yaw = np.degrees(roll_pitch_yaw(axes.T))  # A about z, B about y', C about x''
     x, y, z = 1e3 * held.center
@@ -182,10 +230,10 @@ def _kuka(tool: Tool, held: _Held) -> list[tuple[str, str]]:
         + f"Z {moments[2]:.9g}}}}}\n"
         + "ENDDAT\n"
     )
-    return [("tool_kuka.dat", text)]
+    return [text]
 
 
-def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
+def _ros(tool: Tool, held: _Held) -> list[str]:
     """What compensates gravity on a wrench at the flange, along its axes: the same body as everywhere."""
     robot = tool.rig.motion.robot
     sensor = robot.sensor_frame if robot else "ft_sensor"
@@ -232,44 +280,42 @@ def _ros(tool: Tool, held: _Held) -> list[tuple[str, str]]:
             "ros__parameters": {"sensor_filter_chain": {"filter1": gravity_filter}}
         }
     }
-    offset = [float(value) for value in tool.offset]
-    force, torque = flange_wrench(tool.offset[:6], tool.flange).reshape(2, 3).tolist()
-    ft_tools = {"mass": mass, "sensor_frame_to_com": center, "force_offset": force, "torque_offset": torque}
-    ft_calib = {
-        "bias": offset[:6],
-        "gripper_com_child_frame_id": "gripper_com",
-        "gripper_com_frame_id": frame,
-        "gripper_com_pose": [*center, 0.0, 0.0, 0.0],
-        "gripper_mass": mass,
-    }
-    release = {
-        "payload_on_sensor": "the sources of May 2021 and later, not releases up to 1.2.0",
-        "sensor_on_payload": "releases up to 1.2.0, not the sources of May 2021 and later",
-    }[feels]
-    files = [
-        (
-            "admittance_controller.yaml",
-            document(
-                admittance,
-                "Expects a tared wrench with the sign payload_on_sensor, and gravity along -z of",
-                f"fixed_world_frame. This sensor: {feels}.",
-            ),
+    texts = [
+        document(
+            admittance,
+            "Expects a tared wrench with the sign payload_on_sensor, and gravity along -z of",
+            f"fixed_world_frame. This sensor: {feels}.",
         ),
-        (
-            "gravity_compensation_filter.yaml",
-            document(toolbox, f"For payload_on_sensor; knows no offset. This sensor: {feels}."),
-        ),
+        document(toolbox, f"For payload_on_sensor; knows no offset. This sensor: {feels}."),
     ]
-    if tool.n == 6:  # an offset in units of the wrench is all that these know; `bias` is the sensor's own
+    if _reads_wrenches(tool):  # an offset in N and N m is all that these know; `bias` is the sensor's own
+        force, torque = flange_wrench(tool.offset, tool.flange).reshape(2, 3).tolist()
+        ft_tools = {
+            "mass": mass,
+            "sensor_frame_to_com": center,
+            "force_offset": force,
+            "torque_offset": torque,
+        }
+        ft_calib = {
+            "bias": tool.offset.tolist(),
+            "gripper_com_child_frame_id": "gripper_com",
+            "gripper_com_frame_id": frame,
+            "gripper_com_pose": [*center, 0.0, 0.0, 0.0],
+            "gripper_mass": mass,
+        }
+        release = {
+            "payload_on_sensor": "the sources of May 2021 and later, not releases up to 1.2.0",
+            "sensor_on_payload": "releases up to 1.2.0, not the sources of May 2021 and later",
+        }[feels]
         weight = "Subtracts offset and [m g; c x m g]: for payload_on_sensor."
-        files += [
-            ("ft_tools.yaml", document(ft_tools, weight, f"This sensor: {feels}.")),
-            ("force_torque_tools.yaml", document(ft_calib, f"gravity_compensation of {release}.")),
+        texts += [
+            document(ft_tools, weight, f"This sensor: {feels}."),
+            document(ft_calib, f"gravity_compensation of {release}."),
         ]
-    return [(f"tool_ros/{name}", text) for name, text in files]
+    return texts
 
 
-TARGETS: dict[str, Callable[[Tool, _Held], list[tuple[str, str]]]] = {
+TARGETS: dict[str, Callable[[Tool, _Held], list[str]]] = {
     "ur": _ur,
     "franka": _franka,
     "urdf": _urdf,

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from truewrench.model.errors import InputError
 from truewrench.model.files import Locate
-from truewrench.model.rig.strict import key_path, shown
+from truewrench.model.rig.strict import is_finite, key_path, shown
 
 __all__ = ["Fields"]
 
@@ -107,8 +107,8 @@ class Fields:
         self, value: Any, place: tuple[str | int, ...], shape: tuple[int, ...], nan_allowed: bool
     ) -> None:
         if not shape:
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not number or not (np.isfinite(value) or (nan_allowed and np.isnan(value))):
+            absent = nan_allowed and isinstance(value, float) and np.isnan(value)
+            if not is_finite(value) and not absent:
                 raise self._error(place, "a finite number", shown(value))
             return
         if not isinstance(value, list) or len(value) != shape[0]:

@@ -16,6 +16,7 @@ from truewrench.model.rig.ati_cal import read_ati_cal
 from truewrench.model.rig.imperfections import ImperfectionsSpec
 from truewrench.model.rig.strict import (
     Duration,
+    Fraction,
     Listed,
     Mapped,
     Matrix,
@@ -303,7 +304,7 @@ class LimitsSpec(Section):
     velocity: Positives | None = None
     acceleration: Positives | None = None
     jerk: Positives | None = None
-    wrench_fraction: Positive | None = None
+    wrench_fraction: Fraction | None = None
     workspace: (
         Annotated[
             tuple[Annotated[Numbers, AfterValidator(_interval)], ...],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
@@ -29,6 +30,7 @@ from truewrench.model.files import Locate
 
 __all__ = [
     "Duration",
+    "Fraction",
     "Listed",
     "Mapped",
     "Matrix",
@@ -52,8 +54,10 @@ __all__ = [
     "Zero",
     "choice",
     "input_error",
+    "is_finite",
     "key_path",
     "of_length",
+    "printable",
     "refuse",
     "shown",
     "word_or_number",
@@ -69,6 +73,18 @@ class Section(BaseModel):
 def refuse(key: str, found: str, expected: str) -> PydanticCustomError:
     """The error of one key (`noise`, `channels.2`) of a section, for validators that look at several keys."""
     return PydanticCustomError("refused", "{expected}", {"key": key, "found": found, "expected": expected})
+
+
+def is_finite(value: object) -> bool:
+    """Whether a value is a number that a double holds; an integer may be of any size, NaN is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max
+
+
+def printable(text: str) -> str:
+    """Text with whatever would move a terminal or break a line shown escaped."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def shown(value: object) -> str:
@@ -108,8 +124,7 @@ def word_or_number(word: str, number: str, least: float = -math.inf) -> BeforeVa
     """A validator that wants one word, or a finite number of at least `least`; `number` says so."""
 
     def check(value: Any) -> Any:
-        finite = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if value != word and not (finite and value >= least):
+        if value != word and not (is_finite(value) and value >= least):
             raise refuse("", shown(value), f"`{word}` or {number}")
         return value
 
@@ -118,7 +133,7 @@ def word_or_number(word: str, number: str, least: float = -math.inf) -> BeforeVa
 
 def _for_all_or_each(value: Any) -> Any:
     def positive(x: Any) -> bool:
-        return isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x) and x > 0
+        return is_finite(x) and x > 0
 
     if isinstance(value, list | tuple):
         asked = [x for x in value if x is not None]
@@ -132,6 +147,7 @@ def _for_all_or_each(value: Any) -> Any:
 
 Number = Annotated[float, Strict(), AllowInfNan(False)]
 Positive = Annotated[Number, Field(gt=0)]
+Fraction = Annotated[Number, Field(gt=0, le=1)]
 Rate = Annotated[Number, Field(gt=0, le=1e6)]  # [Hz]: stamps are whole nanoseconds
 Duration = Annotated[Number, Field(ge=1e-3, le=1e6)]  # [s]
 NonNegative = Annotated[Number, Field(ge=0)]
@@ -176,7 +192,8 @@ def input_error(
     error: ValidationError, model: type[BaseModel], path: str | Path | None, locate: Locate | None = None
 ) -> InputError:
     """Every problem that pydantic found, one line each, in the words of the settings file."""
-    problems = [_problem(details, model, path, locate) for details in error.errors(include_url=False)]
+    found = error.errors(include_url=False)
+    problems = [printable(_problem(details, model, path, locate)) for details in found]
     return InputError("\n".join(problems), problems=problems)
 
 
@@ -235,7 +252,7 @@ def key_path(keys: Sequence[int | str]) -> str:
     text = ""
     for key in keys:
         text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
-    return text
+    return printable(text)
 
 
 def _fields_at(model: type[BaseModel], keys: Sequence[int | str]) -> Iterator[str]:

@@ -35,7 +35,7 @@ from truewrench.tool.judge import APART, LIGHT, NARROW
 from truewrench.tool.poses import DWELL
 from truewrench.tool.prior import settings_of
 
-__all__ = ["DWELL_DEFAULT", "FEWEST", "POSES", "ToolPlan", "plan_tool"]
+__all__ = ["DWELL_DEFAULT", "DWELL_MOST", "FEWEST", "MOST", "POSES", "ToolPlan", "plan_tool"]
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
@@ -43,11 +43,14 @@ Progress = Callable[[str, float | None], None]
 POSES = 12
 """How many, unless stated: more hardly tell more, and drift has more time."""
 
-FEWEST = 4
-"""Poses at least."""
+FEWEST, MOST = 4, 200
+"""Poses at least and at most: time and memory of planning grow with their square."""
 
 DWELL_DEFAULT = 3.0
 """[s] at a pose, of which identification leaves out the first second."""
+
+DWELL_MOST = 600.0
+"""[s] at a pose at most: averages have long ceased to gain on drift."""
 
 EXPECTED: dict[str, Any] = {
     "mass": 1.5,
@@ -220,10 +223,11 @@ def plan_tool(
     if rig.motion.source == "imu":
         expected = "`twist` or `joints`: a motion is planned in these"
         raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
-    if poses < FEWEST:
-        raise InputError.at(None, "--poses", f"{poses}", f"at least {FEWEST}")
-    if not dwell > DWELL:
-        raise InputError.at(None, "--dwell", f"{dwell:g}", f"more than {DWELL:g} s, the first left out")
+    if not FEWEST <= poses <= MOST:
+        raise InputError.at(None, "--poses", f"{poses}", f"at least {FEWEST} and at most {MOST}")
+    if not DWELL < dwell <= DWELL_MOST:
+        expected = f"more than {DWELL:g} s, the first left out, and at most {DWELL_MOST:g} s"
+        raise InputError.at(None, "--dwell", f"{dwell:g}", expected)
     if not 0.0 < cone <= np.pi + 1e-9:
         raise InputError.at(None, "--cone", f"{np.degrees(cone):g}", "degrees, above 0 and up to 180")
     settings, name = settings_of(source), next(iter(rig.payloads))
