@@ -13,6 +13,7 @@ import yaml
 import truewrench as tw
 from truewrench.estimation.inertial import InertialMotion
 from truewrench.judging.validation import Validation, validate
+from truewrench.judging.validation.residuals import residuals
 from truewrench.model.calibration import AXES, Calibration, LogReport, Verdict
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -237,6 +238,34 @@ def test_another_payload_speaks_with_its_own_uncertainty() -> None:
     stated["payloads"]["other"]["uncertainty"] = {"mass": 0.02, "center_of_mass": 0, "inertia": 0}
     known = validate(calibration, Rig.from_mapping(stated), log)
     assert known.verdict.usable, known.verdict.reasons
+
+
+@pytest.mark.parametrize("of", ["com", "sensor"])
+def test_an_uncertain_centre_of_mass_leaves_the_logged_point_where_it_is(of: str) -> None:
+    """The columns of a payload beside differences of a wrench that is not ours."""
+    settings = rig_of(motion={"noise": [2e-4] * 6, "of": of}).to_mapping()
+    settings["payloads"]["other"]["uncertainty"] = {"mass": 0, "center_of_mass": 5e-3, "inertia": 0}
+    rig = Rig.from_mapping(settings)
+    gain = gain_of(np.random.default_rng(6))
+    log = log_of(rig, gain, payload_name="other")
+    found = residuals(calibrated(rig, gain, 1e-4), rig, log)
+    spec = rig.payloads["other"]
+    point = spec.center_of_mass_array if of == "com" else np.zeros(3)
+    twist = log.twist[found.rows]
+    acceleration = np.gradient(log.twist, log.time, axis=0)[found.rows]
+    for axis in range(3):
+        step = 5e-3 * np.eye(3)[axis]
+        high, low = (
+            wrench_on_sensor(
+                Body(spec.mass, spec.center_of_mass_array + sign * step, spec.inertia_matrix),
+                point, twist, acceleration, np.zeros((len(twist), 3)),
+            )
+            for sign in (1.0, -1.0)
+        )  # fmt: skip
+        expected = (high - low) / 2.0
+        column = found.systematic[:, :, 6 + 1 + axis]
+        expected -= expected.mean(axis=0) - column.mean(axis=0)
+        assert np.abs(np.abs(column) - np.abs(expected)).max() < 0.05 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("of", ["com", "sensor"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from os.path import exists  # False, and no error, of a name that no file can have
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ def open_table(path: str | Path, rig: Rig | None = None, *, whole: bool = True) 
         InputError: there is no such file, it is not a table, or a recording where none is of use.
     """
     path = Path(path)
-    if path.exists() and is_recording(path):
+    if exists(path) and is_recording(path):
         if rig is None:
             raise InputError.at(path, "", "a recording", "a table: CSV or Parquet")
         from truewrench.io.recordings.table import RecordingTable
@@ -96,7 +97,7 @@ def split_payload(source: str | Path, rig: Rig) -> tuple[Path, str]:
     if named is not None:
         return path, named
     text, known = str(source), ", ".join(rig.payloads)
-    if "@" in path.name and not path.exists():
+    if "@" in path.name and not exists(path):
         name = path.name.rpartition("@")[2]
         raise InputError.at(text, "", f"no such file, and no payload `{name}` in the rig", f"one of: {known}")
     if "default" in rig.payloads or not rig.payloads:  # which known wrenches do not need
@@ -171,7 +172,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         InputError: naming file, row and column, what was found and what was expected.
     """
     path, payload = split_payload(source, rig)
-    if path.exists() and is_recording(path):
+    if exists(path) and is_recording(path):
         rig.check_motion("which a recording is read by")
     table = open_table(path, rig)
     groups = _groups(table, rig)

@@ -36,7 +36,7 @@ class LiveContact:
         """The wrench of the row that is a constant number of rows with samples earlier, where it has one."""
         columns = {name: np.array([value]) for name, value in motion.items()}
         found = self.run.feed(np.array([time_ns], dtype=np.int64), np.array([raw]), columns)
-        # with the first of all, and after missing samples, older ones become known too: they have been answered
+        # the first of all, and missing samples, bring older ones too, whose rows have been answered
         if not len(found.rows) or found.rows[-1] < self.run.due:
             return None
         return Contacts(

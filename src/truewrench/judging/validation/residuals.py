@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.estimation.inertial import InertialChunk, InertialMotion
 from truewrench.estimation.reference_clock import with_reference_on_time
+from truewrench.estimation.unknowns import payload_rates
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
-from truewrench.model.payload import payload_wrench
-from truewrench.model.rig import PayloadSpec, Rig
+from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
 
 __all__ = ["LONGEST_LAG", "Residuals", "joined_columns", "residuals", "tared"]
@@ -203,26 +203,10 @@ def _payload_columns(
     spec = rig.payloads[payload]
     if spec.exact or payload in {report.payload for report in calibration.logs}:
         return np.zeros((len(twist), 6, 0))
-    stated = payload_wrench(rig, payload, twist, acceleration, gravity)
-    columns = []
-    for changed in _changed_payloads(spec):
-        other = rig.model_copy(update={"payloads": {**rig.payloads, payload: changed}})
-        columns.append(payload_wrench(other, payload, twist, acceleration, gravity) - stated)
-    return np.stack(columns, axis=2)
-
-
-def _changed_payloads(spec: PayloadSpec) -> list[PayloadSpec]:
-    u, inertia = spec.uncertainty, spec.inertia
-    changed = [spec.model_copy(update={"mass": spec.mass * (1.0 + u.mass)})]
-    for k in range(3):
-        center = spec.center_of_mass_array
-        center[k] += u.center_of_mass
-        changed.append(spec.model_copy(update={"center_of_mass": tuple(center.tolist())}))
-    for key in ("xx", "yy", "zz", "xy", "xz", "yz"):
-        size = np.sqrt(getattr(inertia, 2 * key[0]) * getattr(inertia, 2 * key[1]))
-        value = getattr(inertia, key) + u.inertia * float(size)
-        changed.append(spec.model_copy(update={"inertia": inertia.model_copy(update={key: value})}))
-    return changed
+    u = spec.uncertainty
+    sigma = np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
+    rates = payload_rates(rig, payload, twist, acceleration, gravity)
+    return np.asarray(rates * rig.sensor.range_array[:, None] * sigma)
 
 
 def joined_columns(parts: Sequence[Array]) -> Array:
