@@ -6,6 +6,7 @@
 #include "truewrench/estimation/gather.hpp"
 #include "truewrench/estimation/mask.hpp"
 #include "truewrench/estimation/spacing.hpp"
+#include "truewrench/model/check.hpp"
 
 #include <cmath>
 #include <map>
@@ -19,8 +20,11 @@ class Estimator {
  public:
   Estimator(std::shared_ptr<const Statement> rig, std::vector<const RecordedLog*> logs, Settings settings)
       : rig_(std::move(rig)), whole_(std::move(logs)), settings_(settings) {
+    if (whole_.empty()) refused_ = Status::wrong_size;
+    for (const RecordedLog* log : whole_)
+      if (refused_ == Status::ok) refused_ = check_samples(*rig_, *log);
     for (const RecordedLog* log : whole_) {
-      gathered_.push_back(gathered(*log, rig_->noise));
+      gathered_.push_back(refused_ == Status::ok ? gathered(*log, rig_->noise) : nullptr);
       recorded_.push_back(gathered_.back() ? gathered_.back().get() : log);
     }
   }
@@ -32,9 +36,9 @@ class Estimator {
     out.dropped.assign(count, 0);
     out.unexplained.assign(count, 0.0);
     rungs_.assign(count, 0);
+    out.status = refused_;
+    if (out.status != Status::ok) return out;
     for (std::size_t l = 0; l < count; ++l) {
-      out.status = check_walk(*whole_[l]);
-      if (out.status != Status::ok) return out;
       const double coarsest = coarsest_spacing(motion_period(*recorded_[l]));
       pieces_.push_back(pieces_of(*whole_[l], coarsest, out.dropped[l]));
       if (pieces_.back().empty()) {
@@ -77,6 +81,7 @@ class Estimator {
   std::vector<const RecordedLog*> whole_, recorded_;  // as given; as fitted
   std::vector<std::shared_ptr<const RecordedLog>> gathered_;
   Settings settings_;
+  Status refused_ = Status::ok;  // of what does not make sense
   std::vector<std::vector<Piece>> pieces_;
   std::vector<std::size_t> rungs_;  // by log: h in its ladder
   mutable std::map<const RecordedLog*, double> periods_;
@@ -240,16 +245,6 @@ class Estimator {
         steps = trial_steps;
       }
     robust->release();
-  }
-
-  static Status check_walk(const RecordedLog& log) {
-    const std::vector<double>& knots = log.offset_knots;
-    if (!std::isfinite(log.offset_walk)) return Status::not_finite;
-    if (log.offset_walk < 0.0) return Status::not_positive;
-    if (knots.size() == 1 || (knots.empty() && log.offset_walk > 0.0)) return Status::wrong_size;
-    for (std::size_t j = 1; j < knots.size(); ++j)
-      if (!(knots[j] > knots[j - 1])) return Status::not_increasing;
-    return Status::ok;
   }
 
   // What a walk of a stated rate does about the line between its ends: in V unless something slow is found in its place.

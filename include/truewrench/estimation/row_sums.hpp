@@ -13,8 +13,6 @@
 
 namespace truewrench {
 
-inline constexpr int max_components = 32;  // of a motion, or channels
-
 // Places of p <= q among the products of up to three derivatives.
 inline constexpr std::size_t order_pair[3][3] = {{0, 1, 3}, {1, 2, 4}, {3, 4, 5}};
 

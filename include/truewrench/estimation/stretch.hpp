@@ -82,7 +82,7 @@ class Stretch {
         begin_(begin),
         end_(end) {
     for (Eigen::Index k = 0; k < log.time.size(); ++k) {
-      if (log.time[k] < begin || log.time[k] > end) continue;
+      if (!(log.time[k] >= begin && log.time[k] <= end)) continue;
       if (finite_in(log.raw, k) == 0) continue;
       raw.source.push_back(k);
     }

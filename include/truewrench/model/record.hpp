@@ -15,6 +15,8 @@ namespace truewrench {
 
 using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
+inline constexpr int max_components = 32;  // of a motion, or channels
+
 // What the components of the motion spline are.
 enum class Source : std::uint8_t {
   twist,   // v, Omega of the logged point
