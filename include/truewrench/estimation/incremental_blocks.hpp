@@ -85,7 +85,8 @@ inline Status Incremental::arrive(bool last) noexcept {
     for (int r = 0; r < lag_.interval(i).rows; ++r) {
       const Lag::Interval& v = lag_.interval(i);
       Entry e;
-      e.begin = lag_.chi2(v, v.row[static_cast<std::size_t>(r)]) / lag_.channels();
+      const RawRow& row = v.row[static_cast<std::size_t>(r)];
+      e.begin = lag_.chi2(v, row) / row.channels;
       entries_.push_back(e);
     }
   double scale = 1.0;
@@ -277,6 +278,7 @@ inline void Incremental::count(long from, long to) {
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
       const Lag::Interval& v = lag_.interval(i);
       double size = 0.0, masked = 0.0;
+      bool whole = false;
       for (int r = 0; r < v.rows; ++r) {
         const RawRow& row = v.row[static_cast<std::size_t>(r)];
         pose_.add(row);
@@ -286,9 +288,10 @@ inline void Incremental::count(long from, long to) {
           continue;
         }
         masked += row.size;
-        if (!(v.spared > 0.0)) note_masked(row.time, row.time);
+        whole = whole || row.gathered;
+        if (!row.gathered) note_masked(row.time, row.time);
       }
-      if (masked > 0.0 && v.spared > 0.0) note_masked(v.begin, v.end);
+      if (whole) note_masked(v.begin, v.end);
       masked_samples_ += std::lround(masked);
       samples_ += std::lround(size);
       log_samples_ += size;
@@ -306,18 +309,21 @@ inline void Incremental::set_mask(long leaving) {
   for (long g = first; g < lag_.end() && lag_.start_of(g) <= ahead; ++g)
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
       Lag::Interval& v = lag_.interval(i);
-      const bool whole = v.spared > 0.0;
-      for (int r = 0; r < (whole ? 1 : v.rows); ++r) {
-        RawRow& row = v.row[static_cast<std::size_t>(r)];
+      const auto enter = [&](RawRow& row, double begin, double end, Lag::Interval* all) {
         Entry e;
-        e.begin = whole ? v.begin : row.time;
-        e.end = whole ? v.end - period_ : row.time;
+        e.begin = begin;
+        e.end = end;
         e.low = row.weight < constants::mask_weight;
         e.leaves = g < stay;
         e.row = &row;
-        e.interval = whole ? &v : nullptr;
+        e.interval = all;
         entries_.push_back(e);
-      }
+      };
+      const auto end = v.row.begin() + v.rows,
+                 whole = std::find_if(v.row.begin(), end, [](const RawRow& row) { return row.gathered; });
+      if (whole != end) enter(*whole, v.begin, v.end - period_, &v);
+      for (auto row = v.row.begin(); row != end; ++row)
+        if (!row->gathered) enter(*row, row->time, row->time, nullptr);
     }
   double begin = run_[0], end = run_[1];
   std::size_t next = 0;  // first entry after the run
@@ -325,8 +331,9 @@ inline void Incremental::set_mask(long leaving) {
     const bool lasting = end - begin + period_ >= constants::mask_shortest - 1e-9;
     const double margin = (lasting ? constants::gather_window : 0.0) + 1e-9, from = begin - margin,
                  until = end + margin;
-    for (std::size_t k = to; k > 0 && entries_[k - 1].end >= from; --k)
-      if (entries_[k - 1].begin <= until) entries_[k - 1].masked = true;
+    // in the order of their begins, the longest an interval of knots, in which single rows may lie
+    for (std::size_t k = to; k > 0 && entries_[k - 1].begin >= from - lag_.h(); --k)
+      if (entries_[k - 1].begin <= until && entries_[k - 1].end >= from) entries_[k - 1].masked = true;
     for (std::size_t k = to; k < entries_.size() && entries_[k].begin <= until; ++k)
       entries_[k].masked = true;
   };
@@ -347,6 +354,7 @@ inline void Incremental::set_mask(long leaving) {
     if (!e.leaves) continue;
     for (int r = 0; r < (e.interval != nullptr ? e.interval->rows : 1); ++r) {
       RawRow& row = e.interval != nullptr ? e.interval->row[static_cast<std::size_t>(r)] : *e.row;
+      if (e.interval != nullptr && !row.gathered) continue;
       row.masked = e.masked;
       row.weight = 1.0;
     }

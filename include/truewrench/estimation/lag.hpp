@@ -67,8 +67,8 @@ class Lag {
  public:
   struct Interval {
     int rows = 0;
-    double spared = 0.0;   // samples that the remainder counts
-    Channels remainder{};  // sum of squares within what the rows stand for
+    double spared = 0.0;   // samples that the remainder counts, of the channels that the gathered rows have
+    Channels remainder{};  // sum of squares within what the gathered rows stand for
     double begin = 0.0, end = 0.0;
     std::array<RawRow, kMostRows> row;
     RawSums sums;  // as linearised, for the traces
@@ -88,6 +88,7 @@ class Lag {
     blocks_.resize(static_cast<std::size_t>(blocks + 2));
     window_.reserve(most_samples);
     for (auto& m : motion_) m.reserve(static_cast<std::size_t>(kMostRows * kBlock * (blocks + 2)));
+    times_.assign(std::size_t{1} << kMostChannels, 0);
     carry(about);
     resize_work();
   }
@@ -130,6 +131,7 @@ class Lag {
   int channels() const { return n_; }
   int parameters() const { return nt_; }
   std::size_t streams() const { return streams_; }
+  bool felt() const { return felt_; }  // gravity: along an attitude that comes with the samples
   double origin() const { return origin_; }
   double h() const { return h_; }
   double start_of(long block) const { return origin_ + h_ * static_cast<double>(kBlock * block); }
@@ -161,8 +163,8 @@ class Lag {
 
   // Residuals of the sensor's rows of a block at its coefficients and theta.
   void predict(long g);
-  // w_t of 10.3; `scale` divides chi^2. One weight for all that the rows of an
-  // interval stand for.
+  // w_t of 10.3; `scale` divides chi^2. One weight for all that the gathered rows
+  // of an interval stand for.
   void reweigh(long g, double scale = 1.0) {
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
       Interval& v = interval(i);
@@ -172,9 +174,9 @@ class Lag {
       }
     }
   }
-  // chi^2 of a row, or a sample of an interval whose rows stand for more.
+  // chi^2 of a row, or of a sample of those that gathered rows stand for.
   double chi2(const Interval& v, const RawRow& row) const {
-    if (!(v.spared > 0.0)) return chi2(row);
+    if (!row.gathered) return chi2(row);
     double sum = 0.0, samples = 0.0;
     for (std::size_t c = 0; c < static_cast<std::size_t>(n_); ++c) {
       const double sigma = noise(static_cast<int>(c));
@@ -182,6 +184,7 @@ class Lag {
     }
     for (int r = 0; r < v.rows; ++r) {
       const RawRow& one = v.row[static_cast<std::size_t>(r)];
+      if (!one.gathered) continue;
       sum += one.size * chi2(one);
       samples += one.size;
     }
@@ -246,6 +249,7 @@ class Lag {
   std::vector<Block> blocks_;
   std::array<Ring<MotionRow>, kMostStreams> motion_;
   Window<kNodes, kMostChannels> window_;
+  std::vector<int> times_;  // by cells: how often; zero between uses
   std::array<double, 6> scale_{};
   // the model at theta
   Gravity gravity_;
@@ -253,6 +257,9 @@ class Lag {
   std::vector<double> z_, lagged_;   // coordinates; C_0 by phi
 
   std::vector<double> last_, T_, full_, here_, next_, inverse_, V_;  // work space
+
+  template <typename Samples, typename Cells>
+  std::pair<unsigned, long> most_cells(const Samples& samples, long from, long to, const Cells& cells);
 
   void refresh();
   void jacobians(const RawRow& row, double* J, double* X) const;

@@ -25,6 +25,11 @@ inline constexpr int kNodes = 5;     // that stand for more
 
 using Channels = std::array<double, kMostChannels>;
 
+// Whether the k-th of so many is one of `most` that lie evenly among them, or of all where they are no more.
+inline bool evenly(long k, long all, long most) {
+  return most >= all || ((k + 1) * most + all / 2) / all > (k * most + all / 2) / all;
+}
+
 // A sample of the sensor, as it comes.
 struct RawSample {
   double time = 0.0, temperature = 0.0;
@@ -44,6 +49,7 @@ struct RawRow {
   int channels = 0;    // n_t
   unsigned cells = 0;  // which of them: bits
   bool masked = false;
+  bool gathered = false;                   // one of those that stand for more together
   std::array<double, 2 * kLocal> basis{};  // B, B'
   Channels value{};
   Matrix3 R = Matrix3::Identity();

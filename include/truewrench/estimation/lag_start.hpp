@@ -69,7 +69,7 @@ class LagStart {
         const RawRow& row = v.row[static_cast<std::size_t>(r)];
         for (std::size_t c = 0; c < static_cast<std::size_t>(n); ++c) {
           raw[c] = row.has(static_cast<int>(c)) ? row.value[c] : std::nan("");
-          remainder[c] = v.remainder[c] * row.size / (v.spared + v.rows);
+          remainder[c] = row.gathered ? v.remainder[c] * row.size / (v.spared + kNodes) : 0.0;
         }
         regression_.add(row.w.data(), raw.data(), remainder.data(), row.size);
       }

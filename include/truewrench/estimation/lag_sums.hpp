@@ -122,14 +122,16 @@ inline void Lag::sum_rows(Front& f, const Interval& v, unsigned same, RawSums& o
                           SizeSums& sums) {
   const RawRow* rows[kMostRows];
   int count = 0;
-  double total = 0.0, all = 0.0;
+  double total = 0.0, of_gathered = 0.0, gathered = 0.0;
   for (int r = 0; r < v.rows; ++r) {
     const RawRow& row = v.row[static_cast<std::size_t>(r)];
     if (row.masked || row.cells != same) continue;
     jacobians(row, sums_.J(count), sums_.X(count));
     total += row.weight * row.size;
-    all += row.size;
     rows[count++] = &row;
+    if (!row.gathered) continue;
+    of_gathered += row.weight * row.size;
+    gathered += row.size;
   }
   if (!(total > 0.0)) return;
   Channels information{};
@@ -149,10 +151,11 @@ inline void Lag::sum_rows(Front& f, const Interval& v, unsigned same, RawSums& o
       sums.raw_count[group] += row.has(i) ? 1.0 : 0.0;
     }
   }
-  for (int i = 0; i < n_ && v.spared > 0.0; ++i) {
+  for (int i = 0; i < n_ && gathered > 0.0; ++i) {  // all gathered rows have the same cells
+    if ((same >> i & 1U) == 0) continue;
     const auto group = static_cast<std::size_t>(raw_group(i, n_));
     sums.raw[group] +=
-        total / all * v.remainder[static_cast<std::size_t>(i)] / (rig_.noise[i] * rig_.noise[i]);
+        of_gathered / gathered * v.remainder[static_cast<std::size_t>(i)] / (rig_.noise[i] * rig_.noise[i]);
     sums.raw_count[group] += v.spared;
   }
   sums_.finish(out);
