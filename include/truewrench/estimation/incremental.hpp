@@ -18,6 +18,7 @@
 #pragma once
 
 #include "truewrench/estimation/delay.hpp"
+#include "truewrench/estimation/incremental_settings.hpp"
 #include "truewrench/estimation/lag_start.hpp"
 #include "truewrench/estimation/moments.hpp"
 #include "truewrench/estimation/running.hpp"
@@ -27,16 +28,6 @@
 
 namespace truewrench {
 
-struct IncrementalSettings {
-  double lag = 2.0;           // [s], and 20 knots at least: a coefficient forgets what is
-                              // beyond to 1e-5
-  double rate = 1000.0;       // [Hz] samples of one stream at most
-  double spacing = 0.0;       // [s] h; 0: chosen on the first lag
-  double finest = 0.0125;     // [s] smallest h that is tried: what memory is for
-  double discrepancy = -1.0;  // stated: -1 auto, 0 none, else at least so much
-                              // [fraction of range]
-};
-
 // A time that was left out: a sample (begin = end), or an interval of knots.
 struct MaskedSpan {
   double begin = 0.0, end = 0.0;
@@ -44,30 +35,9 @@ struct MaskedSpan {
 
 class Incremental {
  public:
+  // What check() refuses is not taken: every push then answers so, and status().
   Incremental(const Statement& rig, const RecordedLog& about, const IncrementalSettings& settings)
-      : settings_(settings),
-        most_blocks_(2 * lag_blocks(settings.finest) + 2),
-        lag_(rig, about, most_blocks_, most_samples(settings)),
-        start_(most_blocks_, lag_.channels()),
-        moments_(lag_.channels()) {
-    const int n = lag_.channels();
-    const auto samples = static_cast<std::size_t>(settings.rate * (1.25 * settings.lag + 2.0)) + 64;
-    raw_.reserve(samples);
-    for (auto& m : motion_) m.reserve(samples);
-    entries_.reserve(static_cast<std::size_t>(kMostRows * kBlock * (most_blocks_ + 1)));
-    masked_.resize(samples);
-    found_.resize(2);
-    x0_.resize(static_cast<std::size_t>(kWidth * (most_blocks_ + 2)));
-    x1_ = x0_;
-    gain_covariance_ = added_ = Eigen::MatrixXd::Zero(6 * n, 6 * n);
-    discrepancy2_ = Eigen::VectorXd::Zero(n);
-    consistent_ = consistency(n);
-    resize_theta();
-    Zl_ = base_ = S_;
-    parts_ = {S_, S_};
-    others_ = {S_, S_, S_};
-    begin_log();
-  }
+      : Incremental(accepted(rig, about, settings)) {}
 
   // ---------------------------------------------------------------- samples
   // Values that are NaN are missing; a row of nothing else is refused.
@@ -75,6 +45,7 @@ class Incremental {
   // is no room for it, the other streams have not come along; not_factorizable:
   // the lag was lost.
   Status push_motion(std::size_t stream, double time, const double* value) noexcept {
+    if (refused_ != Status::ok) return refused_;
     if (stream >= lag_.streams()) return Status::wrong_size;
     if (!readable(time, value, kComponents)) return Status::not_finite;
     Ring<MotionSample>& in = motion_[stream];
@@ -90,10 +61,15 @@ class Incremental {
     return worse(status, advance());
   }
 
-  // raw (n): fractions of range. R_sensor_root: row by row, where gravity acts.
+  // raw (n): fractions of range. R_sensor_root: row by row, where gravity acts
+  // on what moves (no IMU): wrong_size without.
   Status push_raw(double time, const double* raw, const double* R_sensor_root = nullptr,
                   double temperature = 0.0) noexcept {
+    if (refused_ != Status::ok) return refused_;
     if (!readable(time, raw, lag_.channels())) return Status::not_finite;
+    if (lag_.felt() && R_sensor_root == nullptr) return Status::wrong_size;
+    for (int k = 0; lag_.felt() && k < 9; ++k)
+      if (!std::isfinite(R_sensor_root[k])) return Status::not_finite;
     if (raw_.end() > 0 && time <= raw_last_) return Status::not_increasing;
     const Status status = silence(time);
     raw_last_ = time;
@@ -108,10 +84,11 @@ class Incremental {
   }
 
   // The record ends here.
-  Status finish() noexcept { return close(); }
+  Status finish() noexcept { return refused_ != Status::ok ? refused_ : close(); }
 
   // Another log of the same sensor: theta's shared part goes on, with the
-  // information on it; what is the log's own starts anew. Allocates.
+  // information on it; what is the log's own starts anew. Allocates. What
+  // check() refuses changes nothing.
   Status next_log(const RecordedLog& about);
 
   // ---------------------------------------------------------------- results,
@@ -164,13 +141,68 @@ class Incremental {
     double begin = 0.0, end = 0.0;
     bool low = false, masked = false, leaves = false;
     RawRow* row = nullptr;
-    Lag::Interval* interval = nullptr;  // all rows of it
+    Lag::Interval* interval = nullptr;  // all gathered rows of it
   };
   struct Spread {
     double A[7][7] = {}, B[7][7] = {};
   };
 
+  // What it stands on.
+  struct Accepted {
+    Statement rig;
+    RecordedLog about;
+    IncrementalSettings settings;
+    Status status = Status::ok;
+  };
+  // In the place of what is refused, so that nothing is read out of bounds: a sensor of six channels.
+  static Accepted stand_in(Status refused) {
+    Accepted out;
+    out.rig.noise = out.rig.offset_prior = Vector6::Ones();
+    out.rig.nominal = Matrix6::Identity();
+    out.rig.body_prior = {Eigen::Matrix<double, 10, 1>::Zero()};
+    out.about.motion.resize(1);
+    out.about.motion[0].sigma = Vector6::Ones();
+    out.about.motion[0].group = Eigen::VectorXi::Zero(6);
+    out.settings = {.lag = 1.0, .rate = 1.0, .finest = constants::knot_spacing};
+    out.status = refused;
+    return out;
+  }
+  static Accepted accepted(const Statement& rig, const RecordedLog& about,
+                           const IncrementalSettings& settings) {
+    const Status status = check(rig, about, settings);
+    return status != Status::ok ? stand_in(status) : Accepted{rig, about, settings, status};
+  }
+
+  explicit Incremental(const Accepted& of)
+      : settings_(of.settings),
+        refused_(of.status),
+        most_blocks_(2 * lag_blocks(of.settings.smallest()) + 2),
+        lag_(of.rig, of.about, most_blocks_, static_cast<int>(of.settings.samples_of_interval())),
+        start_(most_blocks_, lag_.channels()),
+        moments_(lag_.channels()),
+        status_(of.status) {
+    const int n = lag_.channels();
+    const auto samples = static_cast<std::size_t>(of.settings.samples());
+    raw_.reserve(samples);
+    for (auto& m : motion_) m.reserve(samples);
+    entries_.reserve(static_cast<std::size_t>(kMostRows * kBlock * (most_blocks_ + 1)));
+    masked_.resize(samples);
+    found_.resize(2);
+    x0_.resize(static_cast<std::size_t>(kWidth * (most_blocks_ + 2)));
+    x1_ = x0_;
+    gain_covariance_ = added_ = Eigen::MatrixXd::Zero(6 * n, 6 * n);
+    discrepancy2_ = Eigen::VectorXd::Zero(n);
+    consistent_ = consistency(n);
+    resize_theta();
+    Zl_ = base_ = S_;
+    parts_ = {S_, S_};
+    others_ = {S_, S_, S_};
+    begin_log();
+    keep();  // in place from now on
+  }
+
   IncrementalSettings settings_;
+  Status refused_;  // of what does not make sense
   int most_blocks_;
   Lag lag_;
   LagStart start_;
@@ -209,7 +241,15 @@ class Incremental {
   std::vector<double> work_, x0_, x1_;
   std::vector<char> active_;
   std::vector<int> use_;
-  Sizes kept_;
+  // Before a first lag is fitted.
+  struct Known {
+    Sizes sizes;
+    Eigen::VectorXd theta, prior;
+    std::vector<char> active;
+    std::size_t masked_spans = 0;
+    std::int64_t masked_samples = 0;
+  };
+  Known kept_;
   SizeSums left_;  // of what left the lag, this log
   std::vector<Entry> entries_;
   std::vector<MaskedSpan> masked_;
@@ -220,12 +260,7 @@ class Incremental {
   Channels size10_{};                       // delta^2 of the logs before, times their samples
   double size10_samples_ = 0.0, log_samples_ = 0.0;
 
-  int lag_blocks(double h) const {
-    return static_cast<int>(std::ceil(std::max(settings_.lag, 20.0 * h) / (kBlock * h) - 1e-9));
-  }
-  static int most_samples(const IncrementalSettings& s) {
-    return std::max(64, static_cast<int>(s.rate * 2.0 * constants::knot_spacing) + 16);
-  }
+  int lag_blocks(double h) const { return static_cast<int>(settings_.blocks_of_lag(h)); }
   static Status worse(Status a, Status b) { return a != Status::ok ? a : b; }
   static bool readable(double time, const double* value, int count) {
     bool any = false;
@@ -299,6 +334,8 @@ class Incremental {
   // blocks: incremental_blocks.hpp
   Status advance() noexcept;
   double covered() const;  // [s] to where all streams have come
+  void keep() noexcept;
+  void restore() noexcept;
   Status start(bool partial) noexcept;
   bool resting() noexcept;
   void forget_until(double time) noexcept;

@@ -7,28 +7,28 @@ namespace truewrench {
 
 inline long Incremental::blocks_of(double origin, double h, bool partial) const {
   const double length = partial ? limit_ - origin : lag_blocks(coarsest_) * kBlock * coarsest_;
-  return std::max(2L, static_cast<long>(std::ceil(length / (kBlock * h) - 1e-6)));
+  const double most = most_blocks_, blocks = std::ceil(length / (kBlock * h) - 1e-6);
+  return static_cast<long>(std::max(2.0, std::min(most, blocks)));
 }
 
-// All blocks of the first lag at a spacing.
+// All blocks of the first lag at a spacing, as far as there is memory: what then waits comes block by block.
 inline void Incremental::lay(double origin, double h, bool partial) {
-  const std::int64_t masked = masked_samples_;
   raw_at_ = raw_.begin();
   lag_.place(origin, h);
-  masked_count_ = 0;
+  // of this lag alone: spans of what was before wait to be read
+  masked_count_ = kept_.masked_spans;
+  masked_samples_ = kept_.masked_samples;
   for (std::size_t i = 0; i < lag_.streams(); ++i) {
     motion_at_[i] = motion_[i].begin();
     past_.next[i] = lag_.motion(i).begin();
   }
   for (const long blocks = blocks_of(origin, h, partial); lag_.end() < blocks; lag_.grow())
     take_block(lag_.end(), partial);
-  masked_samples_ = masked + static_cast<std::int64_t>(masked_count_);
 }
 
 // START and ROBUST at a spacing; (10.7).
 inline double Incremental::fit_first(double origin, double h, bool partial) {
   lay(origin, h, partial);
-  kept_ = lag_.sizes;
   if (first_stretch_) {  // theta's own part, and for the first log all of it, at
                          // the mean
     for (int i = first_log_ ? 0 : own(); i < lag_.parameters(); ++i) {
@@ -42,7 +42,7 @@ inline double Incremental::fit_first(double origin, double h, bool partial) {
     for (long g = 0; g < lag_.end(); ++g) lag_.predict(g);
     start_.regress(lag_, prior_, first_log_);
   } else {
-    lag_.sizes = kept_;
+    lag_.sizes = kept_.sizes;
   }
   if (!run(constants::most_iterations, partial)) return std::nan("");
   return likelihood(partial);
@@ -54,17 +54,18 @@ inline bool Incremental::choose_spacing(double origin, bool partial) {
   std::array<double, 8> ladder{}, cost{};
   std::size_t count = 0, now = 0, best_alone = 0, laid = ladder.size();
   for (double h = coarsest_; count < ladder.size(); h = std::max(0.5 * h, motion_period_)) {
-    if (count > 0 && blocks_of(origin, h, partial) > most_blocks_ / 2) break;  // what memory is for
+    // what memory is for, of this lag and of those after it
+    if (count > 0 && std::max<long>(blocks_of(origin, h, partial), lag_blocks(h)) > most_blocks_ / 2) break;
     ladder[count++] = h;
     if (settings_.spacing > 0.0 || h <= 1.01 * motion_period_) break;
   }
   const auto dear = [&](std::size_t i) { return constants::halving_cost * std::log2(ladder[0] / ladder[i]); };
   if (count > 1) {
-    double lowest = 0.0;
+    double lowest = std::numeric_limits<double>::infinity();
     for (std::size_t i = 0; i < count; ++i) {
       lay(origin, ladder[i], partial);
       const double alone = start_.motion_alone(lag_) + dear(i);
-      if (i == 0 || alone < lowest) {
+      if (alone < lowest) {
         lowest = alone;
         best_alone = i;
       }
@@ -79,14 +80,13 @@ inline bool Incremental::choose_spacing(double origin, bool partial) {
         }
       std::size_t best = now;
       for (std::size_t i = now; i < count; ++i)
-        if (cost[i] < cost[best] || std::isnan(cost[best])) best = i;
+        if (cost[i] < cost[best] || (std::isnan(cost[best]) && !std::isnan(cost[i]))) best = i;
       if (best <= now) break;
       now = best;
     }
   }
   h_ = ladder[now];
   at_finest_ = count > 1 && now + 1 == count;
-  chosen_ = true;
   return laid == now && std::isfinite(cost[now]);
 }
 
@@ -119,6 +119,24 @@ inline bool Incremental::resting() noexcept {
   return true;
 }
 
+// What a first lag that cannot be fitted must leave as it was; without an allocation.
+inline void Incremental::keep() noexcept {
+  kept_.sizes = lag_.sizes;
+  kept_.theta = lag_.theta;
+  kept_.prior = prior_;
+  kept_.active = active_;
+  kept_.masked_spans = masked_count_;
+  kept_.masked_samples = masked_samples_;
+}
+inline void Incremental::restore() noexcept {
+  lag_.sizes = kept_.sizes;
+  lag_.theta = kept_.theta;
+  prior_ = kept_.prior;
+  active_ = kept_.active;
+  masked_count_ = kept_.masked_spans;
+  masked_samples_ = kept_.masked_samples;
+}
+
 // The first lag of a stretch. The first of all begins with the motion: what rests tells no gain, and its sizes are those of rest.
 inline Status Incremental::start(bool partial) noexcept {
   period_ = raw_period();
@@ -129,11 +147,14 @@ inline Status Incremental::start(bool partial) noexcept {
   }
   const double origin = common_begin() - 0.5 * period_;
   forget_until(origin);
+  keep();
   const bool fitted = !chosen_ && choose_spacing(origin, partial);
   if (!fitted && !std::isfinite(fit_first(origin, h_, partial))) {
-    drop_samples();
+    restore();
+    abandon(Status::not_factorizable);
     return status_ = Status::not_factorizable;
   }
+  chosen_ = true;
   raw_.drop_before(raw_at_);
   for (std::size_t i = 0; i < lag_.streams(); ++i) motion_[i].drop_before(motion_at_[i]);
   blocks_ += lag_.end();

@@ -329,7 +329,6 @@ inline void Incremental::begin_log() {
   if (first_log_) prior_ = stated_;
   active_.assign(static_cast<std::size_t>(lag_.parameters()), 1);
   left_ = SizeSums();
-  kept_ = lag_.sizes;  // in place from now on
   first_stretch_ = true;
   chosen_ = false;
   hops_ = 0;
@@ -370,6 +369,8 @@ inline Eigen::MatrixXd Incremental::without_own(const Eigen::MatrixXd& S) const 
 }
 
 inline Status Incremental::next_log(const RecordedLog& about) {
+  if (refused_ != Status::ok) return refused_;
+  if (const Status refused = check(lag_.rig(), about, settings_); refused != Status::ok) return refused;
   const Status status = close();
   const int n = lag_.channels(), shared = own(), before = lag_.parameters();
   covariance();
@@ -424,6 +425,7 @@ inline Status Incremental::next_log(const RecordedLog& about) {
     m = {};
     m.reserve(masked_.size());
   }
+  keep();  // in place from now on
   return status;
 }
 
