@@ -60,8 +60,11 @@ double rate_of(const Eigen::VectorXd& time) {
   return 1.5 / std::max(least, 1e-6);
 }
 
-// All samples of a log in the order of time.
-Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out) {
+// All samples of a log in the order of time; `spans`: what was left out of it, read after every push, as memory for them is fixed.
+Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out,
+            std::vector<MaskedSpan>* spans) {
+  if (online.lag().streams() != log.motion.size()) return Status::wrong_size;
+  if (const Status status = check_samples(online.lag().rig(), log); status != Status::ok) return status;
   std::vector<Eigen::Index> at(log.motion.size(), 0);
   Eigen::Index k = 0;
   Status worst = Status::ok;
@@ -70,6 +73,9 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out) {
   std::int64_t blocks = online.blocks();
   const auto note = [&](Status s, double t) {
     if (s != Status::ok && s != Status::not_finite) worst = s;
+    for (std::size_t i = 0; spans != nullptr && i < online.masked_spans(); ++i)
+      spans->push_back(online.masked_span(i));
+    online.clear_masked();
     if (out == nullptr || online.blocks() == blocks || !online.ready()) return;
     blocks = online.blocks();
     time.push_back(t);
@@ -117,11 +123,25 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
       throw nb::value_error("estimate_online: a log of twists or of an IMU is expected");
     if (log->raw.cols() > kMostChannels || log->motion.size() > kMostStreams)
       throw nb::value_error("estimate_online: more channels or streams than there are places");
-    settings.rate = std::max(settings.rate, rate_of(log->time));
-    for (const MotionStream& m : log->motion) settings.rate = std::max(settings.rate, rate_of(m.time));
   }
   OnlineEstimate out;
   std::vector<int> short_of(logs.size(), 0);  // stretches too short, as Estimator::run counts them
+  for (const RecordedLog* log : logs)
+    for (const Status status : {check_samples(rig, *log), check(rig, *log, settings)})
+      if (out.status == Status::ok) out.status = status;
+  if (out.status != Status::ok) {
+    out.dropped = short_of;
+    return out;
+  }
+  double period = 1e300;  // of the fastest motion
+  for (const RecordedLog* log : logs) {
+    settings.rate = std::max(settings.rate, rate_of(log->time));
+    for (const MotionStream& m : log->motion) settings.rate = std::max(settings.rate, rate_of(m.time));
+    // so that the first lag of slow motion finds room
+    settings.lag = std::max(settings.lag, 20.0 * coarsest_spacing(motion_period(*log)));
+    period = std::min(period, motion_period(*log));
+  }
+  settings.finest = std::max(settings.finest, std::min(0.5 * period, constants::knot_spacing));
   for (std::size_t l = 0; l < logs.size(); ++l) {
     const double coarsest = coarsest_spacing(motion_period(*logs[l]));
     if (pieces_of(*logs[l], coarsest, short_of[l]).empty()) out.status = Status::wrong_size;
@@ -133,11 +153,13 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
   auto online = std::make_unique<Incremental>(rig, without_samples(*logs[0]), settings);
   for (std::size_t l = 0; l < logs.size(); ++l) {
     const RecordedLog& log = *logs[l];
-    if (l > 0) online->next_log(without_samples(log));
+    if (const Status status = l > 0 ? online->next_log(without_samples(log)) : online->status();
+        status != Status::ok)
+      out.status = status;
     const std::int64_t before = online->samples();
     const int dropped = online->dropped();
-    online->clear_masked();
-    const Status status = feed(*online, log, &out);
+    std::vector<MaskedSpan> spans;
+    const Status status = feed(*online, log, &out, &spans);
     if (status != Status::ok) out.status = status;
     online->covariance();
     out.moments.emplace_back(online->moments().begin(),
@@ -150,8 +172,6 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     out.samples.push_back(online->samples() - before);
     std::vector<bool> masked(static_cast<std::size_t>(log.time.size()), false);
     Eigen::Index k = 0;
-    std::vector<MaskedSpan> spans;
-    for (std::size_t i = 0; i < online->masked_spans(); ++i) spans.push_back(online->masked_span(i));
     std::sort(spans.begin(), spans.end(),
               [](const MaskedSpan& a, const MaskedSpan& b) { return a.begin < b.begin; });
     for (const MaskedSpan& s : spans) {
@@ -195,6 +215,7 @@ void bind_incremental(nb::module_& m) {
             if (about.source == Source::mapped || about.components() != kComponents ||
                 about.motion.size() > kMostStreams || rig.noise.size() > kMostChannels)
               throw nb::value_error("Incremental: twists or an IMU, at most 3 streams and 12 channels");
+            require(check(rig, about, settings), "Incremental");
             new (self) Incremental(rig, without_samples(about), settings);
           },
           nb::arg("rig"), nb::arg("about"), nb::arg("settings"))
@@ -221,7 +242,7 @@ void bind_incremental(nb::module_& m) {
           },
           nb::arg("time"), nb::arg("raw"), nb::arg("R_sensor_root") = nb::none())
       .def(
-          "feed", [](Incremental& self, const RecordedLog& log) { return feed(self, log, nullptr); },
+          "feed", [](Incremental& self, const RecordedLog& log) { return feed(self, log, nullptr, nullptr); },
           nb::arg("log"), nb::call_guard<nb::gil_scoped_release>(),
           "All samples of a log in the order of time, and its end.")
       .def("finish", &Incremental::finish)
