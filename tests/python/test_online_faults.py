@@ -1,0 +1,105 @@
+"""`online` over whole logs: masks across gaps, dead channels, slow motion, and logs that make no sense."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from record_cases import light_rig
+
+import truewrench as tw
+from truewrench import _core
+from truewrench.estimation.online import found_online
+from truewrench.estimation.record import recorded_logs
+
+
+def _streams(seconds: float, rate: float) -> tuple[Any, Any]:
+    rig = light_rig(seconds=seconds, rate=rate)
+    _, statement, streams = recorded_logs(rig, [tw.simulate(rig).log])
+    return statement, streams[0]
+
+
+def _cut(log: Any, begin: float, end: float) -> None:
+    time, motion = np.asarray(log.time), log.motion[0]
+    keep = (time < begin) | (time > end)
+    log.time, log.raw = time[keep], np.asarray(log.raw)[keep]
+    at = np.asarray(motion.time)
+    keep = (at < begin) | (at > end)
+    motion.time, motion.value = at[keep], np.asarray(motion.value)[keep]
+    log.motion = [motion]
+
+
+def _sigma(found: Any, channels: int = 6) -> float:
+    return float(np.sqrt(np.mean(np.diag(np.asarray(found.gain_covariance))[: 6 * channels])))
+
+
+def test_what_is_masked_before_a_gap_is_told_at_the_end() -> None:
+    statement, log = _streams(20.0, 100.0)
+    raw = np.array(log.raw)
+    contact = (np.asarray(log.time) > 5.0) & (np.asarray(log.time) < 5.5)
+    raw[contact, :3] += 0.3
+    log.raw = raw
+    _cut(log, 14.0, 15.0)
+    rows = found_online(statement, [log], 0.0).fit.rows(0)
+    time, masked = np.asarray(rows["time"]), np.asarray(rows["masked"]) > 0
+    assert masked[(time > 5.0) & (time < 5.5)].mean() > 0.9
+    assert masked[time > 15.0].mean() < 0.05
+
+
+def test_channels_that_die_leave_the_others_as_they_are() -> None:
+    statement, log = _streams(10.0, 1000.0)
+    whole = found_online(statement, [log], 0.0)
+    raw = np.array(log.raw)
+    raw[:, 5] = np.nan
+    log.raw = raw
+    found = found_online(statement, [log], 0.0)
+    assert found.status == _core.Status.ok
+    assert _sigma(found, 5) == pytest.approx(_sigma(whole, 5), rel=0.1)
+
+
+def test_motion_slower_than_the_lag_holds_loses_no_sample() -> None:
+    statement, log = _streams(40.0, 1000.0)
+    motion = log.motion[0]
+    motion.time, motion.value = np.asarray(motion.time)[::100].copy(), np.asarray(motion.value)[::100].copy()
+    log.motion = [motion]
+    found = _core.estimate_online(statement, [log], _core.IncrementalSettings())
+    assert found.status == _core.Status.ok
+    assert found.samples[0] > 0.98 * len(log.time)
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        (lambda s, log: setattr(log, "time", np.asarray(log.time)[::-1].copy()), "not_increasing"),
+        (lambda s, log: setattr(log, "time", np.where(np.arange(len(log.time)) == 9, np.nan, log.time)), "not_finite"),
+        (lambda s, log: setattr(log, "time", np.asarray(log.time)[:-1].copy()), "wrong_size"),
+        (lambda s, log: setattr(s, "gravity", np.array([0.0, 0.0, -9.81])), "wrong_size"),
+        (lambda s, log: setattr(s, "body_prior", []), "wrong_size"),
+        (lambda s, log: setattr(log, "body", 1), "wrong_size"),
+        (lambda s, log: setattr(s, "noise", -np.asarray(s.noise)), "not_positive"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_told_by_both_estimators(change: Any, status: str) -> None:
+    statement, log = _streams(6.0, 100.0)
+    change(statement, log)
+    settings = _core.IncrementalSettings()
+    assert _core.estimate(statement, [log], _core.Settings()).status == getattr(_core.Status, status)
+    assert _core.estimate_online(statement, [log], settings).status == getattr(_core.Status, status)
+
+
+def test_the_loop_s_estimator_refuses_what_makes_no_sense() -> None:
+    statement, log = _streams(6.0, 100.0)
+    settings = _core.IncrementalSettings()
+    for name in ("lag", "rate", "finest"):
+        kept = getattr(settings, name)
+        for wrong in (0.0, -1.0, np.nan):
+            setattr(settings, name, wrong)
+            with pytest.raises(ValueError, match="Incremental"):
+                _core.Incremental(statement, log, settings)
+        setattr(settings, name, kept)
+    online: Any = _core.Incremental(statement, log, settings)
+    other: Any = _streams(6.0, 100.0)[1]
+    other.body = 1
+    assert online.next_log(other) == _core.Status.wrong_size
+    assert online.status == _core.Status.ok
