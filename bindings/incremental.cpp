@@ -151,11 +151,15 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     return out;
   }
   auto online = std::make_unique<Incremental>(rig, without_samples(*logs[0]), settings);
+  out.status = online->status();  // of settings that no memory holds
+  if (out.status != Status::ok) {
+    out.dropped = short_of;
+    return out;
+  }
   for (std::size_t l = 0; l < logs.size(); ++l) {
     const RecordedLog& log = *logs[l];
-    if (const Status status = l > 0 ? online->next_log(without_samples(log)) : online->status();
-        status != Status::ok)
-      out.status = status;
+    const Status begun = l > 0 ? online->next_log(without_samples(log)) : Status::ok;
+    if (begun != Status::ok) out.status = begun;
     const std::int64_t before = online->samples();
     const int dropped = online->dropped();
     std::vector<MaskedSpan> spans;
