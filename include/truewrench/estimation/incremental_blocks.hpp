@@ -310,14 +310,7 @@ inline void Incremental::set_mask(long leaving) {
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
       Lag::Interval& v = lag_.interval(i);
       const auto enter = [&](RawRow& row, double begin, double end, Lag::Interval* all) {
-        Entry e;
-        e.begin = begin;
-        e.end = end;
-        e.low = row.weight < constants::mask_weight;
-        e.leaves = g < stay;
-        e.row = &row;
-        e.interval = all;
-        entries_.push_back(e);
+        entries_.push_back({begin, end, row.weight < constants::mask_weight, false, g < stay, &row, all});
       };
       const auto end = v.row.begin() + v.rows,
                  whole = std::find_if(v.row.begin(), end, [](const RawRow& row) { return row.gathered; });
