@@ -23,6 +23,7 @@ from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm.drive import Driven
@@ -229,3 +230,23 @@ def test_a_clock_that_is_late_looks_like_a_clock_and_not_like_a_filter(scene: Ca
         ]
     assert kappa
     assert abs(np.mean(kappa)) < 1.0
+
+
+def test_a_record_too_short_to_turn_the_wrench_tells_and_moves_nothing(arm_rig: RigOf) -> None:
+    """Its gain imitates any delay of the joints: sigma was 20 priors, the payload 20 sigma off, untold."""
+    uncertain = {"mass": 1e-3, "center_of_mass": 5e-4, "inertia": 1e-2}
+    rig = arm_rig("ur10_ground", sensor={"gain_prior": 0.1, "time_offset_prior": 5e-3})
+    settings = rig.to_mapping()
+    for payload in settings["payloads"].values():
+        payload["uncertainty"] = uncertain
+    settings |= {"plan": settings["plan"] | {"duration": 8}, "simulate": {"rate": 500, "sensor_rate": 500}}
+    rig = Rig.from_mapping(settings, rig.path)
+    log = replace(tw.simulate_arm(rig, seed=1).log, twist=None, gravity=None, tracking=None)
+    found = estimate(rig, [rows_of(log, np.arange(len(log.time_ns)) < 500)])
+    assert found.solved
+    sigma = np.sqrt(np.diag(found.normalised_covariance))[:36]
+    assert sigma.max() < 2.0 * 0.1
+    departure = found.payloads["default"]
+    assert np.abs(departure.mean / departure.std).max() < 1.0
+    (clocks,) = found.clocks
+    assert max(clock.std for clock in clocks) == pytest.approx(5e-3, rel=0.05)  # of the one that is held

@@ -17,6 +17,15 @@ inline double clock_variance(double stated, double prior, double variance, doubl
   return stated + (imitated ? 0.0 : std::max(0.0, own * own - V - stated));
 }
 
+// A variance of what is held, so that none of the gains that follow it by `by` (count) is less certain than beforehand: in a record
+// too short to turn the wrench they would imitate it without bound (0.1 of prior, 2.1 of sigma).                       (10.1)
+inline double bounded(double variance, const double* by, const double* prior, int count) {
+  double out = variance;
+  for (int j = 0; j < count; ++j)
+    if (out * by[j] * by[j] > prior[j]) out = prior[j] / (by[j] * by[j]);
+  return out;
+}
+
 // The derivative at the middle of three samples, of the parabola through them: times between them, and changes.
 inline double middle_rate(double before, double after, double from, double to) {
   return (to * before / after + from * after / before) / (before + after);

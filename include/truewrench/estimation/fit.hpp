@@ -149,10 +149,16 @@ class Fit {
       Eigen::VectorXd L = dense::times(P_, S_.col(i)), bend;
       imitate(i, L, bend);
       L[i] = -1.0;
+      const auto left = [&](double variance, const Eigen::VectorXd& by) {
+        return bounded(variance, by.data() + layout_.C, prior.data() + layout_.C, 6 * n_);
+      };
+      const double first = left(prior[i], L);
+      const double second = bend.size() > 0 ? left(0.75 * prior[i] * prior[i], bend) : 0.0;  // E s^4 / 4
+      out(i, i) += prior[i] - first;  // its own width stays
       for (Eigen::Index j = 0; j < size; ++j)
         for (Eigen::Index k = 0; k < size; ++k) {
-          out(k, j) += prior[i] * L[j] * L[k];
-          if (bend.size() > 0) out(k, j) += 0.75 * prior[i] * prior[i] * bend[j] * bend[k];  // E s^4 / 4
+          out(k, j) += first * L[j] * L[k];
+          if (bend.size() > 0) out(k, j) += second * bend[j] * bend[k];
         }
     }
     return out;

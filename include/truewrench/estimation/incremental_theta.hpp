@@ -221,14 +221,18 @@ inline const Eigen::MatrixXd& Incremental::theta_covariance() noexcept {
       column_[i] = sum;
     }
     const bool delay = imitated_ && h == lag_.columns().clock[0];
+    const auto add = [&](double variance) {
+      const int C = lag_.columns().C;
+      const double left = bounded(variance, column_.data() + C, prior_.data() + C, 6 * lag_.channels());
+      for (int j = 0; j < nt; ++j)
+        for (int i = 0; i < nt; ++i) covariance_(i, j) += left * column_[i] * column_[j];
+      covariance_(h, h) += (variance - left) * column_[h] * column_[h];  // its own width stays
+    };
     if (delay) imitate(0);
-    for (int j = 0; j < nt; ++j)
-      for (int i = 0; i < nt; ++i) covariance_(i, j) += prior_[h] * column_[i] * column_[j];
+    add(prior_[h]);
     if (!delay) continue;
     imitate(1);  // and what bends: E s^4 / 4
-    for (int j = 0; j < nt; ++j)
-      for (int i = 0; i < nt; ++i)
-        covariance_(i, j) += 0.75 * prior_[h] * prior_[h] * column_[i] * column_[j];
+    add(0.75 * prior_[h] * prior_[h]);
   }
   return covariance_;
 }
