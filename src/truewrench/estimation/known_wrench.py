@@ -33,33 +33,10 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["KnownWrenchEstimate", "WrenchInformation", "estimate_from_known_wrench"]
+__all__ = ["KnownWrenchEstimate", "estimate_from_known_wrench"]
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WrenchInformation:
-    """What known wrenches alone say of gain and offsets, ready to be added to other information on them.
-
-    Parameters are normalised, C_ij range_j / R_i and b_i / R_i, R_i = |nominal_i| @ range: the gain row by
-    row (6n), the offset of each log or the one that they share (n each), then the offset's slope per K (n),
-    if any. With prior information Pi^-1 about theta_0 (and that of other records), the estimate solves
-    (matrix + Pi^-1) theta = vector + Pi^-1 theta_0, and its covariance is the inverse. It is linearised at
-    the estimate of known wrenches; what does not exist (an offset with a prior of 0) has zeros.
-
-    Attributes:
-        matrix: (P, P), P = 6n + n offsets (+ n).
-        vector: (P,).
-        offsets: how many offset vectors: 1 where logs share theirs.
-        slope: whether there is a slope with temperature.
-    """
-
-    matrix: Array
-    vector: Array
-    offsets: int
-    slope: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +63,6 @@ class KnownWrenchEstimate:
         spare: (n,) how many rows, or plateaus, there are beyond what they determine.
         errors: what was found of the errors, per kind of log.
         row_noise: (L, n, n) covariance of raw - gain ref - offset of a row of each log, raw units.
-        information: what the rows alone say.
         findings: what the estimate rests on beside the rig as stated.
     """
 
@@ -109,7 +85,6 @@ class KnownWrenchEstimate:
     spare: Array
     errors: tuple[FoundErrors, ...]
     row_noise: Array
-    information: WrenchInformation
     findings: tuple[Assumed, ...]
 
 
@@ -254,7 +229,6 @@ def _result(
         spare=places - solution.fitted,
         errors=fit.errors,
         row_noise=row_noise,
-        information=_information(problem, solution.parameters, solution.information, whole, with_slope),
         findings=findings_of(rig.sensor.channels, solution.noise, fit.errors, spreads, outliers),
     )
 
@@ -331,24 +305,6 @@ def _of_clocks(
         flat = by.reshape(parameters.size, -1)
         whole += flat @ clock.covariance @ flat.T
     return whole
-
-
-def _information(
-    problem: Problem, parameters: Array, information: Array, covariance: Array, slope: bool
-) -> WrenchInformation:
-    """Of the data alone: what the covariance says beyond the prior, gain first, then offset by offset."""
-    n, size = parameters.shape
-    exists, prior = problem.exists, problem.prior
-    sigma = prior[exists] ** -0.5
-    inner = np.linalg.inv(covariance[np.ix_(exists, exists)]) * sigma[:, None] * sigma
-    values, vectors = np.linalg.eigh(inner - np.eye(sigma.size))  # in units of the prior
-    matrix = np.zeros_like(information)
-    matrix[np.ix_(exists, exists)] = (vectors * np.maximum(values, 0.0)) @ vectors.T / np.outer(sigma, sigma)
-    pulled = np.where(exists, prior, 0.0) * (problem.mean - parameters).ravel()
-    vector = matrix @ parameters.ravel() - pulled
-    index = np.arange(n * size).reshape(n, size)
-    order = np.concatenate([index[:, :6].ravel(), index[:, 6:].T.ravel()])
-    return WrenchInformation(matrix[np.ix_(order, order)], vector[order], size - 6 - slope, slope)
 
 
 def _squares(problem: Problem, kinds: Sequence[Rows], fit: Fit) -> tuple[Array, Array, int]:

@@ -103,7 +103,6 @@ class Solution:
     Attributes:
         parameters: (n, p).
         covariance: (n p, n p) of them, row by row.
-        information: (n p, n p) of the data alone.
         noise: (n, n) S.
         designs: per part (M, p): the regressors.
         residuals: per part (M, n): v.
@@ -115,7 +114,6 @@ class Solution:
 
     parameters: Array
     covariance: Array
-    information: Array
     noise: Array
     designs: tuple[Array, ...]
     residuals: tuple[Array, ...]
@@ -194,7 +192,6 @@ def solve(problem: Problem, parts: Sequence[Part]) -> Solution:
     return Solution(
         parameters,
         covariance,
-        weight,
         R + C @ D @ C.T,
         tuple(Z @ shaped for Z in designs),
         tuple(part.raw - np.hstack([part.reference, part.columns]) @ parameters.T for part in parts),
