@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +43,6 @@ def test_the_press_is_read_where_it_was_and_nothing_elsewhere(done: Path) -> Non
     np.testing.assert_allclose(wrench[at], PRESS, atol=0.5)
     moment = np.array([table[f"cm{axis}"][at] for axis in "xyz"])
     np.testing.assert_allclose(moment, np.cross(FINGERTIP, wrench[at]), atol=0.05)
-
-
-def test_page_leads_to_files_that_are_there_and_shows_every_picture(done: Path) -> None:
-    page = (done / "index.html").read_text()
-    assert page.index("usable") < page.index("<img")
-    named = re.findall(r'(?:src|href)="([^"]+)"', page)
-    assert len(named) > 8
-    for name in named:
-        assert (done / name).stat().st_size > 0
-    assert "<script" not in page
 
 
 def test_command_hands_on_verdict_and_files(

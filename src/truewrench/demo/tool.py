@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -117,13 +116,10 @@ def run_tool(
     pictures += [output / "tool.png", output / "contact.png"]
     _draw_body(pictures[-2], plan, run, tool)
     _draw_contact(pictures[-1], rig, output / "press.csv", tool, true, applied.events, figures)
-    text = _text(plan, tool, figures)
-    page = output / "index.html"
-    _write_index(page, tool, text, [picture.name for picture in pictures], figures)
     verdict = {"usable": plan.feasible and tool.verdict.usable,
                "reasons": [*plan.violations, *tool.verdict.reasons]}  # fmt: skip
-    outputs = [str(file) for file in [page, *files, *pictures]]
-    return {"outputs": outputs, "figures": figures, "verdict": verdict, "text": text}
+    outputs = [str(file) for file in [*files, *pictures]]
+    return {"outputs": outputs, "figures": figures, "verdict": verdict, "text": _text(plan, tool, figures)}
 
 
 def _rigs(output: Path, seed: int, size: Size) -> tuple[Rig, Rig]:
@@ -267,37 +263,3 @@ def _text(plan: ToolPlan, tool: Tool, figures: dict[str, Any]) -> str:
         f"{figures['contact_free_force']:.2g} N with the tool"
     )
     return "\n".join(lines) + "\n"
-
-
-_STYLE = """body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
-img{max-width:100%;height:auto}pre{background:#f4f4f4;padding:1rem;overflow:auto}
-.good{color:#00603f}.bad{color:#a03000}"""
-
-
-def _write_index(page: Path, tool: Tool, text: str, pictures: list[str], figures: dict[str, Any]) -> None:
-    usable = tool.verdict.usable
-    head = (
-        f"A gripper of {figures['mass']:.4g} kg &plusmn; {figures['mass_std']:.2g} kg: "
-        f"{'usable' if usable else 'not to be used as it stands'}"
-    )
-    files = (
-        "tool.html",
-        "tool.yaml",
-        "tool_ur.script",
-        "tool_franka.json",
-        "tool.urdf",
-        "plan.csv",
-        "contact.csv",
-    )
-    links = "".join(f'<li><a href="{name}">{name}</a></li>' for name in files)
-    images = "".join(f'<p><img src="{escape(name)}" alt="{escape(name)}"></p>' for name in pictures)
-    policy = "default-src 'none'; style-src 'unsafe-inline'; img-src 'self' file:; base-uri 'none'"
-    with atomic_output(page) as temporary:
-        temporary.write_text(
-            '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>An unknown gripper</title>'
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}"><style>{_STYLE}</style></head>'
-            f'<body><h1 class="{"good" if usable else "bad"}">{head}</h1><pre>{escape(text)}</pre>{images}'
-            f"<h2>Files</h2><ul>{links}</ul></body></html>\n",
-            encoding="utf-8",
-            newline="\n",
-        )
