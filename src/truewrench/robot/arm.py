@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
 from truewrench.model.rig.urdf import model_of, nearest
+from truewrench.motion.trajectory import rotation_matrix
 
 __all__ = ["ArmMotion", "BaseMotion", "Robot", "load_robot", "robot_of", "rotation_of"]
 
@@ -148,13 +149,7 @@ class Robot:
 def rotation_of(attitude: Array) -> Array:
     """R_inertial_base (N, 3, 3) of quaternions (N, 4) w, x, y, z, base to inertial, of any length > 0."""
     unit = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
-    w, x, y, z = unit.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.array(rows).transpose(2, 0, 1)
+    return rotation_matrix(unit[:, [1, 2, 3, 0]])
 
 
 def load_robot(urdf: str | Path, sensor_frame: str) -> Robot:
