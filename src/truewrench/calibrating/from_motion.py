@@ -179,7 +179,6 @@ def _comparisons(
 ) -> Comparisons:
     held_out = any(axis.held_out for axis in compared.improvement.values())
     return Comparisons(
-        improvement=compared.improvement if held_out else {},
         worse=(*compared.reasons, *worse),
         not_held_out="" if held_out else str(compared.figures.get("none_because", "nothing was compared")),
         # of bodies that nobody knows, nothing tells a wrong unit from a wrong mass

@@ -86,7 +86,6 @@ def judge_known_wrench(
     return judge(
         gain,
         Comparisons(
-            improvement=compared.improvement if held_out else {},
             worse=(*reasons, *compared.reasons),
             not_held_out="" if held_out else str(compared.figures.get("none_because", "")),
             setup=setup_errors(gain, rig, logs),

@@ -170,7 +170,6 @@ def judge_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: C
     judgement = judge(
         found.estimate,
         Comparisons(
-            improvement=compared.improvement if held_out else {},
             worse=(*reasons, *compared.reasons),
             not_held_out="" if held_out else str(compared.figures.get("none_because", "")),
             setup=setup_errors(found.estimate, rig, known) if known else (),

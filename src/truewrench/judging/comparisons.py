@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from truewrench.judging.setup_odds import Suspicion
-from truewrench.model.calibration_parts import AxisImprovement
 
 __all__ = ["Comparisons"]
 
@@ -16,14 +14,12 @@ class Comparisons:
     """Held-out comparison, or why there is none, and suspected set-up errors.
 
     Attributes:
-        improvement: by wrench axis, on the part of the record that was held out; empty without one.
         worse: why, by that, the new gain should not replace the nominal one, in words.
         not_held_out: why nothing was held out, in words; empty where something was. It is always told.
         setup: `setup_errors` of the estimate.
         hopeless: why nothing was estimated, in words: `joint_faults`, `gross_errors`.
     """
 
-    improvement: Mapping[str, AxisImprovement] = field(default_factory=dict)
     worse: tuple[str, ...] = ()
     not_held_out: str = ""
     setup: tuple[Suspicion, ...] = ()
