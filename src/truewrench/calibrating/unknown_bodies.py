@@ -8,13 +8,13 @@ bends: least squares on differentiated velocities with the nominal gain.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.estimation.accelerometer import at_sensor
 from truewrench.estimation.estimate import PayloadDeparture
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -105,7 +105,7 @@ def _guess(rig: Rig, spec: PayloadSpec, logs: Sequence[Log]) -> PayloadSpec:
     if rig.motion.source == "joints":
         logs = tracked(rig, logs)
     elif rig.motion.source == "twist" and rig.motion.of == "com":
-        logs = [_at_sensor(log, center) for log in logs]
+        logs = [at_sensor(log, center) for log in logs]
     try:
         body = body_start(rig, logs, rig.sensor.nominal_gain_array)
     except (InputError, np.linalg.LinAlgError):
@@ -124,12 +124,3 @@ def _guess(rig: Rig, spec: PayloadSpec, logs: Sequence[Log]) -> PayloadSpec:
         ),
     }
     return spec.model_copy(update=update)
-
-
-def _at_sensor(log: Log, point: Array) -> Log:
-    """The log with the twist of the sensor's origin: v_S = v - Omega x point."""
-    if log.twist is None:
-        return log
-    moved = log.twist.copy()
-    moved[:, :3] -= np.cross(moved[:, 3:], point)
-    return replace(log, twist=moved)

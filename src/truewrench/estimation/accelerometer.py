@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.model.log import Log
 from truewrench.motion.smooth import DEGREE, segments, uniform_spline
+from truewrench.motion.spatial import at_point
 
 __all__ = ["at_sensor", "noise_at_sensor", "told_acceleration"]
 
@@ -42,11 +43,8 @@ def noise_at_sensor(noise: Array, point: Array) -> Array | None:
 
 
 def at_sensor(log: Log, point: Array) -> Log:
-    """The log with its twist, of a point (3,) from the sensor's origin [m], taken to that origin."""
-    assert log.twist is not None
-    twist = log.twist.copy()
-    twist[:, :3] -= np.cross(twist[:, 3:], point)
-    return replace(log, twist=twist)
+    """The log with its twist, if any, of a point (3,) from the sensor's origin [m], taken to that origin."""
+    return log if log.twist is None else replace(log, twist=at_point(log.twist, -point))
 
 
 def told_acceleration(log: Log, fall: Array) -> Array:

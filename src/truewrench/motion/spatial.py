@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["cross", "cross_matrix", "rotated", "turns_between", "twist_adjoint"]
+__all__ = ["at_point", "cross", "cross_matrix", "rotated", "turns_between", "twist_adjoint"]
 
 Array = NDArray[np.float64]
 
@@ -19,6 +19,11 @@ def cross(a: Array, b: Array) -> Array:
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
     return out
+
+
+def at_point(six: Array, lever: Array) -> Array:
+    """Twists (..., 6), or their derivatives, of the point at `lever` (..., 3): v + Omega x lever."""
+    return np.concatenate([six[..., :3] + cross(six[..., 3:], lever), six[..., 3:]], axis=-1)
 
 
 def cross_matrix(x: Array) -> Array:

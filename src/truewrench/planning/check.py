@@ -10,6 +10,7 @@ from scipy.integrate import cumulative_simpson
 
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
+from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import SplineTwist, attitude
 from truewrench.planning.limits import Limits, Usage, usage_of
 
@@ -68,11 +69,8 @@ def check_twist(
     time = check_times(until)
     nu, a = motion.twist(time), motion.acceleration(time)
     center = rig.payloads[payload].center_of_mass_array
-    at_center, at_sensor = nu.copy(), nu.copy()
-    if rig.motion.of == "sensor":
-        at_center[:, :3] += np.cross(nu[:, 3:], center)
-    else:
-        at_sensor[:, :3] -= np.cross(nu[:, 3:], center)
+    of_sensor = rig.motion.of == "sensor"
+    at_center, at_sensor = (at_point(nu, center), nu) if of_sensor else (nu, at_point(nu, -center))
     rotation = attitude(motion, time) if placed else np.tile(np.eye(3), (time.size, 1, 1))
     velocity = np.einsum("kij,kj->ki", rotation, at_sensor[:, :3])
     place = cumulative_simpson(velocity, x=time, axis=0, initial=0.0)

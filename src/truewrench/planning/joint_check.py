@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
+from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.buffered import Buffered
 from truewrench.planning.check import Preview, check_times, place_usage, wrench_usage
@@ -37,8 +38,7 @@ def check_joints(
     q, qd, qdd = motion.position(time), motion.velocity(time), motion.acceleration(time)
     moved = robot.motion(q, qd, qdd)
     center = rig.payloads[payload].center_of_mass_array
-    twist = moved.twist.copy()  # of the centre of mass
-    twist[:, :3] += np.cross(twist[:, 3:], center)
+    twist = at_point(moved.twist, center)
     gravity = np.asarray(np.einsum("kji,j->ki", moved.R_root_sensor, rig.gravity_array))
     wrench = payload_wrench(rig, payload, moved.twist, moved.acceleration, gravity)
     mass_at = moved.p_root_sensor + moved.R_root_sensor @ center

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
+from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import Trajectory
 from truewrench.robot.arm import Robot, robot_of
 
@@ -125,7 +126,8 @@ def follow_twist(
     configuration = Configuration(model, model.createData(), q)
     target = configuration.get_transform_frame_to_world(robot.sensor_frame).copy()
 
-    planned = _of_origin(plan.twist(_fine(time)), lever).reshape(steps, _SUBSTEPS, 6)
+    back = np.zeros(3) if lever is None else -lever
+    planned = at_point(plan.twist(_fine(time)), back).reshape(steps, _SUBSTEPS, 6)
     position, velocity = np.empty((steps + 1, robot.n)), np.zeros((steps + 1, robot.n))
     error = np.empty((steps + 1, 6))
     position[0], error[0] = q, 0.0
@@ -141,7 +143,7 @@ def follow_twist(
         configuration.update(q)
         position[k + 1] = q
         error[k + 1] = pose.compute_error(configuration)
-    twist, wanted = _between(robot, position, velocity, dt), _of_origin(plan.twist(time[:-1] + dt / 2), lever)
+    twist, wanted = _between(robot, position, velocity, dt), at_point(plan.twist(time[:-1] + dt / 2), back)
     rest = np.zeros((1, 6))
     return FollowedTwist(
         time=time,
@@ -171,13 +173,6 @@ def _fine(time: Array) -> Array:
     step = np.diff(time)[:, None] / _SUBSTEPS
     middles: Array = time[:-1, None] + step * (np.arange(_SUBSTEPS) + 0.5)
     return middles.ravel()
-
-
-def _of_origin(twist: Array, lever: Array | None) -> Array:
-    """Twists (N, 6) of the sensor's origin from those of a point at `lever`: v_S = v - Omega x lever."""
-    if lever is None:
-        return twist
-    return np.column_stack([twist[:, :3] - np.cross(twist[:, 3:], lever), twist[:, 3:]])
 
 
 def _within(commanded: Any, q: Array, limits: JointLimits, dt: float) -> Array:

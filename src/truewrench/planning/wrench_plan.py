@@ -11,6 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from truewrench.model.errors import UnsupportedError
 from truewrench.model.rig import PlanSpec, Rig
+from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import Body, WrenchSinusoids, integrate_wrench
 from truewrench.planning.criterion import Criterion, packed
 from truewrench.planning.limits import Limits
@@ -88,8 +89,7 @@ def twist_of(rig: Rig, found: Sinusoids) -> tuple[Array, Array]:
     motion = integrate_wrench(found.wrench, body, rig.plan.duration, found.initial)
     blocks = [motion.twist(rows), motion.acceleration(rows)]
     if rig.motion.of == "sensor":  # v_S = v_C - Omega x c
-        for six in blocks:
-            six[:, :3] -= np.cross(six[:, 3:], body.center_of_mass)
+        blocks = [at_point(six, -body.center_of_mass) for six in blocks]
     return blocks[0], blocks[1]
 
 
@@ -187,10 +187,9 @@ def _triples(limits: Limits, settings: PlanSpec) -> list[tuple[int, int, int]]:
 
 def _used(rig: Rig, limits: Limits, batch: Batch, motions: Motions) -> Array:
     """(B,) largest use of any limit, at the steps of the integration."""
-    body, nu, a = batch.body, motions.twist.copy(), motions.acceleration.copy()
+    body, nu, a = batch.body, motions.twist, motions.acceleration
     if rig.motion.of == "sensor":
-        for six in (nu, a):
-            six[..., :3] -= np.cross(six[..., 3:], body.center_of_mass)
+        nu, a = (at_point(six, -body.center_of_mass) for six in (nu, a))
     step = motions.time[1]
     integral = cumulative_trapezoid(nu, dx=step, axis=0, initial=0)
     shares = [

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
 from truewrench.model.rig.urdf import model_of, nearest
+from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import rotation_matrix
 
 __all__ = ["ArmMotion", "BaseMotion", "Robot", "load_robot", "robot_of", "rotation_of"]
@@ -252,8 +253,9 @@ def _rows(values: Array) -> Array:
 
 def _at_sensor(six: Array, R_root_sensor: Array, p_root_sensor: Array) -> Array:
     """Twists (N, 6) of the root's origin, root axes, as those of the sensor's origin in sensor axes."""
-    linear = six[:, :3] + np.cross(six[:, 3:], p_root_sensor)
-    return np.column_stack([np.einsum("kji,kj->ki", R_root_sensor, part) for part in (linear, six[:, 3:])])
+    moved = at_point(six, p_root_sensor)
+    parts = (moved[:, :3], moved[:, 3:])
+    return np.column_stack([np.einsum("kji,kj->ki", R_root_sensor, part) for part in parts])
 
 
 def _cross(a: Array, b: Array) -> Array:
