@@ -83,6 +83,7 @@ def _set(*keys: Any, value: Any) -> Callable[[dict[str, Any]], None]:
         (_set("center_of_mass", 1, value=None), "center_of_mass[1]: found nothing, expected a finite number"),
         (_set("offset_walk", 2, value=-1e-3), "offset_walk: found -0.001, expected numbers of at least 0"),
         (_set("offset_time_ns", value=1.5), "offset_time_ns: found 1.5, expected a whole number"),
+        (_set("offset_time_ns", value=2**63), "offset_time_ns: found 9223372036854775808, expected a whole"),
         (_set("covariance", "names", 0, value="gain"), "covariance.names: found 57 names, or another order"),
         (_set("covariance", "matrix", 0, 1, value=1.0), "covariance.matrix: found a matrix that is not symm"),
         (_set("determined", "center_of_mass", value=[True]), "expected a list of 3: true or false"),

@@ -24,7 +24,6 @@ from truewrench.cli.common import (
     progress_bar,
     report_left_out,
     report_notes,
-    verdict_of,
 )
 from truewrench.model.errors import UnsupportedError
 
@@ -90,7 +89,7 @@ def calibrate(
         report_left_out(record)
     return Outcome(
         outputs=[target, *reports, *exports.written],
-        verdict=verdict_of(calibration),
+        verdict=calibration.verdict.to_mapping(),
         figures={
             "gain": calibration.gain,
             "gain_std": calibration.gain_std,
@@ -224,7 +223,7 @@ def apply(
     report_notes(log, done.notes)
     return Outcome(
         outputs=[output],
-        verdict=verdict_of(loaded),
+        verdict=loaded.verdict.to_mapping(),
         figures={"rows": done.rows, "corrected": done.corrected, "notes": done.notes},
         words=lambda: iter(
             [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,7 +17,6 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:
-    from truewrench.model.calibration import Calibration
     from truewrench.model.log import Log
 
 __all__ = [
@@ -35,7 +33,6 @@ __all__ = [
     "progress_bar",
     "report_left_out",
     "report_notes",
-    "verdict_of",
 ]
 
 
@@ -69,12 +66,6 @@ OutputLogOption = Annotated[
 LogsArgument = Annotated[
     list[str], typer.Argument(metavar="LOG...", help="CSV, Parquet or a recording; LOG@PAYLOAD.")
 ]
-
-
-def verdict_of(calibration: Calibration) -> dict[str, Any]:
-    """The verdict for programs."""
-    verdict: dict[str, Any] = dataclasses.asdict(calibration.verdict)
-    return verdict
 
 
 def check_folder(path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truewrench.cli.common import DebugOption, JsonOption, Outcome, check_folder, verdict_of
+from truewrench.cli.common import DebugOption, JsonOption, Outcome, check_folder
 from truewrench.model.errors import InputError, UnsupportedError
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as
         else:
             figures = _correct_lines(calibration, stop, as_json)
     words = ", ".join(f"{count} {name}" for name, count in figures.items())
-    return Outcome((), figures, verdict_of(calibration), lambda: iter([words]), aside=True)
+    return Outcome((), figures, calibration.verdict.to_mapping(), lambda: iter([words]), aside=True)
 
 
 def _correct_lines(calibration: Calibration, stop: Stop, as_json: bool) -> dict[str, int]:
@@ -221,7 +221,7 @@ def _calibrate(
     return Outcome(
         outputs,
         figures={**figures, **found},
-        verdict=verdict_of(calibration),
+        verdict=calibration.verdict.to_mapping(),
         words=lambda: calibration_summary(calibration),
         aside=True,
     )

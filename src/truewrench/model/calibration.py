@@ -175,14 +175,7 @@ class Calibration:
         """Numbers, arrays and texts by the keys of `calibration.yaml`."""
         return {
             "format": FORMAT,
-            "verdict": {
-                "usable": self.verdict.usable,
-                "reasons": list(self.verdict.reasons),
-                "undetermined": [
-                    {"direction": u.direction, "words": u.words} for u in self.verdict.undetermined
-                ],
-                "blind_to": [asdict(blind) for blind in self.verdict.blind_to],
-            },
+            "verdict": self.verdict.to_mapping(),
             "axes": self.axes,
             "assumed": [asdict(assumed) for assumed in self.assumed],
             "gain": self.gain,
@@ -251,7 +244,7 @@ def _from_fields(top: Fields) -> Calibration:
         offset=top.array("offset", (n,)),
         offset_std=top.array("offset_std", (n,)),
         inverse=top.array("inverse", (6, n), nan_allowed=True),
-        covariance=_covariance(top, n),
+        covariance=top.covariance("covariance", 7 * n),
         verdict=Verdict(
             usable=verdict.flag("usable"),
             reasons=tuple(verdict.texts("reasons")),
@@ -307,10 +300,7 @@ def _per_channel(top: Fields, key: str, n: int, *, positive: bool = False) -> Fl
     """As many numbers as channels; None where there are none, as in files from before there were any."""
     if top.data.get(key) is None:
         return None
-    values = top.array(key, (n,))
-    if positive and (values < 0.0).any():
-        raise top.error(key, "numbers of at least 0", f"{values.min():g}")
-    return values
+    return top.sizes(key, n) if positive else top.array(key, (n,))
 
 
 def _axes(top: Fields) -> dict[str, bool]:
@@ -323,7 +313,7 @@ def _axes(top: Fields) -> dict[str, bool]:
 
 
 def _assumed(item: Fields) -> Assumed:
-    sigma = None if item.data.get("sigma") is None else _size(item, "sigma")
+    sigma = None if item.data.get("sigma") is None else item.size("sigma")
     return Assumed(
         what=item.text("what"),
         where=item.text("where"),
@@ -337,27 +327,7 @@ def _blind_to(item: Fields) -> BlindTo:
     kind = item.text("kind")
     if kind not in KINDS:
         raise item.error("kind", f"one of {', '.join(KINDS)}")
-    return BlindTo(kind, _size(item, "size"), _size(item, "effect"), item.text("words"))
-
-
-def _size(item: Fields, key: str) -> float:
-    value = item.number(key)
-    if value < 0.0:
-        raise item.error(key, "a number of at least 0")
-    return value
-
-
-def _covariance(top: Fields, n: int) -> FloatArray:
-    covariance = top.array("covariance", (7 * n, 7 * n))
-    scale = np.sqrt(np.abs(np.diag(covariance)))
-    correlation = covariance / np.outer(scale, scale).clip(min=np.finfo(np.float64).tiny)
-    if np.abs(correlation - correlation.T).max() > 1e-9:
-        raise top.error("covariance", "a symmetric matrix", "a matrix that is not symmetric")
-    smallest = float(np.linalg.eigvalsh(correlation).min())
-    if smallest < -1e-9:
-        found = f"a correlation of eigenvalue {smallest:.3g}"
-        raise top.error("covariance", "a positive semidefinite matrix", found)
-    return covariance
+    return BlindTo(kind, item.size("size"), item.size("effect"), item.text("words"))
 
 
 def _log_report(log: Fields, n: int) -> LogReport:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -98,6 +98,16 @@ class Verdict:
     reasons: tuple[str, ...] = ()
     undetermined: tuple[Undetermined, ...] = ()
     blind_to: tuple[BlindTo, ...] = ()
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As every file and the command line have it."""
+        unknown = [{"direction": u.direction.tolist(), "words": u.words} for u in self.undetermined]
+        return {
+            "usable": self.usable,
+            "reasons": list(self.reasons),
+            "undetermined": unknown,
+            "blind_to": [asdict(blind) for blind in self.blind_to],
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -192,7 +192,7 @@ class Plan:
 
     def to_mapping(self) -> dict[str, Any]:
         """As PLAN.plan.yaml holds it."""
-        found, verdict = self.prediction, self.verdict
+        found = self.prediction
         return {
             "format": FORMAT,
             "method": self.method,
@@ -202,14 +202,7 @@ class Plan:
             "period": self.design.period,
             "feasible": self.feasible,
             "violations": list(self.violations),
-            "verdict": {
-                "usable": verdict.usable,
-                "reasons": list(verdict.reasons),
-                "undetermined": [
-                    {"direction": u.direction.tolist(), "words": u.words} for u in verdict.undetermined
-                ],
-                "blind_to": [asdict(blind) for blind in verdict.blind_to],
-            },
+            "verdict": self.verdict.to_mapping(),
             "predicted_rms": self.predicted_rms,
             "predicted_gain_std": None if found is None else found.gain_std.tolist(),
             "predicted_normalised_gain_std": None if found is None else found.std.tolist(),

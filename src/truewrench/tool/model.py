@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -163,14 +163,7 @@ class Tool:
         """Numbers, arrays and texts by the keys of `tool.yaml`."""
         return {
             "format": FORMAT,
-            "verdict": {
-                "usable": self.verdict.usable,
-                "reasons": list(self.verdict.reasons),
-                "undetermined": [
-                    {"direction": one.direction, "words": one.words} for one in self.verdict.undetermined
-                ],
-                "needed": list(self.verdict.needed),
-            },
+            "verdict": self.verdict.to_mapping(),
             "mass": self.mass,
             "mass_std": self.mass_std,
             "center_of_mass": self.center_of_mass,
@@ -198,15 +191,10 @@ class Tool:
             "tilt_std": self.tilt_std,
             "time_offset": self.time_offset,
             "time_offset_std": self.time_offset_std,
-            "exported": {
-                "mass": self.exported.mass,
-                "center_of_mass": self.exported.center_of_mass,
-                "inertia": _by_element(self.exported.inertia),
-                "inertia_assumed": self.exported.inertia_assumed,
-            },
+            "exported": asdict(self.exported) | {"inertia": _by_element(self.exported.inertia)},
             "flange": self.flange,
             "housing": self.housing,
-            "held_out": {name: getattr(self.held_out, name) for name in _HELD_OUT},
+            "held_out": asdict(self.held_out),
             "logs": [dict(log) for log in self.logs],
             "figures": dict(self.figures),
             "version": self.version,
@@ -216,9 +204,6 @@ class Tool:
             "rig": {key: value for key, value in self.rig.to_mapping().items() if key != "payloads"},
             "covariance": {"names": list(self.layout.names), "matrix": self.covariance},
         }
-
-
-_HELD_OUT = ("force", "moment", "recipe_force", "recipe_moment")
 
 
 def _by_element(values: FloatArray) -> dict[str, float]:
@@ -245,10 +230,10 @@ def _from_fields(top: Fields) -> Tool:
     n = rig.sensor.n
     exported, held, determined = top.section("exported"), top.section("held_out"), top.section("determined")
     tool = Tool(
-        mass=_positive(top, "mass"),
-        mass_std=_size(top, "mass_std"),
+        mass=top.positive("mass"),
+        mass_std=top.size("mass_std"),
         center_of_mass=top.array("center_of_mass", (3,)),
-        center_of_mass_std=_sizes(top, "center_of_mass_std", 3),
+        center_of_mass_std=top.sizes("center_of_mass_std", 3),
         inertia=_elements(top, "inertia"),
         inertia_std=_elements(top, "inertia_std", least=0.0),
         determined={
@@ -257,18 +242,18 @@ def _from_fields(top: Fields) -> Tool:
             "inertia": tuple(determined.section("inertia").flag(name) for name in ELEMENTS),
         },
         offset=top.array("offset", (n,)),
-        offset_std=_sizes(top, "offset_std", n),
-        offset_time_ns=_whole(top, "offset_time_ns"),
-        offset_walk=_sizes(top, "offset_walk", n),
-        pose_repeatability=_sizes(top, "pose_repeatability", n),
+        offset_std=top.sizes("offset_std", n),
+        offset_time_ns=top.whole("offset_time_ns"),
+        offset_walk=top.sizes("offset_walk", n),
+        pose_repeatability=top.sizes("pose_repeatability", n),
         mounting=top.array("mounting", (3,)),
-        mounting_std=_sizes(top, "mounting_std", 3),
+        mounting_std=top.sizes("mounting_std", 3),
         tilt=top.array("tilt", (2,)),
-        tilt_std=_sizes(top, "tilt_std", 2),
+        tilt_std=top.sizes("tilt_std", 2),
         gain=top.array("gain", (n, 6)),
         covariance=_covariance(top, Layout(n)),
         exported=Body(
-            mass=_positive(exported, "mass"),
+            mass=exported.positive("mass"),
             center_of_mass=exported.array("center_of_mass", (3,)),
             inertia=_elements(exported, "inertia"),
             inertia_assumed=exported.flag("inertia_assumed"),
@@ -276,7 +261,7 @@ def _from_fields(top: Fields) -> Tool:
         verdict=_verdict(top.section("verdict")),
         rig=rig,
         held_out=HeldOut(
-            **{name: None if held.get(name) is None else _size(held, name) for name in _HELD_OUT}
+            **{f.name: None if held.get(f.name) is None else held.size(f.name) for f in fields(HeldOut)}
         ),
         flange=top.array("flange", (6,)),
         housing=top.array("housing", (4,)),
@@ -284,7 +269,7 @@ def _from_fields(top: Fields) -> Tool:
         if top.get("offset_temperature") is None
         else top.array("offset_temperature", (n,)),
         time_offset=top.number("time_offset"),
-        time_offset_std=_size(top, "time_offset_std"),
+        time_offset_std=top.size("time_offset_std"),
         logs=tuple(log.data for log in top.sections("logs")),
         figures=top.section("figures").data,
         version=top.text("version"),
@@ -330,16 +315,7 @@ def _covariance(top: Fields, layout: Layout) -> FloatArray:
         found = f"{len(section.data['names'])} names, or another order"
         expected = f"the {layout.size} names of gain, log_mass, center_of_mass, S, offset, mounting, tilt"
         raise section.error("names", expected, found)
-    covariance = section.array("matrix", (layout.size, layout.size))
-    scale = np.sqrt(np.abs(np.diag(covariance)))
-    correlation = covariance / np.outer(scale, scale).clip(min=np.finfo(np.float64).tiny)
-    if np.abs(correlation - correlation.T).max() > 1e-9:
-        raise section.error("matrix", "a symmetric matrix", "a matrix that is not symmetric")
-    smallest = float(np.linalg.eigvalsh(correlation).min())
-    if smallest < -1e-9:
-        found = f"a correlation of eigenvalue {smallest:.3g}"
-        raise section.error("matrix", "a positive semidefinite matrix", found)
-    return covariance
+    return section.covariance("matrix", layout.size)
 
 
 def _elements(top: Fields, key: str, least: float | None = None) -> FloatArray:
@@ -358,31 +334,3 @@ def _flags(top: Fields, key: str, count: int) -> tuple[bool, ...]:
     if not isinstance(values, list) or len(values) != count or not all(isinstance(v, bool) for v in values):
         raise top.error(key, f"a list of {count}: true or false")
     return tuple(values)
-
-
-def _positive(top: Fields, key: str) -> float:
-    value = top.number(key)
-    if value <= 0.0:
-        raise top.error(key, "a number greater than 0")
-    return value
-
-
-def _size(top: Fields, key: str) -> float:
-    value = top.number(key)
-    if value < 0.0:
-        raise top.error(key, "a number of at least 0")
-    return value
-
-
-def _sizes(top: Fields, key: str, count: int) -> FloatArray:
-    values = top.array(key, (count,))
-    if (values < 0.0).any():
-        raise top.error(key, "numbers of at least 0", f"{values.min():g}")
-    return values
-
-
-def _whole(top: Fields, key: str) -> int:
-    value = top.get(key)
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise top.error(key, "a whole number")
-    return value

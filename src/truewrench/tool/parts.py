@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +43,10 @@ class ToolVerdict:
     reasons: tuple[str, ...] = ()
     undetermined: tuple[Unknown, ...] = ()
     needed: tuple[str, ...] = ()
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As `tool.yaml` has it."""
+        return {key: list(x) if isinstance(x, tuple) else x for key, x in asdict(self).items()}
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,6 +95,47 @@ class Fields:
         """A finite number."""
         return float(self.array(key, ()))
 
+    def whole(self, key: str) -> int:
+        """A whole number that 64 bits hold."""
+        value = self.get(key)
+        if isinstance(value, bool) or not isinstance(value, int) or abs(value) >= 2**63:
+            raise self.error(key, "a whole number of 64 bits")
+        return value
+
+    def positive(self, key: str) -> float:
+        """A number greater than 0."""
+        value = self.number(key)
+        if value <= 0.0:
+            raise self.error(key, "a number greater than 0")
+        return value
+
+    def size(self, key: str) -> float:
+        """A number of at least 0."""
+        value = self.number(key)
+        if value < 0.0:
+            raise self.error(key, "a number of at least 0")
+        return value
+
+    def sizes(self, key: str, count: int) -> npt.NDArray[np.float64]:
+        """As many numbers of at least 0."""
+        values = self.array(key, (count,))
+        if (values < 0.0).any():
+            raise self.error(key, "numbers of at least 0", f"{values.min():g}")
+        return values
+
+    def covariance(self, key: str, size: int) -> npt.NDArray[np.float64]:
+        """A symmetric matrix (size, size) without a negative eigenvalue, both as correlations."""
+        covariance = self.array(key, (size, size))
+        scale = np.sqrt(np.abs(np.diag(covariance)))
+        correlation = covariance / np.outer(scale, scale).clip(min=np.finfo(np.float64).tiny)
+        if np.abs(correlation - correlation.T).max() > 1e-9:
+            raise self.error(key, "a symmetric matrix", "a matrix that is not symmetric")
+        smallest = float(np.linalg.eigvalsh(correlation).min())
+        if smallest < -1e-9:
+            found = f"a correlation of eigenvalue {smallest:.3g}"
+            raise self.error(key, "a positive semidefinite matrix", found)
+        return covariance
+
     def array(
         self, key: str, shape: tuple[int, ...], *, nan_allowed: bool = False
     ) -> npt.NDArray[np.float64]:

@@ -165,12 +165,7 @@ class ToolPlan:
             "duration": float(self.design.motion.duration),
             "feasible": self.feasible,
             "violations": list(self.violations),
-            "verdict": {
-                "usable": self.verdict.usable,
-                "reasons": list(self.verdict.reasons),
-                "undetermined": [],
-                "blind_to": [],
-            },
+            "verdict": self.verdict.to_mapping(),
             "predicted": None if found is None else found.to_mapping(),
             "predicted_rms": sensor.gain_prior
             if found is None
