@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from truewrench.model.calibration_parts import BlindTo
@@ -121,10 +122,11 @@ def pose_of_twist(time: Array, twist: Array) -> Array:
         time: (N,), strictly increasing [s].
         twist: (N, 6) sensor axes, finite.
     """
-    pose = _centred(_integral(time, twist))
+    pose = _centred(cumulative_trapezoid(twist, time, axis=0, initial=0))
     if len(pose) and np.linalg.norm(pose[:, 3:], axis=1).max() > _TURNS:
         rotation = _attitude(time, twist[:, 3:])
-        return pose_about_mean(_integral(time, np.einsum("kij,kj->ki", rotation, twist[:, :3])), rotation)
+        velocity = np.einsum("kij,kj->ki", rotation, twist[:, :3])
+        return pose_about_mean(cumulative_trapezoid(velocity, time, axis=0, initial=0), rotation)
     return pose
 
 
@@ -220,11 +222,6 @@ def with_pose(covariance: Array, pose: PoseShare, size: Array, prior: Array) -> 
 
 def _centred(values: Array) -> Array:
     return np.asarray(values - values.mean(axis=0)) if len(values) else values
-
-
-def _integral(time: Array, values: Array) -> Array:
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
-    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
 
 
 def _attitude(time: Array, omega: Array) -> Array:

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicHermiteSpline
 
 from truewrench.estimation.estimate import Estimate, LogRows
@@ -88,7 +89,7 @@ def _binned(
         mean = partial(_mean, use=use, begins=begins)
         felt = w @ normalised.T
         rate = np.gradient(felt, t, axis=0)
-        pose = np.concatenate([np.zeros((1, 6)), np.cumsum(_steps(t, rows.twist[at]), axis=0)])
+        pose = cumulative_trapezoid(rows.twist[at], t, axis=0, initial=0)
         pose -= pose.mean(axis=0)
         x = np.pi * (t - t[0]) / max(t[-1] - t[0], 1e-9)
         columns = {
@@ -156,10 +157,6 @@ def _basis(columns: Array, least: float = 1e-10) -> Array:
 def _products(x: Array, mean: Callable[[Array], Array]) -> Array:
     pairs = [(i, j) for i in range(x.shape[1]) for j in range(i, x.shape[1])]
     return np.stack([mean(x[:, i] * x[:, j]) for i, j in pairs], axis=1)
-
-
-def _steps(t: Array, values: Array) -> Array:
-    return np.asarray(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None])
 
 
 def _friction(felt: Array) -> Array:

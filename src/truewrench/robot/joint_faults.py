@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -71,7 +72,7 @@ class _Path:
     def __init__(self, time: Array, velocity: Array) -> None:
         step = np.diff(time)
         self.time = time
-        self.way = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step))
+        self.way = cumulative_trapezoid(velocity, time, initial=0)
         self.gaps = np.append(0, np.cumsum(step > NEAR * np.median(step)))
 
     def between(self, begin: Array, end: Array) -> Array:

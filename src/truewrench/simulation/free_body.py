@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import cross
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
-from truewrench.simulation.imperfect import FineMotion, Hardware, integral_of
+from truewrench.simulation.imperfect import FineMotion, Hardware
 from truewrench.simulation.truth import Truth, begin, readings, stamps_of, stated, write_run
 
 __all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on_sensor"]
@@ -100,7 +101,8 @@ def simulate(
 
     at_shown, at_fine = np.split(rotation[rows.size :], [shown.size])
     twist = motion.twist(fine)
-    ideal = FineMotion(wrench(fine, at_fine), twist, integral_of(twist, fine))
+    moved = cumulative_trapezoid(twist, fine, axis=0, initial=0) if fine.size else twist
+    ideal = FineMotion(wrench(fine, at_fine), twist, moved)
     readout = hardware.readout(truth.gain, ideal, shown, read)
     raw = readings(rig, truth, stamps, wrench(shown, at_shown), rng, readout)
     sigma = rig.motion.noise_array

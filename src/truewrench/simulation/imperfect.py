@@ -34,7 +34,7 @@ from truewrench.simulation.effects import (
     wandering,
 )
 
-__all__ = ["FINE", "FineMotion", "Hardware", "Readout", "integral_of"]
+__all__ = ["FINE", "FineMotion", "Hardware", "Readout"]
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -61,7 +61,7 @@ class FineMotion:
     Attributes:
         wrench: (F, 6) of the payload on the sensor, sensor axes [N, N m].
         velocity: (F, d) what is logged of the motion: twist or joint velocities.
-        pose: (F, d) what a cable follows: the twist's integral (`integral_of`), or joint positions.
+        pose: (F, d) what a cable follows: the twist's integral by component, or joint positions.
     """
 
     wrench: Array
@@ -322,13 +322,6 @@ class Hardware:
         hit = rng.uniform(size=samples) < share
         told["spikes"] = {"size": size, "share": share, "samples": int(hit.sum())}
         return np.where(hit[:, None], size * scale * rng.standard_normal((samples, scale.size)), 0.0)
-
-
-def integral_of(twist: Array, time: Array) -> Array:
-    """Component-wise integral (F, d) of a twist (F, d) over its times (F,), 0 at first [m, rad]."""
-    out = np.zeros_like(twist)
-    out[1:] = np.cumsum(0.5 * (twist[1:] + twist[:-1]) * np.diff(time)[:, None], axis=0)
-    return out
 
 
 def _rng(seed: int, kind: str) -> Rng:
