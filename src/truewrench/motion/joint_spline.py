@@ -10,6 +10,8 @@ from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 from scipy.sparse import csr_array, diags_array
 
+from truewrench.motion.trajectory_joint import JointCurves
+
 __all__ = ["JointSpline", "fit_joints"]
 
 Array = NDArray[np.float64]
@@ -21,15 +23,9 @@ _STIFFNESS = 1e-12  # of what no sample determines, relative to the largest elem
 
 
 @dataclass(frozen=True, slots=True)
-class JointSpline:
-    """Quintic splines of n joints.
+class JointSpline(JointCurves):
+    """Quintic splines of n joints, `spacing` [s] from knot to knot."""
 
-    Attributes:
-        spline: positions (N, n) of times (N,) [s].
-        spacing: of its knots [s].
-    """
-
-    spline: BSpline
     spacing: float
 
     def shifted(self, by: Array) -> JointSpline:
@@ -45,18 +41,6 @@ class JointSpline:
     def end(self) -> float:
         """Last time [s]."""
         return float(self.spline.t[-1])
-
-    def position(self, time: Array) -> Array:
-        """(N, n)."""
-        return np.asarray(self.spline(time))
-
-    def velocity(self, time: Array) -> Array:
-        """(N, n)."""
-        return np.asarray(self.spline(time, nu=1))
-
-    def acceleration(self, time: Array) -> Array:
-        """(N, n)."""
-        return np.asarray(self.spline(time, nu=2))
 
 
 def fit_joints(

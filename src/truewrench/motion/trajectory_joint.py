@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
-__all__ = ["JointTrajectory", "SplineJoints"]
+__all__ = ["JointCurves", "JointTrajectory", "SplineJoints"]
 
 Array = NDArray[np.float64]
 
@@ -36,10 +36,28 @@ class JointTrajectory(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class SplineJoints:
-    """Joint positions given at times and interpolated by a quintic spline."""
+class JointCurves:
+    """Positions of n joints as one spline (N, n), and its derivatives."""
 
     spline: BSpline
+
+    def position(self, time: Array) -> Array:
+        """Joint positions (N, n) at the times (N,) [s]."""
+        return np.asarray(self.spline(time))
+
+    def velocity(self, time: Array) -> Array:
+        """Joint velocities (N, n)."""
+        return np.asarray(self.spline(time, nu=1))
+
+    def acceleration(self, time: Array) -> Array:
+        """Joint accelerations (N, n)."""
+        return np.asarray(self.spline(time, nu=2))
+
+
+@dataclass(frozen=True, slots=True)
+class SplineJoints(JointCurves):
+    """Joint positions given at times and interpolated by a quintic spline."""
+
     duration: float
 
     @classmethod
@@ -62,15 +80,3 @@ class SplineJoints:
             ends = (first, last)
         spline = make_interp_spline(t - t[0], np.asarray(position, dtype=np.float64), k=5, bc_type=ends)
         return cls(spline, float(t[-1] - t[0]))
-
-    def position(self, time: Array) -> Array:
-        """Joint positions (N, n) at the times (N,) [s]."""
-        return np.asarray(self.spline(time))
-
-    def velocity(self, time: Array) -> Array:
-        """Joint velocities (N, n)."""
-        return np.asarray(self.spline(time, nu=1))
-
-    def acceleration(self, time: Array) -> Array:
-        """Joint accelerations (N, n)."""
-        return np.asarray(self.spline(time, nu=2))
