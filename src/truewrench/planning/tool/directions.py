@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from truewrench.motion.spatial import cross
 
-__all__ = ["abba", "axes_of", "spread", "spread_among"]
+__all__ = ["abba", "axes_of", "rim", "spread", "spread_among"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -34,17 +34,21 @@ def spread(count: int, axis: Array, half_angle: float) -> Array:
         axis: (3,) unit vector, middle of the cone.
         half_angle: of the cone [rad]; pi: all directions.
     """
-    R = axes_of(axis)
     if half_angle <= 0.5 * np.pi:
-        turn = 2.0 * np.pi * np.arange(count) / count
-        rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(count)]) * np.sin(half_angle)
-        return np.asarray((rim + [0.0, 0.0, np.cos(half_angle)]) @ R.T)
+        return rim(axis, half_angle, count)
     points = _opposite_pairs(count)
     tilt = np.arccos(np.clip(points[:, 2], -1.0, 1.0))
     for k in np.flatnonzero(tilt > half_angle):  # out of reach: the nearest on the rim
         side = points[k, :2] / np.linalg.norm(points[k, :2])
         points[k] = [*(np.sin(half_angle) * side), np.cos(half_angle)]
-    return np.asarray(points @ R.T)
+    return np.asarray(points @ axes_of(axis).T)
+
+
+def rim(axis: Array, half_angle: float, count: int) -> Array:
+    """Unit vectors (count, 3) evenly spread on the rim of a cone about an axis (3,)."""
+    turn = 2.0 * np.pi * np.arange(count) / count
+    side = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(count)])
+    return np.asarray((np.sin(half_angle) * side + [0.0, 0.0, np.cos(half_angle)]) @ axes_of(axis).T)
 
 
 def _opposite_pairs(count: int) -> Array:

@@ -13,7 +13,7 @@ from truewrench.planning.buffered import Buffered
 from truewrench.planning.joint_space import ArmOutputs, arm_outputs, joint_limits
 from truewrench.planning.limits import Limits
 from truewrench.planning.tool.collisions import Collisions, collisions_of
-from truewrench.planning.tool.directions import axes_of
+from truewrench.planning.tool.directions import rim
 from truewrench.robot.arm import Robot, robot_of
 
 __all__ = ["Reach", "Stand", "postures_towards", "reach_of"]
@@ -154,18 +154,13 @@ def _widest_ring(fall: Array, axis: Array, widest: float) -> float:
     for angle in np.arange(_FIRST_RING, min(widest, np.pi) + 1e-9, _RING):
         near = min(_WITHIN, 0.5 * float(angle))
         count = max(4, round(_GRID * float(np.sin(angle)))) if angle > 0.5 * np.pi else _GRID
-        rim = _rim(axis, float(angle), 2.0 * np.pi * np.arange(count) / count)
+        ring = rim(axis, float(angle), count)
         # samples on the near side of a ring do not tell that it is reached
         outside = away >= angle - _RING
-        if not outside.any() or np.mean((rim @ fall[outside].T).max(axis=1) >= np.cos(near)) < _COVERED:
+        if not outside.any() or np.mean((ring @ fall[outside].T).max(axis=1) >= np.cos(near)) < _COVERED:
             break
         best = float(angle)
     return best
-
-
-def _rim(axis: Array, angle: float, turn: Array) -> Array:
-    side = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
-    return np.asarray((np.sin(angle) * side + [0.0, 0.0, np.cos(angle)]) @ axes_of(axis).T)
 
 
 def postures_towards(reach: Reach, direction: Array) -> Array:
