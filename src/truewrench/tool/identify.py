@@ -33,7 +33,7 @@ from truewrench.tool.prior import make_prior, settings_of, widening, with_known_
 from truewrench.tool.setup import mistakes_of_motion
 from truewrench.tool.solve import Solution, solve
 
-__all__ = ["Evidence", "identify_tool"]
+__all__ = ["Evidence", "identify_tool", "inertia_std"]
 
 FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
@@ -199,8 +199,8 @@ def _start_from(problem: Problem, body: FloatArray) -> FloatArray:
     return x
 
 
-def _inertia_std(x: FloatArray, P: FloatArray) -> FloatArray:
-    """1 sigma (6,) of the inertia's elements about the centre of mass."""
+def inertia_std(x: FloatArray, P: FloatArray) -> FloatArray:
+    """1 sigma (6,) of the inertia's elements about the centre of mass, of (log m, c, S) (10,)."""
     _, J = total_body(x.reshape(1, 10))
     return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J[4:], P, J[4:]), 0.0)))
 
@@ -213,7 +213,7 @@ def _determined(solution: Solution) -> dict[str, Any]:
     mass = float(np.exp(x[place.start]))
     # of the prior the spread of the second moments alone, at the mass that was found
     prior_std = mass * np.sqrt(_S_PRIOR_TO_INERTIA @ before[4:] ** 2)
-    inertia = _inertia_std(x[place], P) < DETERMINED * prior_std
+    inertia = inertia_std(x[place], P) < DETERMINED * prior_std
     return {
         "mass": bool(sigma[0] < DETERMINED * before[0]),
         "center_of_mass": tuple(bool(one) for one in sigma[1:4] < DETERMINED * before[1:4]),
@@ -253,7 +253,7 @@ def _tool(
         center_of_mass=x[layout.center_of_mass].copy(),
         center_of_mass_std=std[layout.center_of_mass],
         inertia=inertia_of(mass, x[layout.S]),
-        inertia_std=_inertia_std(body, P[layout.body, layout.body]),
+        inertia_std=inertia_std(body, P[layout.body, layout.body]),
         determined=determined,
         offset=x[layout.offset].copy(),
         offset_std=std[layout.offset],

@@ -22,7 +22,7 @@ from truewrench.tool.poses import Poses
 from truewrench.tool.setup import mistakes, mistakes_of_motion
 from truewrench.tool.solve import REPEATABILITY, WALK, Solution, solve
 
-__all__ = ["WORST_WALK", "Judged", "judge", "misfit_of_motion", "misfit_of_poses"]
+__all__ = ["WORST_WALK", "Judged", "directions_of", "judge", "misfit_of_motion", "misfit_of_poses"]
 
 Array = NDArray[np.float64]
 
@@ -103,13 +103,10 @@ def _filters(logs: Sequence[Log]) -> list[str]:
     return list(dict.fromkeys(found.words for log in logs for found in log.whitened.values()))
 
 
-def _directions(solution: Solution) -> tuple[int, float, Array]:
-    """How many directions of gravity poses show, half the angle of the cone that holds them, and its axis."""
-    poses = solution.problem.poses
-    if not len(poses) or not solution.problem.rig.in_gravity:
+def directions_of(fall: Array) -> tuple[int, float, Array]:
+    """How many directions unit vectors (T, 3) show, half the angle of the cone that holds them, its axis."""
+    if not len(fall):
         return 0, 0.0, np.zeros(3)
-    fall = poses.R_sensor_root @ solution.problem.rig.gravity_array
-    fall /= np.linalg.norm(fall, axis=1, keepdims=True)
     apart: list[Array] = []
     for one in fall:
         if all(np.arccos(np.clip(one @ other, -1.0, 1.0)) > APART for other in apart):
@@ -118,6 +115,13 @@ def _directions(solution: Solution) -> tuple[int, float, Array]:
     size = float(np.linalg.norm(middle))
     axis = middle / size if size > 1e-9 else fall[0]
     return len(apart), float(np.arccos(np.clip(fall @ axis, -1.0, 1.0)).max()), axis
+
+
+def _directions(solution: Solution) -> tuple[int, float, Array]:
+    """The same of the poses: none without gravity."""
+    fall = solution.problem.poses.R_sensor_root @ solution.problem.rig.gravity_array
+    size = np.linalg.norm(fall, axis=1, keepdims=True)
+    return directions_of(fall / size if solution.problem.rig.in_gravity else fall[:0])
 
 
 def _reasons(

@@ -31,7 +31,7 @@ from truewrench.planning.tool.directions import abba, spread, spread_among
 from truewrench.planning.tool.path import Timed, joint_path, route, twist_path
 from truewrench.planning.tool.postures import Reach, Stand, postures_towards, reach_of
 from truewrench.planning.tool.prediction import ToolPrediction, predict_motion, predict_poses
-from truewrench.tool.judge import APART, LIGHT, NARROW
+from truewrench.tool.judge import LIGHT, NARROW, directions_of
 from truewrench.tool.poses import DWELL
 from truewrench.tool.prior import settings_of
 
@@ -113,13 +113,10 @@ class ToolPlan:
     def _undetermined(self) -> tuple[str, ...]:
         found, out = self.prediction, []
         if self.kind == "poses":
-            apart: list[Array] = []
-            for one in self.fall:
-                if all(np.arccos(np.clip(one @ other, -1.0, 1.0)) > APART for other in apart):
-                    apart.append(one)
-            if len(apart) < 3:
+            apart, _, _ = directions_of(self.fall)
+            if apart < 3:
                 out.append(
-                    f"the poses that can be reached show {len(apart)} directions of gravity: three at least, "
+                    f"the poses that can be reached show {apart} directions of gravity: three at least, "
                     "far apart, separate weight from offset; tilt further, or plan a motion (`--motion`)"
                 )
         if found is None:
@@ -138,12 +135,7 @@ class ToolPlan:
         notes = list(self.design.notes)
         if self.kind == "poses":
             notes.append("poses do not tell the inertia: `--motion` plans what does")
-            middle = self.fall.mean(axis=0) if len(self.fall) else np.zeros(3)
-            cone = float(
-                np.arccos(np.clip(self.fall @ middle / max(np.linalg.norm(middle), 1e-9), -1, 1)).max(
-                    initial=0.0
-                )
-            )
+            _, cone, _ = directions_of(self.fall)
             if cone < NARROW:
                 notes.append(
                     f"gravity stays within {np.degrees(cone):.0f} deg of one direction: weight "

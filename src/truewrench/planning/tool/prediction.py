@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
-from truewrench.tool.identify import DETERMINED, identify_tool
+from truewrench.tool.identify import DETERMINED, identify_tool, inertia_std
 from truewrench.tool.model_rows import Problem
-from truewrench.tool.parameters import ELEMENTS, Layout, inertia_of, second_moments
+from truewrench.tool.parameters import ELEMENTS, second_moments
 from truewrench.tool.poses import SETTLE, Poses
 from truewrench.tool.prior import Prior, make_prior, widening
 from truewrench.tool.solve import REPEATABILITY, WALK, solve
@@ -154,37 +154,32 @@ def _prediction(
     layout, n = problem.vector.layout, rig.sensor.n
     before = np.sqrt(np.diag(problem.prior_of_all()[1]))
     std = np.sqrt(np.diag(P))
-    inertia_std, inertia_before = (
-        _inertia_std(x, layout, covariance) for covariance in (P, np.diag(before**2))
+    place = layout.body
+    inertia, inertia_before = (
+        _inertia_std(x[place], covariance[place, place]) for covariance in (P, np.diag(before**2))
     )
     contact, later = _contact(problem, x, P, rig)
     return ToolPrediction(
         mass=body.mass,
         mass_std=body.mass * float(std[layout.log_mass]),
         center_of_mass_std=std[layout.center_of_mass],
-        inertia_std=inertia_std if moved else None,
+        inertia_std=inertia if moved else None,
         offset_std=std[layout.offset],
         gain_std=std[layout.gain].reshape(n, 6),
         determined={
             "mass": std[layout.log_mass] < DETERMINED * before[layout.log_mass],
             "center_of_mass": std[layout.center_of_mass] < DETERMINED * before[layout.center_of_mass],
-            "inertia": (inertia_std < DETERMINED * inertia_before) & moved,
+            "inertia": (inertia < DETERMINED * inertia_before) & moved,
         },
         contact_std=contact,
         contact_std_later=later,
     )
 
 
-def _inertia_std(x: Array, layout: Layout, P: Array) -> Array:
-    """(6,) of m (tr S E - S): of the mass where P holds it, else of S alone."""
-    mass, S = float(np.exp(x[layout.log_mass])), x[layout.S]
-    J = np.column_stack([inertia_of(mass, one) for one in np.eye(6)])
-    out = J @ P[layout.S, layout.S] @ J.T
-    if P[layout.log_mass, layout.log_mass] < 1.0:
-        by_mass = inertia_of(mass, S)
-        cross = np.outer(by_mass, P[layout.log_mass, layout.S] @ J.T)
-        out = out + cross + cross.T + np.outer(by_mass, by_mass) * P[layout.log_mass, layout.log_mass]
-    return np.asarray(np.sqrt(np.maximum(np.diag(out), 0.0)))
+def _inertia_std(body: Array, P: Array) -> Array:
+    """(6,) of the inertia's elements: of the mass where P holds it, else of S alone."""
+    told = np.array([P[0, 0] < 1.0, *[True] * 9])
+    return inertia_std(body, P * np.outer(told, told))
 
 
 def _contact(problem: Problem, x: Array, P: Array, rig: Rig) -> tuple[Array, Array]:
