@@ -15,6 +15,7 @@ from xml.parsers.expat import ErrorString
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from truewrench.model.errors import InputError
 
@@ -186,12 +187,8 @@ def _transform(path: str | Path, calibration: ElementTree.Element) -> Array:
     angle = _unit(path, calibration, "AngleUnits", _ANGLE, "degrees")
     place = "BasicTransform: "
     dx, dy, dz = (distance * _number(path, element, name, place, 0.0) for name in ("Dx", "Dy", "Dz"))
-    x, y, z = (angle * _number(path, element, name, place, 0.0) for name in ("Rx", "Ry", "Rz"))
-    (sx, sy, sz), (cx, cy, cz) = np.sin([x, y, z]), np.cos([x, y, z])
-    about_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
-    about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]])
-    about_z = np.array([[cz, sz, 0], [-sz, cz, 0], [0, 0, 1]])
-    R = about_z @ about_y @ about_x
+    turns = [angle * _number(path, element, name, place, 0.0) for name in ("Rx", "Ry", "Rz")]
+    R = Rotation.from_euler("XYZ", turns).as_matrix().T
     lever = np.array([[0, -dz, dy], [dz, 0, -dx], [-dy, dx, 0]])
     return np.block([[R, np.zeros((3, 3))], [-R @ lever, R]])
 

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, AliasChoices, Discriminator, Field, Tag, ValidationError, ValidationInfo
+from scipy.spatial.transform import Rotation
 
 from truewrench.model.rig.sections import (
     UNKNOWN_GYRATION,
@@ -225,14 +226,8 @@ def _seen_from(T_flange_sensor: Array, mass: float, c_flange: Array, inertia_fla
 
 def _transform(xyz: Array, rpy: Array) -> Array:
     """A URDF's origin: rotation about fixed x, then y, then z."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     T = np.eye(4)
-    T[:3, :3] = (
-        np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-        @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-        @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    )
-    T[:3, 3] = xyz
+    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
     return T
 
 
