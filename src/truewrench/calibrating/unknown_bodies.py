@@ -19,7 +19,7 @@ from truewrench.estimation.estimate import PayloadDeparture
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import InertiaSpec, PayloadSpec, Rig
-from truewrench.model.rig.sections import UNKNOWN_GYRATION, UNKNOWN_UNCERTAINTY
+from truewrench.model.rig.sections import ELEMENTS, UNKNOWN_GYRATION, UNKNOWN_UNCERTAINTY
 from truewrench.robot.track import tracked
 from truewrench.tool.motion import body_start
 
@@ -96,7 +96,7 @@ def notes_on_bodies(
 _NAMES = (
     "mass",
     *(f"centre of mass along {axis}" for axis in "xyz"),
-    *(f"inertia {element}" for element in ("xx", "yy", "zz", "xy", "xz", "yz")),
+    *(f"inertia {element}" for element in ELEMENTS),
 )
 
 

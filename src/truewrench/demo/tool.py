@@ -29,7 +29,7 @@ from truewrench.tool.exports import TARGETS, write_tool_exports
 from truewrench.tool.identify import Evidence, identify_tool
 from truewrench.tool.model import Tool
 from truewrench.tool.page import write_page
-from truewrench.tool.parameters import ELEMENTS
+from truewrench.tool.parameters import COLUMNS, ELEMENTS, ROWS
 from truewrench.tool.words import tool_summary
 
 __all__ = ["GRIPPER", "Size", "run_tool"]
@@ -153,9 +153,7 @@ def _pressed(real: Rig, run: ArmRun, seed: int) -> tuple[ArmRun, Array]:
 
 def _truth(run: ArmRun) -> tuple[float, Array, Array]:
     body = run.truth.payloads["gripper"]
-    tensor = body.inertia
-    elements = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[0, 2], tensor[1, 2]]
-    return body.mass, body.center_of_mass, np.array(elements)
+    return body.mass, body.center_of_mass, body.inertia[ROWS, COLUMNS]
 
 
 def _figures(

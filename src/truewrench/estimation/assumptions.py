@@ -16,10 +16,10 @@ from truewrench import _core
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
+from truewrench.model.rig.sections import COLUMNS, ROWS
 
 __all__ = [
     "FIRST_POSITION_NOISE",
-    "INERTIA_ELEMENTS",
     "Assumption",
     "Assumptions",
     "growth_of",
@@ -27,9 +27,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-INERTIA_ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""xx yy zz xy xz yz: the order of a body's last six parameters."""
 
 FIRST_POSITION_NOISE = 1e-6
 """[rad, m] 1 sigma of logged joint positions without a stated one, from which theirs is found."""
@@ -204,7 +201,7 @@ def _body_prior(spec: PayloadSpec) -> Array:
     """1 sigma (10,) of log mass, centre of mass [m], inertia elements [kg m^2]."""
     sigma = spec.uncertainty
     moment = np.sqrt(np.diag(spec.inertia_matrix))
-    inertia = [sigma.inertia * moment[i] * moment[j] for i, j in INERTIA_ELEMENTS]
+    inertia = sigma.inertia * moment[ROWS] * moment[COLUMNS]
     return np.array([sigma.mass, *[sigma.center_of_mass] * 3, *inertia])
 
 

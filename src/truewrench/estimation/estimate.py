@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from truewrench.estimation.joint import Joint, body_part
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
+from truewrench.model.rig.sections import COLUMNS, ROWS
 
 __all__ = [
     "Clock",
@@ -394,9 +395,7 @@ def payload_departure(spec: PayloadSpec, joint: Joint, name: str) -> PayloadDepa
     std[:4] = np.sqrt(np.diag(P))
     if f"inertia {name}" in joint.places:
         root = np.sqrt(np.diag(spec.inertia_matrix))
-        unit = np.array(
-            [1.0 / (root[i] * root[j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-        )
+        unit = 1.0 / (root[ROWS] * root[COLUMNS])
         inertia, P = joint.of([f"inertia {name}"])
         mean[4:], std[4:] = inertia * unit, np.sqrt(np.diag(P)) * unit
     return PayloadDeparture(mean, std)

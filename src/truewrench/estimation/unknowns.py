@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.rig.sections import COLUMNS, ROWS
 from truewrench.motion.spatial import cross_matrix
 from truewrench.robot.attitude import attitude_at, attitude_of
 
@@ -32,7 +33,6 @@ Motion = Callable[[Array], tuple[Array, Array, Array]]
 Wrench = Callable[[Array, Array, Array], Array]
 """Of these three: the normalised wrench (M, 6)."""
 
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _STEP = 1e-4  # [s] of the difference by time; motions of seconds are smooth over it, rounding is 1e-9 of w
 _OF_PAYLOAD = ("mass", *["center_of_mass"] * 3, *["inertia"] * 6)
 
@@ -140,7 +140,7 @@ def payload_rates(rig: Rig, payload: str, nu: Array, a: Array, gravity: Array) -
     found[:, :3, 1:4] = spec.mass * D
     found[:, 3:, 1:4] = spec.mass * c @ D - cross_matrix(force)
     found[:, :3, 4:] = 0.0
-    for k, (i, j) in enumerate(_PAIRS):
+    for k, (i, j) in enumerate(zip(ROWS, COLUMNS, strict=True)):
         unit = np.zeros((3, 3))
         unit[i, j] = unit[j, i] = np.sqrt(inertia[i, i] * inertia[j, j])
         found[:, 3:, 4 + k] = alpha @ unit + np.cross(omega, omega @ unit)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 __all__ = [
     "AXES",
     "KINDS",
+    "UNITS",
     "Assumed",
     "AxisImprovement",
     "BlindTo",
@@ -24,6 +25,9 @@ __all__ = [
 
 AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 """The wrench axes, in order."""
+
+UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
+"""Of each."""
 
 KINDS = (
     *("hysteresis", "nonlinearity", "cable", "filter", "delay", "clock", "jitter", "vibration"),

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 
+from truewrench.model.calibration_parts import AXES
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import SplineTwist, attitude
 from truewrench.planning.limits import Limits, Usage, usage_of
 
-__all__ = ["AXES", "TWIST_AXES", "Preview", "check_times", "check_twist", "place_usage", "wrench_usage"]
+__all__ = ["TWIST_AXES", "Preview", "check_times", "check_twist", "place_usage", "wrench_usage"]
 
 Array = NDArray[np.float64]
 
 TWIST_AXES = ("vx", "vy", "vz", "wx", "wy", "wz")
-AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 _RATE = 1000.0  # [Hz]
 
 

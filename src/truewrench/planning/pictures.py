@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
 from truewrench.io.pictures.arm import arm_figure, colour_bar, heat_map
-from truewrench.planning.check import AXES
+from truewrench.model.calibration_parts import AXES
 from truewrench.planning.limits import Usage, wrench_fraction
 from truewrench.planning.result import Plan
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.io.tables import ACCELERATION, TWIST
+from truewrench.model.calibration_parts import AXES
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import SplineTwist
@@ -87,7 +88,7 @@ def _at_rest(rig: Rig, payload: str, limits: Limits) -> tuple[str, ...]:
     return tuple(
         f"at rest, gravity alone loads {name} with {value:.4g}: {100 * share:.0f} % of what "
         f"limits.wrench_fraction allows"
-        for name, value, share in zip(("fx", "fy", "fz", "mx", "my", "mz"), wrench, over, strict=True)
+        for name, value, share in zip(AXES, wrench, over, strict=True)
         if share > 1.0
     )
 

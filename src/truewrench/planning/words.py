@@ -10,11 +10,11 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from truewrench.model.calibration_parts import AXES
 from truewrench.planning.result import Plan
 
 __all__ = ["plan_words", "verdict_words"]
 
-_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 _SHOWN = 8  # limits, the ones that are used most
 
 
@@ -75,7 +75,7 @@ def _hidden(plan: Plan) -> str:
 def _sigma(plan: Plan) -> RenderableType:
     found = plan.prediction
     assert found is not None
-    table = _table("Predicted 1 sigma, % of full scale", ["channel", *_AXES])
+    table = _table("Predicted 1 sigma, % of full scale", ["channel", *AXES])
     for channel, row in zip(plan.rig.sensor.channels, found.std, strict=True):
         table.add_row(Text(channel), *(f"{100 * s:.2g}" for s in row))
     return table

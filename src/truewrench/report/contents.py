@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
 from truewrench.model.calibration import AXES, UNDETERMINED, Calibration
+from truewrench.model.calibration_parts import UNITS
 from truewrench.report import findings, found, plots, tables
 from truewrench.report.consistency import CHANCE, consistency
 from truewrench.report.convergence import convergence
@@ -199,7 +200,7 @@ def _residuals(c: Calibration, record: Record) -> Section:
         f"single samples belong. {_SHADES} {_decimation(curve)}"
     )
     labels = [
-        f"Residual of {axis} over time, RMS {value:.3g} {tables.UNITS[axis]}"
+        f"Residual of {axis} over time, RMS {value:.3g} {UNITS[axis]}"
         for axis, value in zip(AXES, rms, strict=True)
     ]
     figures = _by_axis("residual", plots.residual_plots(curve, record, sigma), labels, caption)

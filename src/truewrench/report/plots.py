@@ -17,11 +17,11 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from truewrench.model.calibration import AXES
+from truewrench.model.calibration_parts import UNITS
 from truewrench.report.consistency import Consistency
 from truewrench.report.convergence import Convergence
 from truewrench.report.series import Record
 from truewrench.report.statistics import Envelope, Histogram, Spectrum
-from truewrench.report.tables import UNITS
 
 __all__ = [
     "consistency_plot",

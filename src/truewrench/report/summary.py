@@ -16,6 +16,7 @@ from rich.text import Text
 from truewrench.io.exports import Exports
 from truewrench.judging.validation import Validation
 from truewrench.model.calibration import AXES, Calibration, LogReport
+from truewrench.model.calibration_parts import UNITS
 
 __all__ = [
     "calibration_summary",
@@ -27,8 +28,6 @@ __all__ = [
 
 SHOWN = 10  # rows that are named one by one
 FEW = 5  # remarks, likewise
-
-_UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
 
 
 def show(console: Console, parts: Iterator[RenderableType]) -> None:
@@ -128,7 +127,7 @@ def _table(title: str, columns: Sequence[str]) -> Table:
 
 
 def _gain(calibration: Calibration, axes: Sequence[str]) -> RenderableType:
-    table = _table(f"Gain, raw per {_UNITS[axes[0]]} (± 1 sigma)", ["channel", *axes])
+    table = _table(f"Gain, raw per {UNITS[axes[0]]} (± 1 sigma)", ["channel", *axes])
     columns = [AXES.index(axis) for axis in axes]
     for i, channel in enumerate(calibration.rig.sensor.channels):
         cells = [with_uncertainty(calibration.gain[i, j], calibration.gain_std[i, j]) for j in columns]
@@ -156,7 +155,7 @@ def _improvement(calibration: Calibration) -> RenderableType:
     table = _table(f"RMS error on {data}", ["axis", "nominal gain", "new gain", "better"])
     words = {True: "yes", False: "no", "unsure": "unsure"}
     for name, axis in calibration.improvement.items():
-        unit = _UNITS.get(name, "")
+        unit = UNITS.get(name, "")
         better = words[axis.better]
         table.add_row(name, f"{axis.nominal:.4g} {unit}", f"{axis.new:.4g} {unit}", better)
     return table
@@ -249,7 +248,7 @@ def validation_summary(validation: Validation) -> Iterator[RenderableType]:
     table = _table(f"RMS residual on {data}", columns)
     words = {True: "yes", False: "no", "unsure": "unsure"}
     for name, axis in validation.axes.items():
-        unit = _UNITS[name]
+        unit = UNITS[name]
         table.add_row(
             name,
             f"{axis.nominal:.4g} {unit}",

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from truewrench.model.calibration import AXES, Calibration, LogReport
+from truewrench.model.calibration_parts import UNITS
+from truewrench.model.rig.sections import ELEMENTS
 from truewrench.report.summary import with_uncertainty
 
 __all__ = [
     "SOURCES",
-    "UNITS",
     "Cell",
     "Row",
     "Table",
@@ -26,7 +27,6 @@ __all__ = [
     "wrench_table",
 ]
 
-UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
 _NOTICED, _SMALL, _LARGE = 5e-4, 0.01, 0.05  # of full scale: departures that are named, shaded, and more so
 SOURCES = {
     "center_of_mass": "centre of mass",
@@ -157,7 +157,7 @@ def payload_table(c: Calibration) -> Table | None:
         for k, axis in enumerate("xyz"):
             at = f"centre of mass {axis} [m]"
             quantities.append((at, stated.center_of_mass[k], "center_of_mass", k))
-        for key in ("xx", "yy", "zz", "xy", "xz", "yz"):
+        for key in ELEMENTS:
             quantities.append((f"inertia {key} [kg m²]", getattr(stated.inertia, key), "inertia", key))
         for words, believed, key, element in quantities:
             value, std = found.get(key), found.get(f"{key}_std")

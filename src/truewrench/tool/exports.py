@@ -21,7 +21,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.files import atomic_output
 from truewrench.tool.bodies import flange_body, flange_wrench
 from truewrench.tool.model import Tool
-from truewrench.tool.parameters import roll_pitch_yaw
+from truewrench.tool.parameters import COLUMNS, ROWS, roll_pitch_yaw
 
 __all__ = ["FILES", "TARGETS", "left_out", "remove_exports", "tool_exports", "write_tool_exports"]
 
@@ -135,7 +135,7 @@ def _held(tool: Tool) -> _Held:
 
 def _elements(tensor: FloatArray) -> list[float]:
     """Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
-    return [float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    return list(tensor[ROWS, COLUMNS].tolist())
 
 
 def _numbers(values: Sequence[float] | FloatArray) -> str:

@@ -16,7 +16,7 @@ from truewrench.model.rig import Rig
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit
-from truewrench.tool.parameters import inertia_of, symmetric
+from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, symmetric
 from truewrench.tool.parts import ToolVerdict, Unknown
 from truewrench.tool.poses import Poses
 from truewrench.tool.setup import mistakes, mistakes_of_motion
@@ -367,8 +367,8 @@ def _thin(solution: Solution) -> list[Unknown]:
     mass = float(np.exp(solution.x[layout.log_mass]))
     values, vectors = np.linalg.eigh(symmetric(inertia_of(mass, solution.x[layout.S])))
     axis = vectors[:, 0]  # u^T I u = m (tr S - u^T S u)
-    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    by_S = mass * np.array([(i == j) - (1 if i == j else 2) * axis[i] * axis[j] for i, j in pairs])
+    same = ROWS == COLUMNS
+    by_S = mass * (same - np.where(same, 1, 2) * axis[ROWS] * axis[COLUMNS])
     sigma = float(np.sqrt(by_S @ solution.covariance[layout.S, layout.S] @ by_S))
     if values[0] > 2.0 * sigma:
         return []

@@ -22,7 +22,7 @@ from truewrench.motion.smooth import segments
 from truewrench.motion.spatial import cross
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model_rows import MotionInformation, about_center
-from truewrench.tool.parameters import inertia_of, second_moments, symmetric
+from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, second_moments, symmetric
 from truewrench.tool.poses import Move
 
 __all__ = ["MotionFit", "body_start", "measured_motions", "motion_information", "regressor"]
@@ -221,11 +221,8 @@ def _physical(body: Array) -> _core.Payload:
 
 def _of_payload(stated: _core.Payload) -> Array:
     """(10,) log m, c, inertia."""
-    inertia = np.asarray(stated.inertia)
-    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    return np.concatenate(
-        [[np.log(stated.mass)], np.asarray(stated.center_of_mass), [inertia[i, j] for i, j in pairs]]
-    )
+    inertia = np.asarray(stated.inertia)[ROWS, COLUMNS]
+    return np.concatenate([[np.log(stated.mass)], np.asarray(stated.center_of_mass), inertia])
 
 
 def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
@@ -255,8 +252,7 @@ def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
     center = x[1:4] / mass if x[0] > 0.02 else np.zeros(3)
     center = np.clip(center, -1.0, 1.0)
     about = symmetric(x[4:10]) - mass * (center @ center * np.eye(3) - np.outer(center, center))
-    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    S = second_moments(mass, np.array([about[i, j] for i, j in pairs]))
+    S = second_moments(mass, about[ROWS, COLUMNS])
     spread = np.diag(np.array([1.0, *[0.1] * 3, *[0.01] * 6]) ** 2)
     near, _ = nearest_physical(np.concatenate([[np.log(mass)], center, S]), spread)
     return np.concatenate([near[:4], inertia_of(mass, np.clip(near[4:], -0.25, 0.25))])

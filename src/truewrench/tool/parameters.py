@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS
 from truewrench.motion.spatial import cross
 
 __all__ = [
@@ -30,12 +31,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-ELEMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
-"""Order of the elements of S and of an inertia tensor."""
-
-ROWS, COLUMNS = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]).T
-"""Where they stand in the matrix."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,12 +15,11 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from truewrench.io.pictures import VERMILION, finish
+from truewrench.model.calibration_parts import AXES
 
-__all__ = ["AXES", "arm_figure", "colour_bar", "heat_map"]
+__all__ = ["arm_figure", "colour_bar", "heat_map"]
 
 Array = NDArray[np.float64]
-
-AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
 def arm_figure(

@@ -16,6 +16,9 @@ from pydantic import AfterValidator, AliasChoices, Discriminator, Field, Tag, Va
 from scipy.spatial.transform import Rotation
 
 from truewrench.model.rig.sections import (
+    COLUMNS,
+    ELEMENTS,
+    ROWS,
     UNKNOWN_GYRATION,
     UNKNOWN_UNCERTAINTY,
     InertiaSpec,
@@ -214,8 +217,7 @@ else:
 
 def _spelt(mass: float, c: Array, inertia: Array) -> dict[str, Any]:
     """A body as a rig spells it out."""
-    rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-    elements = dict(zip(("xx", "yy", "zz", "xy", "xz", "yz"), inertia[rows, columns].tolist(), strict=True))
+    elements = dict(zip(ELEMENTS, inertia[ROWS, COLUMNS].tolist(), strict=True))
     return {"mass": float(mass), "center_of_mass": c.tolist(), "inertia": elements}
 
 

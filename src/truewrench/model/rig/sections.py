@@ -45,6 +45,9 @@ from truewrench.model.rig.strict import (
 )
 
 __all__ = [
+    "COLUMNS",
+    "ELEMENTS",
+    "ROWS",
     "CompensatedSpec",
     "InertiaSpec",
     "LimitsSpec",
@@ -218,6 +221,13 @@ class InertiaSpec(Section):
     xy: Number = 0.0
     xz: Number = 0.0
     yz: Number = 0.0
+
+
+ELEMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
+"""Order of the elements of an inertia tensor, and of second moments, wherever they are a list."""
+
+ROWS, COLUMNS = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]).T
+"""Where they stand in the matrix."""
 
 
 class UncertaintySpec(Section):

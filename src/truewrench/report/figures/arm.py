@@ -21,7 +21,8 @@ from truewrench.io.pictures import (
     VERMILION,
     finish,
 )
-from truewrench.io.pictures.arm import AXES, colour_bar, heat_map
+from truewrench.io.pictures.arm import colour_bar, heat_map
+from truewrench.model.calibration_parts import AXES
 
 __all__ = ["driven_figure", "gain_figure"]
 
