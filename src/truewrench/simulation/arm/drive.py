@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import DOP853
+from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 
@@ -168,16 +168,10 @@ class _Command:
 
 def _integrate(rate: Callable[[float, Array], Array], start: Array, time: Array, longest: float) -> Array:
     """States (N, k) at increasing times of `dx/dt = rate(t, x)` from time 0."""
-    states = np.empty((time.size, start.size))
-    states[time == 0.0] = start
     if time[-1] == 0.0:
-        return states
-    solver = DOP853(rate, 0.0, start, float(time[-1]), rtol=_TOLERANCE, atol=_TOLERANCE, max_step=longest)
-    while solver.status == "running":
-        message = solver.step()
-        if message is not None:
-            raise RuntimeError(f"the arm's motion could not be integrated: {message}")
-        inside = slice(*np.searchsorted(time, [solver.t_old, solver.t], side="right"))
-        if inside.stop > inside.start:
-            states[inside] = solver.dense_output()(time[inside]).T
-    return states
+        return start[None]
+    ends = (0.0, float(time[-1]))
+    found = solve_ivp(rate, ends, start, "DOP853", time, max_step=longest, rtol=_TOLERANCE, atol=_TOLERANCE)
+    if not found.success:
+        raise RuntimeError(f"the arm's motion could not be integrated: {found.message}")
+    return np.ascontiguousarray(found.y.T)
