@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from truewrench.io.cells import numbers
 from truewrench.io.table import ACCELERATION, TWIST
-from truewrench.io.tables import TimeReader, open_table, require
+from truewrench.io.tables import open_table, read_columns, require
 from truewrench.model.errors import InputError
 from truewrench.motion.trajectory import SplineTwist
 from truewrench.motion.trajectory_joint import SplineJoints
@@ -78,22 +77,16 @@ def _columns(path: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
     """Time (N,) [s] and the columns (N, len(names)), a number in every cell."""
     table = open_table(path)
     require(table, names)
-    reader = TimeReader(table)
-    stamps, blocks = [], []
-    for chunk in table.chunks([reader.name, *names]):
-        stamps.append(reader.read(chunk))
-        blocks.append(np.column_stack([numbers(chunk.column(name))[0] for name in names]))
-    rows = sum(map(len, stamps))
-    if rows < _FEWEST_ROWS:
-        raise InputError.at(path, "", f"{rows} rows", f"at least {_FEWEST_ROWS}")
-    time = np.asarray(np.concatenate(stamps) * 1e-9, dtype=np.float64)
-    data = np.concatenate(blocks)
+    time_ns, columns, _ = read_columns(table, names)
+    if len(time_ns) < _FEWEST_ROWS:
+        raise InputError.at(path, "", f"{len(time_ns)} rows", f"at least {_FEWEST_ROWS}")
+    data = np.column_stack([columns[name] for name in names])
     if np.isnan(data).any():
         row, column = np.argwhere(np.isnan(data))[0]
         raise InputError.at(
             path, f"row {row + 1}, column `{names[column]}`", "no number", "a number in every row"
         )
-    return time, data
+    return np.asarray(1e-9 * time_ns, dtype=np.float64), data
 
 
 def _check_derivative(

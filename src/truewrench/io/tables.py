@@ -46,6 +46,7 @@ __all__ = [
     "named_payload",
     "open_table",
     "raw_columns",
+    "read_columns",
     "read_log",
     "split_payload",
     "write_table",
@@ -176,7 +177,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         rig.check_motion("which a recording is read by")
     table = open_table(path, rig)
     groups = _groups(table, rig)
-    time_ns, columns, nan_counts = _read_columns(table, [name for names in groups.values() for name in names])
+    time_ns, columns, nan_counts = read_columns(table, [name for names in groups.values() for name in names])
     if len(time_ns) < 2:
         found = "no row" if len(time_ns) == 0 else "one row"
         raise InputError.at(path, "", found, "at least two rows below the header")
@@ -266,7 +267,7 @@ def write_table(path: str | Path, columns: Mapping[str, npt.NDArray[Any]]) -> No
     write_batches(path, [batch])
 
 
-def _read_columns(
+def read_columns(
     table: Table, names: Sequence[str]
 ) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float64]], dict[str, int]]:
     """Stamps, every column, and how many of its cells are NaN."""
