@@ -120,7 +120,7 @@ class Known:
         joint, parts = self.joint, self._parts(name)
         held = [part for part in parts if part in joint.places]
         if self.reference is None:
-            prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), False, rig.sensor.gain_prior, {})
+            prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), rig.sensor.gain_prior, {})
             return PosesOfOne(rig, prior, poses, end_ns), mean
         wide = [layout.gain, layout.tilt]
         if body_part(name) in held:
@@ -145,7 +145,7 @@ class Known:
         information = np.zeros((size, size))
         information[: at.size, : at.size] = np.linalg.inv(P / np.outer(scale, scale)) / np.outer(scale, scale)
         told = MotionInformation(np.append(at, np.zeros(size - at.size)), information, np.zeros(size))
-        prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), False, rig.sensor.gain_prior, {}, on=beside)
+        prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), rig.sensor.gain_prior, {}, on=beside)
         problem = PosesOfOne(rig, prior, poses, end_ns, motion=told)
         return problem, problem.prior_of_all()[0]
 

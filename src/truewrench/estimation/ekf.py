@@ -41,7 +41,6 @@ class EkfEstimate:
         history_log: (M,) which log it belongs to.
         history_gain: (M, 6, 6) the gain after that row.
         nis: (N,) innovation^T S^-1 innovation of every row of every log.
-        nis_raw: (N,) the part of the channels.
         degrees_of_freedom: (N,) samples of each row, the expectation of `nis`.
     """
 
@@ -55,7 +54,6 @@ class EkfEstimate:
     history_log: NDArray[np.int64]
     history_gain: Array
     nis: Array
-    nis_raw: Array
     degrees_of_freedom: NDArray[np.int64]
 
 
@@ -116,7 +114,6 @@ def estimate_ekf(
         history_log=np.repeat(np.arange(len(logs)), [r.history_row.size for r in records]),
         history_gain=np.concatenate([r.history_gain for r in records]).reshape(-1, 6, 6),
         nis=np.concatenate([r.nis for r in records]),
-        nis_raw=np.concatenate([r.nis_raw for r in records]),
         degrees_of_freedom=np.concatenate([r.degrees_of_freedom for r in records]),
     )
 

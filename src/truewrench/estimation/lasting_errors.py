@@ -81,13 +81,11 @@ class Spread:
         covariance: (p, p) of the parameters, to be added.
         white: 1 sigma of the white errors' standard deviation, over the stated one.
         lasting: the same of what lasts.
-        log_time: 1 sigma of the logarithm of the correlation time.
     """
 
     covariance: Array
     white: float
     lasting: float
-    log_time: float
 
 
 def whitened(chain: Chain, size: ErrorSize, x: Array) -> tuple[Array, float]:
@@ -290,7 +288,7 @@ def spread_of_sizes(
     excess, vectors = np.linalg.eigh(covariance - at(centre, 1.0)[2])
     squared = weights @ (scatter - weights @ scatter) ** 2
     squared[:2] += np.array([size.white, size.lasting]) / (2.0 * freedom)
-    return Spread((vectors * np.maximum(excess, 0.0)) @ vectors.T, *np.sqrt(squared).tolist())
+    return Spread((vectors * np.maximum(excess, 0.0)) @ vectors.T, *np.sqrt(squared[:2]).tolist())
 
 
 def _of_coordinates(likelihood: _Likelihood, u: Array) -> float:

@@ -40,7 +40,6 @@ class LeastSquaresEstimate:
         offsets: (L, n), one per log.
         chi_square: (n,) residual chi-square per degree of freedom of each channel.
         samples: (L,) rows used of each log.
-        spacing: (L, 6) coarsest knot spacing of the smoothed twist [s], None with plain differences.
     """
 
     gain: Array
@@ -49,7 +48,6 @@ class LeastSquaresEstimate:
     offsets: Array
     chi_square: Array
     samples: NDArray[np.int64]
-    spacing: Array | None
 
 
 def least_squares(
@@ -70,10 +68,10 @@ def least_squares(
     """
     sensor = rig.sensor
     parts = [_regressors(rig, log, smooth) for log in logs]
-    samples = np.array([len(wrench) for wrench, _, _ in parts])
-    wrench = np.concatenate([w for w, _, _ in parts]) / sensor.range_array
+    samples = np.array([len(wrench) for wrench, _ in parts])
+    wrench = np.concatenate([w for w, _ in parts]) / sensor.range_array
     nominal = sensor.nominal_gain_array * sensor.range_array / sensor.channel_scale[:, None]
-    departure = np.concatenate([raw for _, raw, _ in parts]) / sensor.channel_scale - wrench @ nominal.T
+    departure = np.concatenate([raw for _, raw in parts]) / sensor.channel_scale - wrench @ nominal.T
     log_of = (
         np.zeros(len(wrench), dtype=np.int64)
         if sensor.pool_offsets
@@ -119,14 +117,13 @@ def least_squares(
         offsets=np.broadcast_to(in_si, (len(logs), n)).copy(),
         chi_square=chi_square,
         samples=samples,
-        spacing=np.array([spacing for _, _, spacing in parts]) if smooth else None,
     )
 
 
-def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array, Array]:
-    """Wrench (N, 6) with the sign of the rig, raw channels (N, n) and knot spacing (6,) of one log."""
+def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array]:
+    """Wrench (N, 6) with the sign of the rig and raw channels (N, n) of one log."""
     time, raw, twist, gravity = _complete_rows(rig, log)
-    wrenches, raws, spacing = [], [], np.zeros(6)
+    wrenches, raws = [], []
     for piece in segments(time):
         t, nu, g = time[piece], twist[piece], gravity[piece]
         if t.size < _SHORTEST:
@@ -134,7 +131,6 @@ def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array, A
         if smooth == "spline":
             fit = smooth_twist(t, nu, twist_noise(rig, log))
             nu, a, inside = fit.twist, fit.acceleration, slice(None)
-            spacing = np.maximum(spacing, fit.spacing)
         else:
             a, inside = np.gradient(nu, t, axis=0), slice(1, -1)  # the ends have no central difference
         wrenches.append(payload_wrench(rig, log.payload, nu[inside], a[inside], g[inside]))
@@ -143,7 +139,7 @@ def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array, A
         raise InputError.at(
             log.path, "", "no stretch of complete rows", f"at least {_SHORTEST} rows in a row"
         )
-    return np.concatenate(wrenches), np.concatenate(raws), spacing
+    return np.concatenate(wrenches), np.concatenate(raws)
 
 
 def _complete_rows(rig: Rig, log: Log) -> tuple[Array, Array, Array, Array]:

@@ -8,14 +8,9 @@ from numpy.typing import NDArray
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["joint_noise", "twist_covariance", "twist_noise"]
+__all__ = ["twist_covariance", "twist_noise"]
 
 Array = NDArray[np.float64]
-
-
-def joint_noise(rig: Rig) -> float:
-    """RMS over the joints of 1 sigma of what is followed: of positions [rad], or of velocities [rad/s]."""
-    return float(np.sqrt(np.mean(np.square(rig.motion.position_noise or rig.motion.noise or (1.0,)))))
 
 
 def twist_noise(rig: Rig, log: Log) -> Array:

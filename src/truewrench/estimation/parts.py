@@ -183,7 +183,7 @@ class InParts:
         stated = self._assumed.discrepancy
         if stated != 0.0:
             f2 = np.maximum(discrepancy2, stated**2) if stated > 0.0 else discrepancy2
-            gain = with_pose(gain, PoseShare(min(A, 1.0), np.full(6, np.nan), ww), np.sqrt(f2), prior[:n6])
+            gain = with_pose(gain, PoseShare(min(A, 1.0), ww), np.sqrt(f2), prior[:n6])
         fit = SimpleNamespace(
             theta=theta,
             prior=prior,

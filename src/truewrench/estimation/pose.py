@@ -51,12 +51,10 @@ class PoseShare:
     Attributes:
         share: A, mean R^2 of the components of the pose that move on (w, 1); 1 where none moves: at rest the
             pose is the wrench.
-        components: (6,) their R^2, NaN of those that do not move.
         moment: (6, 6) E w w^T, w normalised.
     """
 
     share: float
-    components: Array
     moment: Array
 
     @property
@@ -103,14 +101,13 @@ def pooled_pose_share(poses: Sequence[Array], wrenches: Sequence[Array]) -> Pose
     """
     w = np.concatenate(wrenches)
     pose = np.concatenate([_centred(x) for x in poses])
-    components = np.full(6, np.nan)
+    share = 1.0
     moving = np.std(pose, axis=0) > _STILL if len(pose) else np.zeros(6, dtype=np.bool_)
     if moving.any():
         basis = _basis(np.concatenate([_centred(x) for x in wrenches]))
         moved = pose[:, moving]
-        components[moving] = np.sum((basis.T @ moved) ** 2, axis=0) / np.sum(moved**2, axis=0)
-    share = float(np.nanmean(components)) if moving.any() else 1.0
-    return PoseShare(min(share, 1.0), components, w.T @ w / max(len(w), 1))
+        share = float(np.mean(np.sum((basis.T @ moved) ** 2, axis=0) / np.sum(moved**2, axis=0)))
+    return PoseShare(min(share, 1.0), w.T @ w / max(len(w), 1))
 
 
 def pose_of_twist(time: Array, twist: Array) -> Array:
@@ -163,8 +160,6 @@ def blind_to(
     *,
     gain: Array | None = None,
     ceiling: float = np.inf,
-    force: float = FORCE,
-    seconds: float = DELAY,
 ) -> tuple[BlindTo, ...]:
     """What would move some gain and leave no trace.
 
@@ -173,30 +168,28 @@ def blind_to(
         delay: of the motion; named where the gain hides most of it, elsewhere the data show it.
         gain: (n, 6) normalised; the identity if left out.
         ceiling: 1 sigma that is known of a gain beforehand, beyond which nothing moves it.
-        force: that follows the pose, fraction of range.
-        seconds: of the delay [s].
     """
     # (10.10): f sqrt( largest diagonal of A / (1 - A) (E w w^T)^-1 / 6 )
-    effect = min(force * float(np.sqrt(np.diag(pose.unit_covariance).max())), ceiling)
+    effect = min(FORCE * float(np.sqrt(np.diag(pose.unit_covariance).max())), ceiling)
     found = [
         BlindTo(
             "cable",
-            force,
+            FORCE,
             effect,
-            f"a force of {100 * force:.2g} % of range that follows the pose (a cable) would move some gain "
+            f"a force of {100 * FORCE:.2g} % of range that follows the pose (a cable) would move some gain "
             f"by {100 * effect:.2g} % and leave no trace: the motion can hide {100 * pose.share:.0f} % of "
             "its pose",
         )
     ]
     if delay.share >= HIDDEN_DELAY:
         moved = delay.slope if gain is None else gain @ delay.slope
-        effect = min(seconds * float(np.abs(moved).max()), ceiling)
+        effect = min(DELAY * float(np.abs(moved).max()), ceiling)
         found.append(
             BlindTo(
                 "delay",
-                seconds,
+                DELAY,
                 effect,
-                f"a delay of {1e3 * seconds:.2g} ms between sensor and motion would move some gain by "
+                f"a delay of {1e3 * DELAY:.2g} ms between sensor and motion would move some gain by "
                 f"{100 * effect:.2g} % and leave no trace: {100 * delay.share:.0f} % of it looks like a gain",
             )
         )

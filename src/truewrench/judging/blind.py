@@ -40,12 +40,11 @@ def blind_to(estimate: Estimate, rig: Rig) -> tuple[BlindTo, ...]:
     if not wrenches or not any(len(w) for w in wrenches):
         return ()
     unit = sensor.range_array / sensor.channel_scale[:, None]
-    share = pose.PoseShare(min(max(estimate.A, 0.0), 1.0), np.full(6, np.nan), estimate.ww)
+    share = pose.PoseShare(min(max(estimate.A, 0.0), 1.0), estimate.ww)
     with np.errstate(over="ignore", invalid="ignore"):  # a gain beyond all numbers is held by the ceiling
-        found = pose.blind_to(
+        return pose.blind_to(
             share,
             pose.pooled_delay_share(rates, wrenches),
             gain=estimate.gain * unit,
             ceiling=float(np.max(estimate.gain_prior, initial=0.0)),
         )
-    return tuple(BlindTo(blind.kind, blind.size, blind.effect, blind.words) for blind in found)

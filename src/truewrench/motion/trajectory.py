@@ -124,10 +124,6 @@ class WrenchSinusoids:
         angle = 2.0 * np.pi * self.k * np.asarray(time)[..., None] / self.tau
         return np.concatenate([self.force * np.sin(angle), self.moment * np.cos(angle)], axis=-1)
 
-    def excitation(self) -> Array:
-        """``integral w w^T dt`` over one period tau, (6, 6): ``tau/2 diag(f0^2, n0^2)`` ([A00] 14)."""
-        return np.asarray(0.5 * self.tau * np.diag(np.concatenate([self.force, self.moment]) ** 2))
-
 
 @dataclass(frozen=True, slots=True)
 class WrenchMotion:

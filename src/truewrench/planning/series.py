@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FourierMotion", "FourierTwist", "SeriesBasis"]
+__all__ = ["FourierMotion", "SeriesBasis"]
 
 Array = NDArray[np.float64]
 
@@ -90,27 +90,3 @@ class FourierMotion:
     def acceleration(self, time: Array) -> Array:
         """Their second derivatives (N, n)."""
         return np.asarray(self.basis.table(time, 2) @ self.coefficients)
-
-    def jerk(self, time: Array) -> Array:
-        """Their third derivatives (N, n)."""
-        return np.asarray(self.basis.table(time, 3) @ self.coefficients)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FourierTwist:
-    """A twist whose integral by component is a series."""
-
-    series: FourierMotion
-
-    @property
-    def duration(self) -> float:
-        """Length of the motion [s]."""
-        return self.series.duration
-
-    def twist(self, time: Array) -> Array:
-        """Twist (N, 6) at the times (N,) [s]."""
-        return self.series.velocity(time)
-
-    def acceleration(self, time: Array) -> Array:
-        """Component-wise derivative of the twist (N, 6)."""
-        return self.series.acceleration(time)

@@ -47,7 +47,6 @@ class Prior:
         mean: (7n + 15,) in the order of `Layout`, after it the ten of a known body (`--on`) and, in one
             session, its offset (n).
         covariance: of the same.
-        calibrated: whether the gain's prior is a calibration's.
         gain_std: the largest normalised 1 sigma of a gain.
         known: value and sigma of what is stated of the tool: `mass`, `center_of_mass.x`, `inertia.xx` ...
         on: whether ten parameters of a body that was there before end the vector.
@@ -56,7 +55,6 @@ class Prior:
 
     mean: Array
     covariance: Array
-    calibrated: bool
     gain_std: float
     known: Mapping[str, tuple[float, float]]
     on: bool = False
@@ -131,9 +129,7 @@ def make_prior(
         mean, covariance = _on(layout, mean, covariance, on, sensor.pool_offsets)
         session_ns = on.offset_time_ns if sensor.pool_offsets else None
     relative = np.sqrt(np.diag(covariance)[layout.gain]) / gain_units
-    return Prior(
-        mean, covariance, calibrated, float(relative.max()), dict(known or {}), on is not None, session_ns
-    )
+    return Prior(mean, covariance, float(relative.max()), dict(known or {}), on is not None, session_ns)
 
 
 def _on(
