@@ -334,3 +334,45 @@ def test_a_motion_that_is_not_as_stated_is_refused_with_its_word(wrong: Any, wor
     tool = tw.identify_tool(rig, wrong(swing_log(rig, MASS, CENTER, INERTIA, seconds=6.0)))
     assert not tool.verdict.usable
     assert word in tool.verdict.reasons[0]
+
+
+def test_an_attitude_that_turns_at_no_rate_is_no_pose() -> None:
+    R = Rotation.random(8, random_state=np.random.default_rng(5)).as_matrix()
+    log, _ = pose_log(RIG, MASS, CENTER, attitudes=R, walk=0.0)
+    rows = np.repeat(np.arange(8), 60)
+    assert log.attitude is not None
+    assert log.gravity is not None
+    sampled = Log(
+        None, "tool", "", np.arange(480) * 50_000_000, log.raw[rows], twist=np.zeros((480, 6)),
+        gravity=log.gravity[rows], attitude=log.attitude[rows],
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"an attitude that turns, .* while wx wy wz are 0"):
+        tw.identify_tool(RIG, sampled)
+
+
+def test_a_weighing_that_the_data_contradict_is_not_believed() -> None:
+    log, _ = pose_log(RIG, MASS, CENTER, walk=0.0)
+    assert tw.identify_tool(RIG, log, known={"mass": (MASS, 1e-3)}).verdict.usable
+    wrong = tw.identify_tool(RIG, log, known={"mass": (0.8 * MASS, 1e-3)})
+    assert not wrong.verdict.usable
+    assert any("or what is known of the tool" in reason for reason in wrong.verdict.reasons)
+    above = tw.identify_tool(RIG, log, on=wrong)
+    assert above.verdict.reasons[0].startswith("The tool that it sits on is not to be used: ")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"housing": [-5.0, 0.0, 0.0, 0.0]},
+        {"housing": [1.0, np.nan, 0.0, 0.0]},
+        {"housing": [5.0, 1e200, 0.0, 0.0]},
+        {"flange": [0.0, 0.0, 0.1]},
+        {"mounting_sigma": np.nan},
+        {"tilt_sigma": np.inf},
+    ],
+    ids=["lighter than nothing", "nan", "huge", "three", "nan sigma", "inf sigma"],
+)
+def test_options_that_make_no_sense_are_refused(options: dict[str, Any]) -> None:
+    log, _ = pose_log(RIG, MASS, CENTER, walk=0.0)
+    with pytest.raises(InputError, match="expected"):
+        tw.identify_tool(RIG, log, **options)

@@ -65,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command, by default that of the process, and return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     as_json, debug = "--json" in words, "--debug" in words
+    status = 0  # of a command whose reader goes away while it runs
     try:
         outcome = typer.main.get_command(app).main(words, prog_name="truewrench", standalone_mode=False)
         if outcome == _INTERRUPTED:
@@ -72,8 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return fail([f"interrupted{': nothing was written' * one_file}"], _INTERRUPTED, as_json, None)
         if not isinstance(outcome, Outcome):  # --help, --version
             return int(outcome or 0)
-        show_outcome(outcome, as_json)
         status = outcome.status
+        show_outcome(outcome, as_json)
     except (InputError, typer.TyperException) as error:
         reasons = error.problems if isinstance(error, InputError) else [error.format_message()]
         status = fail(reasons, 2, as_json, error if debug else None)
@@ -81,7 +82,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = fail(["interrupted"], _INTERRUPTED, as_json, None)
     except BrokenPipeError:  # the reader of our output has gone; its end is not our fault
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = 0
     except Exception as error:
         hint = "" if debug else " (--debug shows where)"
         reason = f"internal fault: {type(error).__name__}: {error}{hint}"

@@ -79,7 +79,12 @@ def tool(
     from truewrench.tool.words import tool_summary
 
     check_folder(output)
-    stated = dict(_known(text) for text in known or [])
+    told = [_known(text) for text in known or []]
+    stated = dict(told)
+    if len(stated) < len(told):
+        names = [name for name, _ in told]
+        twice = next(name for k, name in enumerate(names) if name in names[:k])
+        raise InputError.at(None, "--known", f"`{twice}` a second time", "every name once")
     check_known(stated)
     place, shell = _list("--flange", flange, 6), _list("--housing", housing, 4)
     if shell is not None and shell[0] < 0.0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -13,7 +14,7 @@ from truewrench.robot.joint_faults import joint_faults
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS
 
-__all__ = ["KNOWN", "check_known", "check_logs", "check_session"]
+__all__ = ["KNOWN", "check_known", "check_logs", "check_options", "check_session"]
 
 KNOWN = ("mass", *(f"center_of_mass.{axis}" for axis in "xyz"), *(f"inertia.{name}" for name in ELEMENTS))
 """What may be stated of a tool."""
@@ -26,6 +27,7 @@ _CLEARLY = 20.0  # times the noise: a turn that differences of rows show
 _FAR = 1.0  # [rad] that gravity's direction should have gone
 _FROZEN = 5e-3  # of the way that its direction should have gone; tolerance
 _DEGREES = np.radians([0.8, 1.25])  # share of -Omega x g that is found where Omega is in degrees; tolerance
+_LARGEST = 1e6  # of a length, an angle, a mass: tolerance
 _LIKE = 0.2  # of the squares of the change of g that another unit leaves unexplained; tolerance
 
 
@@ -40,6 +42,27 @@ def check_known(known: Mapping[str, tuple[float, float]]) -> None:
             raise InputError.at(None, f"known {name}", f"{value:g}", expected)
         if not np.isfinite(sigma) or sigma <= 0.0:
             raise InputError.at(None, f"known {name}", f"a sigma of {sigma:g}", "a number greater than 0")
+
+
+def check_options(
+    flange: npt.ArrayLike | None, housing: npt.ArrayLike | None, sigmas: Mapping[str, float | None]
+) -> None:
+    """Refuse poses and bodies that are none, and negative uncertainties.
+
+    Args:
+        flange: (6,) x, y, z, roll, pitch, yaw.
+        housing: (4,) mass, centre of mass.
+        sigmas: by name; None is not stated.
+    """
+    for name, given, count in (("flange", flange, 6), ("housing", housing, 4)):
+        values = np.zeros(count) if given is None else np.asarray(given, dtype=np.float64)
+        if values.shape != (count,) or not (np.abs(values) < _LARGEST).all():
+            raise InputError.at(None, name, f"{given!r}", f"{count} finite numbers in SI units")
+        if name == "housing" and values[0] < 0.0:
+            raise InputError.at(None, name, f"a mass of {values[0]:g}", "a number of at least 0")
+    for name, sigma in sigmas.items():
+        if sigma is not None and not 0.0 <= sigma <= np.pi:
+            raise InputError.at(None, name, f"{sigma:g}", "an angle from 0 to pi [rad]")
 
 
 def check_logs(rig: Rig, logs: Sequence[Log]) -> None:

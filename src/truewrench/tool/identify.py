@@ -21,7 +21,7 @@ from truewrench.robot.compensation import uncompensated
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
 from truewrench.tool.bodies import joined, nearest_physical, total_body
-from truewrench.tool.checks import check_known, check_logs, check_session
+from truewrench.tool.checks import check_known, check_logs, check_options, check_session
 from truewrench.tool.held_out import held_out
 from truewrench.tool.judge import Judged, judge, misfit_of_motion
 from truewrench.tool.model import Body, Tool
@@ -99,6 +99,7 @@ def identify_tool(
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     report = progress or (lambda phase, share: None)
+    check_options(flange, housing, {"mounting_sigma": mounting_sigma, "tilt_sigma": tilt_sigma})
     rig = settings_of(rig_or_calibration)
     records = [replace(log, payload=next(iter(rig.payloads))) for log in records]
     records = [without_repeats(unwrapped(rig, log)) for log in records]
@@ -134,6 +135,10 @@ def identify_tool(
         logs=[move.record for move in split.moves],
         determined=_determined(solution),
     )
+    if on is not None and not on.verdict.usable:  # whose gain is the prior here: nothing would contradict it
+        why = " ".join(on.verdict.reasons)
+        reasons = (f"The tool that it sits on is not to be used: {why}", *judged.verdict.reasons)
+        judged = replace(judged, verdict=replace(judged.verdict, usable=False, reasons=reasons))
     if evidence is not None:
         evidence(Evidence(solution, motion, left.details))
     return _tool(rig, solution, motion, judged, left.figures, flange, housing, records, split.end_ns)

@@ -157,10 +157,11 @@ def _reasons(
             "At least 4 poses, better 12, in directions of gravity far apart, opposite ones in turn."
         )
     count = v.n * 6
-    if chdtrc(count, figures["gain_departure"] * count) < CHANCE:
+    worst = chdtrc(1, figures["gain_worst"] ** 2) * count  # which all others together would hide
+    if min(chdtrc(count, figures["gain_departure"] * count), worst) < CHANCE:
         reasons.append(
             f"The gains would have to be {figures['gain_worst']:.0f} of their stated sigma away: sign, "
-            "axes or units of the log are not as stated."
+            "axes or units of the log, or what is known of the tool, are not as stated."
         )
     reasons += [*_turns(solution), *_zeroed(solution)]
     reasons += [*misfit_of_poses(solution, figures), *misfit_of_motion(motion)]
@@ -177,7 +178,8 @@ def _reasons(
         )
     walks = figures["offset_walk_over_start"]
     if walks > SUSPECT_WALK and not named and (alone := _jump(solution)) is not None:
-        reasons.append(_touched(poses, np.array([alone])))
+        said = _touched(poses, np.array([alone]))
+        reasons += [said] if said not in reasons else []
     elif walks > WORST_WALK:
         reasons.append(
             f"The offset wanders {walks:.0f} times as fast as sensors do: drift, "

@@ -31,6 +31,7 @@ MOVING = 2.0  # [s] of motion that are worth an estimate of their own
 MOVE = 1.0  # [s] of motion between two dwells, at least
 _MEAN = 0.1  # [s] of positions on either side of a row
 _OVERLOAD = 100.0  # times its range, at rest: a unit, or a broken cell; tolerance
+_SPREAD = 0.05  # [rad] of the attitudes of a pose about their mean, in the median: no noise
 FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
 
 
@@ -298,6 +299,11 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
             raise InputError.at(log.path, place, "a pose without attitude", expected)
         U, _, Vt = np.linalg.svd(told.mean(axis=0))
         R[i] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        spread = np.arccos(np.clip(0.5 * (np.einsum("kij,ij->k", told, R[i]) - 1.0), -1.0, 1.0))
+        if np.median(spread) > _SPREAD:
+            found = f"an attitude that turns, by {2.0 * spread.max():.2g} rad, while wx wy wz are 0"
+            expected = "the rates of its turn, or poses seconds apart"
+            raise InputError.at(log.path, place, found, expected)
         if warm is not None:
             temperature[i] = warm[rows].mean()
     return Poses(np.full(len(pieces), k), stamps, seconds, raw, variance, R, temperature)
