@@ -14,6 +14,7 @@ from tool_cases import Array, a_rig, apart, as_imu, pose_log, swing_log, tour_lo
 import truewrench as tw
 from truewrench.model.log import Log
 from truewrench.model.rig.tool_rig import load_tool_rig, tool_rig
+from truewrench.model.split import rows_of
 from truewrench.tool.identify import Evidence
 from truewrench.tool.poses import split_poses
 
@@ -149,3 +150,19 @@ def test_an_imu_tells_attitude_and_motion(data: str) -> None:
         squares += [*((tool.center_of_mass - CENTER) / tool.center_of_mass_std) ** 2]
         squares.append(((tool.mass - MASS) / tool.mass_std) ** 2)
     assert sum(squares) < chi2.ppf(1.0 - 1e-4, len(squares))
+
+
+def test_a_log_a_pose_is_one_log_of_poses_where_they_are_of_one_session() -> None:
+    rig = tool_rig(a_rig(sensor={"pool_offsets": True}))
+    log, offset = pose_log(rig, MASS, CENTER)
+    whole = tw.identify_tool(rig, log)
+    single = [rows_of(log, np.arange(len(log.time_ns)) == k) for k in range(len(log.time_ns))]
+    for order in (single, single[::-1]):  # as a shell may name them
+        tool = tw.identify_tool(rig, order)
+        assert tool.verdict.usable
+        assert tool.mass == pytest.approx(whole.mass, abs=0.2 * whole.mass_std)
+        assert tool.mass_std == pytest.approx(whole.mass_std, rel=0.1)
+        assert tool.offset_time_ns == log.time_ns[-1]
+        assert (np.abs(tool.offset - offset) < 4.0 * tool.offset_std).all()
+    alone = tw.identify_tool(tool_rig(a_rig()), single)  # with offsets of their own
+    assert alone.mass_std > 5.0 * whole.mass_std

@@ -112,6 +112,8 @@ def identify_tool(
     records = [log for log in records if log.reference is None]
     if not records:
         raise InputError.at(weighed[0].path, "ref_*", "known wrenches alone", "a log that carries the tool")
+    if rig.sensor.pool_offsets:  # of one session: the last offset is the latest
+        records.sort(key=lambda log: int(log.time_ns[-1]))
     prior = make_prior(
         rig_or_calibration, rig, mounting_sigma=mounting_sigma, tilt_sigma=tilt_sigma, on=on, known=known
     )

@@ -188,14 +188,15 @@ class Problem:
         return [*self.session_links(), *(Link(log, v.knot(k), at) for k, (log, at) in enumerate(knots))]
 
     def session_links(self) -> list[Link]:
-        """From each log's offset to the one before, where all are of one session."""
-        if self.prior.session_ns is None:
-            return []
+        """From each log's offset to that of the log, or of the tool below, before it, in one session."""
         v, out = self.vector, []
-        when, where = self.prior.session_ns, v.carried
-        for log in sorted(range(v.logs), key=lambda k: self.end_ns[k]):
-            out.append(Link(log, where, when))
-            when, where = self.end_ns[log], v.offset(log)
+        before = None if self.prior.session_ns is None else (v.carried, self.prior.session_ns)
+        for log in (
+            sorted(range(v.logs), key=lambda k: self.end_ns[k]) if self.rig.sensor.pool_offsets else ()
+        ):
+            if before is not None:
+                out.append(Link(log, *before))
+            before = v.offset(log), self.end_ns[log]
         return out
 
     def of_links(self, x: Array) -> tuple[Array, Array]:
