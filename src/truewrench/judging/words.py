@@ -269,7 +269,7 @@ def _noise(
             number = int(what.rsplit(" ", 1)[-1]) - 1
             stream = estimate.clocks[k][number].stream if number < len(estimate.clocks[k]) else ""
             what = stream or what
-        if "positions" in (what.split(" ")[0], stream) and _positions_unstated(rig):
+        if "positions" in (what.split(" ")[0], stream) and _positions_unstated(rig, logs[k]):
             positions.append(found.factor)
         elif not 1.0 / _core.NOISE_TOLD <= found.factor <= _core.NOISE_TOLD:
             kinds = (*[kind for kind in fast if found.factor > _core.NOISE_TOLD], "noise")
@@ -282,8 +282,9 @@ def _noise(
         yield Assumed("noise: of the joints' positions, rad", where, value, None, words)
 
 
-def _positions_unstated(rig: Rig) -> bool:
-    return rig.motion.source == "joints" and rig.motion.position_noise is None
+def _positions_unstated(rig: Rig, log: Log) -> bool:
+    logged = rig.motion.source == "joints" and log.position is not None
+    return logged and rig.motion.position_noise is None
 
 
 def _plural(what: str) -> str:
