@@ -12,6 +12,7 @@ import truewrench as tw
 from truewrench import _core
 from truewrench.estimation.online import found_online
 from truewrench.estimation.record import recorded_logs
+from truewrench.model.rig import Rig
 
 
 def _streams(seconds: float, rate: float) -> tuple[Any, Any]:
@@ -103,3 +104,16 @@ def test_the_loop_s_estimator_refuses_what_makes_no_sense() -> None:
     other.body = 1
     assert online.next_log(other) == _core.Status.wrong_size
     assert online.status == _core.Status.ok
+
+
+def test_a_late_clock_is_no_jitter() -> None:
+    """The motion that residuals are told by stood on the velocities' clock: 86 sigma of jitter, all of it."""
+    settings = light_rig(seconds=20.0, rate=100.0).to_mapping()
+    settings["sensor"]["time_offset_prior"] = 5e-3
+    settings["simulate"] = {**settings.get("simulate", {}), "time_offset": 4e-3}
+    rig = Rig.from_mapping(settings)
+    log = tw.simulate(rig, seed=1).log
+    found = tw.calibrate(rig, log, estimator="online")
+    told = [assumed.what for assumed in found.assumed]
+    assert any(what.startswith("clock") for what in told)
+    assert not any(what.startswith(("jitter", "vibration")) for what in told)

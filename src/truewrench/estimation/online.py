@@ -15,6 +15,9 @@ __all__ = ["History", "OnlineFound", "found_online"]
 
 Array = NDArray[np.float64]
 
+# of a record, but for its motion
+_FIELDS = ["source", "payload", "point", "body", "offset_knots", "offset_walk", "time", "raw", "R_sensor_root", "temperature"]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
@@ -51,6 +54,18 @@ class OnlineFound:
     fits: int = 1
 
 
+def _at_clocks(record: Any, clocks: Array) -> Any:
+    """A record whose clocks are expected where they were found: by these its velocities tell the motion."""
+    out = _core.RecordedLog()
+    for name in _FIELDS:
+        setattr(out, name, getattr(record, name))
+    streams = record.motion
+    for stream, s in zip(streams, clocks, strict=True):
+        stream.clock_mean = float(s)
+    out.motion = streams
+    return out
+
+
 def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> OnlineFound:
     """Run the logs through the core in the order of time.
 
@@ -71,7 +86,9 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
             None, status, none, none, none, none, (), found.pose, found.halves, found.quarters,
             [0.0] * len(records), found.unresolved, found.dropped, nothing,
         )  # fmt: skip
-    fit = _core.make_fit(statement, list(records), list(found.spacing), [[] for _ in records], cauchy=False)
+    late = [np.asarray(own)[np.array(found.columns.at)[found.columns.clock]] for own in found.own]
+    moved = [_at_clocks(record, s) for record, s in zip(records, late, strict=True)]
+    fit = _core.make_fit(statement, moved, list(found.spacing), [[] for _ in records], cauchy=False)
     theta, at = np.array(fit.theta), np.array(found.columns.at)
     for k, own in enumerate(found.own):
         theta[np.array(fit.columns(k).at)] = np.asarray(own)[at]
