@@ -16,7 +16,10 @@ __all__ = ["History", "OnlineFound", "found_online"]
 Array = NDArray[np.float64]
 
 # of a record, but for its motion
-_FIELDS = ["source", "payload", "point", "body", "offset_knots", "offset_walk", "time", "raw", "R_sensor_root", "temperature"]
+_FIELDS = (
+    "source", "payload", "point", "body", "offset_knots", "offset_walk", "time", "raw", "R_sensor_root",
+    "temperature",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
