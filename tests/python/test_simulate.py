@@ -170,6 +170,15 @@ def test_noise_has_the_stated_sigma_and_the_seed_decides_it() -> None:
     np.testing.assert_allclose((log.twist - quiet.twist).std(axis=0), rig.motion.noise_array, rtol=0.06)
 
 
+def test_logs_of_one_seed_are_of_one_sensor_and_each_payload_has_noise_of_its_own() -> None:
+    bodies = rig_of().to_mapping()["payloads"]
+    rig = rig_of(payloads={"table_1": bodies["table_1"], "other": bodies["table_1"]})
+    first, other = (simulate(rig, payload=name) for name in ("table_1", "other"))
+    np.testing.assert_array_equal(first.truth.gain, other.truth.gain)
+    noise = first.log.raw - other.log.raw  # of the same wrench
+    np.testing.assert_allclose(noise.std(axis=0), np.sqrt(2.0) * rig.sensor.noise_array, rtol=0.15)
+
+
 def test_random_truth_has_the_spread_of_the_priors() -> None:
     changes = {
         "simulate": {"gain": "random", "offset": "random", "payload": "random"},

@@ -19,7 +19,7 @@ from truewrench.model.rig import Rig
 from truewrench.motion.spatial import cross
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.simulation.imperfect import FineMotion, Hardware
-from truewrench.simulation.truth import Truth, begin, readings, stamps_of, stated, write_run
+from truewrench.simulation.truth import Truth, begin, noise_of, readings, stamps_of, stated, write_run
 
 __all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on_sensor"]
 
@@ -87,7 +87,7 @@ def simulate(
     motion = default_trajectory(rig) if trajectory is None else trajectory
     hardware = Hardware(rig, truth.seed, motion.duration)
     stamps = stamps_of(rig, motion.duration, truth.time_offset)
-    rng = np.random.default_rng([truth.seed, 1])
+    rng = noise_of(rig, name, truth.seed)
     shown, read = hardware.read_at(stamps.shown, "sensor"), hardware.read_at(stamps.motion, "motion")
     rows, fine = stamps.time, hardware.fine_time
     rows[np.searchsorted(stamps.time_ns, stamps.motion_ns)] = read  # attitude and twist are of one reading

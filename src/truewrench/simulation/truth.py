@@ -26,6 +26,7 @@ __all__ = [
     "begin",
     "draw_truth",
     "nees",
+    "noise_of",
     "read_truth",
     "readings",
     "stamps_of",
@@ -233,6 +234,12 @@ def _stamps(duration: float, rate: float) -> Stamp:
 
 def _seconds(time_ns: Stamp) -> Array:
     return np.asarray(time_ns * 1e-9, dtype=np.float64)
+
+
+def noise_of(rig: Rig, payload: str, seed: int) -> np.random.Generator:
+    """What draws the noise of a log: of each payload its own, since logs of one seed are pooled."""
+    place = list(rig.payloads).index(payload)
+    return np.random.default_rng([seed, 1, place] if place else [seed, 1])
 
 
 def draw_truth(rig: Rig, seed: int) -> Truth:

@@ -21,7 +21,7 @@ from truewrench.simulation.arm.model import Arm, Reading, arm_of
 from truewrench.simulation.arm.motion import default_motion
 from truewrench.simulation.free_body import wrench_on_sensor
 from truewrench.simulation.imperfect import FineMotion, Hardware, Readout
-from truewrench.simulation.truth import Stamps, Truth, begin, readings, stamps_of, stated, write_run
+from truewrench.simulation.truth import Stamps, Truth, begin, noise_of, readings, stamps_of, stated, write_run
 
 __all__ = ["ArmRun", "Moved", "arm_with", "disagreement", "move", "record", "simulate_arm", "simulate_plan"]
 
@@ -215,7 +215,7 @@ def record(rig: Rig, payload: str, truth: Truth, moved: Moved, readout: Readout 
     where it states their noise.
     """
     stamps, motion = moved.stamps, rig.motion
-    rng = np.random.default_rng([truth.seed, 1])
+    rng = noise_of(rig, payload, truth.seed)
     readout = moved.readout(truth.gain) if readout is None else readout
     raw = readings(rig, truth, stamps, moved.wrench, rng, readout)
     # drawn whether logged or not, so that one stream's noise does not depend on the other
