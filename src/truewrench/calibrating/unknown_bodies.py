@@ -82,8 +82,7 @@ def notes_on_bodies(
         if name not in payloads:
             continue
         spec, std = rig.payloads[name], payloads[name].std
-        u = spec.uncertainty
-        prior = np.array([u.mass, *[u.center_of_mass] * 3, *[u.inertia] * 6])
+        prior = spec.uncertainty.of_each
         untold = [
             what for what, s, p in zip(_NAMES, std, prior, strict=True) if not s < _core.UNDETERMINED * p
         ]

@@ -63,7 +63,7 @@ def tool(
 ) -> Outcome:
     """Identify an unknown tool from static poses or motion."""
     from truewrench.io.tables import read_log
-    from truewrench.tool.checks import check_known
+    from truewrench.tool.checks import check_known, check_options
     from truewrench.tool.exports import (
         FILES,
         TARGETS,
@@ -87,8 +87,7 @@ def tool(
         raise InputError.at(None, "--known", f"`{twice}` a second time", "every name once")
     check_known(stated)
     place, shell = _list("--flange", flange, 6), _list("--housing", housing, 4)
-    if shell is not None and shell[0] < 0.0:
-        raise InputError.at(None, "--housing", f"a mass of {shell[0]:g}", "a number of at least 0")
+    check_options(place, shell)
     targets = [part.strip() for part in (export or "").split(",") if part.strip()]
     for target in targets:
         if target not in TARGETS:

@@ -64,8 +64,7 @@ def unknowns_of(rig: Rig, logs: Sequence[Log]) -> list[Unknown]:
     """
     found = []
     for name in dict.fromkeys(log.payload for log in logs):
-        u = rig.payloads[name].uncertainty
-        sigma = (u.mass, *[u.center_of_mass] * 3, *[u.inertia] * 6)
+        sigma = rig.payloads[name].uncertainty.of_each.tolist()
         found += [
             Unknown(group, s, k, payload=name)
             for k, (group, s) in enumerate(zip(_OF_PAYLOAD, sigma, strict=True))

@@ -13,7 +13,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 
-__all__ = ["BASE_ATTITUDE", "BASE_TWIST", "check_attitude", "joint_groups"]
+__all__ = ["BASE_ATTITUDE", "BASE_TWIST", "check_attitude", "joint_groups", "without_attitude"]
 
 BASE_TWIST = ("base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz")
 BASE_ATTITUDE = ("base_qw", "base_qx", "base_qy", "base_qz")
@@ -53,9 +53,14 @@ def joint_groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
         expected = "velocities `dq_*`, or the noise of positions: `motion.position_noise` in the rig"
         raise refuse("joint positions alone", expected)
     if "base_twist" in found and "base_attitude" not in found and rig.in_gravity:
-        expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
-        raise refuse("`base_vx` ... `base_wz`, a base that moves", expected)
+        raise without_attitude(table.path)
     return found
+
+
+def without_attitude(path: str | Path | None) -> InputError:
+    """What is wrong with a table, in gravity, of a base that moves without an attitude."""
+    expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
+    return InputError.at(path, "header", "`base_vx` ... `base_wz`, a base that moves", expected)
 
 
 def check_attitude(

@@ -134,7 +134,7 @@ def setup_errors(
         found = _of_gain(estimate.gain, P, estimate.before_pose, prior, rig, names)
         for name, departure in estimate.payloads.items():
             if name in rig.payloads:
-                stated = _stated(rig, name)
+                stated = rig.payloads[name].uncertainty.of_each
                 # what the data have not told they have not moved, whatever a short record makes of it
                 told = departure.std**2 < UNSEEN * stated**2
                 found += payload_errors(name, departure.mean, np.where(told, stated, 0.0))
@@ -195,12 +195,6 @@ def _lost(estimate: Estimate, rig: Rig) -> bool:
     of = {"force": slice(0, 3), "moment": slice(3, 6), "channels": slice(0, n)}
     loud = [f.what for found in estimate.noise for f in found if f.what in of and f.factor > LOST]
     return any(not known.reshape(n, 6)[of[what]].any() for what in loud)
-
-
-def _stated(rig: Rig, name: str) -> Array:
-    """(10,) 1 sigma of a payload: mass, centre of mass, inertia."""
-    u = rig.payloads[name].uncertainty
-    return np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
 
 
 def _unknown(rig: Rig, names: Sequence[str]) -> list[Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -45,7 +46,9 @@ def check_known(known: Mapping[str, tuple[float, float]]) -> None:
 
 
 def check_options(
-    flange: npt.ArrayLike | None, housing: npt.ArrayLike | None, sigmas: Mapping[str, float | None]
+    flange: npt.ArrayLike | None,
+    housing: npt.ArrayLike | None,
+    sigmas: Mapping[str, float | None] = MappingProxyType({}),
 ) -> None:
     """Refuse poses and bodies that are none, and negative uncertainties.
 
@@ -57,12 +60,12 @@ def check_options(
     for name, given, count in (("flange", flange, 6), ("housing", housing, 4)):
         values = np.zeros(count) if given is None else np.asarray(given, dtype=np.float64)
         if values.shape != (count,) or not (np.abs(values) < _LARGEST).all():
-            raise InputError.at(None, name, f"{given!r}", f"{count} finite numbers in SI units")
+            raise InputError.at(None, f"--{name}", f"{given!r}", f"{count} finite numbers in SI units")
         if name == "housing" and values[0] < 0.0:
-            raise InputError.at(None, name, f"a mass of {values[0]:g}", "a number of at least 0")
+            raise InputError.at(None, f"--{name}", f"a mass of {values[0]:g}", "a number of at least 0")
     for name, sigma in sigmas.items():
         if sigma is not None and not 0.0 <= sigma <= np.pi:
-            raise InputError.at(None, name, f"{sigma:g}", "an angle from 0 to pi [rad]")
+            raise InputError.at(None, f"--{name}", f"{sigma:g}", "an angle from 0 to pi [rad]")
 
 
 def check_logs(rig: Rig, logs: Sequence[Log]) -> None:

@@ -99,7 +99,7 @@ def identify_tool(
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     report = progress or (lambda phase, share: None)
-    check_options(flange, housing, {"mounting_sigma": mounting_sigma, "tilt_sigma": tilt_sigma})
+    check_options(flange, housing, {"mounting-sigma": mounting_sigma, "tilt-sigma": tilt_sigma})
     rig = settings_of(rig_or_calibration)
     records = [replace(log, payload=next(iter(rig.payloads))) for log in records]
     records = [without_repeats(unwrapped(rig, log)) for log in records]

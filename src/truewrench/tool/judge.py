@@ -179,7 +179,8 @@ def _reasons(
     walks = figures["offset_walk_over_start"]
     if walks > SUSPECT_WALK and not named and (alone := _jump(solution)) is not None:
         said = _touched(poses, np.array([alone]))
-        reasons += [said] if said not in reasons else []
+        if said not in reasons:
+            reasons.append(said)
     elif walks > WORST_WALK:
         reasons.append(
             f"The offset wanders {walks:.0f} times as fast as sensors do: drift, "

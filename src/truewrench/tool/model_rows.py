@@ -189,11 +189,11 @@ class Problem:
 
     def session_links(self) -> list[Link]:
         """From each log's offset to that of the log, or of the tool below, before it, in one session."""
+        if not self.rig.sensor.pool_offsets:
+            return []
         v, out = self.vector, []
         before = None if self.prior.session_ns is None else (v.carried, self.prior.session_ns)
-        for log in (
-            sorted(range(v.logs), key=lambda k: self.end_ns[k]) if self.rig.sensor.pool_offsets else ()
-        ):
+        for log in sorted(range(v.logs), key=lambda k: self.end_ns[k]):
             if before is not None:
                 out.append(Link(log, *before))
             before = v.offset(log), self.end_ns[log]

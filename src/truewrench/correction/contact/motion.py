@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST, check_attitude
+from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST, check_attitude, without_attitude
 from truewrench.io.table import ANGULAR_VELOCITY, ATTITUDE, GRAVITY, SPECIFIC_FORCE, TWIST
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
@@ -78,10 +78,7 @@ class MotionColumns:
                 )
                 needed += BASE_TWIST * self._carried + BASE_ATTITUDE * self._turned
                 if self._carried and not self._turned and rig.in_gravity:
-                    expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
-                    raise InputError.at(
-                        place, "header", "`base_vx` ... `base_wz`, a base that moves", expected
-                    )
+                    raise without_attitude(place)
         elif self.imu:
             needed, optional = (*ANGULAR_VELOCITY, *SPECIFIC_FORCE), ()
             self.twist_noise[3:, 3:] = np.diag(motion.noise_array**2)

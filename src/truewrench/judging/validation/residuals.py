@@ -203,10 +203,8 @@ def _payload_columns(
     spec = rig.payloads[payload]
     if spec.exact or payload in {report.payload for report in calibration.logs}:
         return np.zeros((len(twist), 6, 0))
-    u = spec.uncertainty
-    sigma = np.array([u.mass] + [u.center_of_mass] * 3 + [u.inertia] * 6)
     rates = payload_rates(rig, payload, twist, acceleration, gravity)
-    return np.asarray(rates * rig.sensor.range_array[:, None] * sigma)
+    return np.asarray(rates * rig.sensor.range_array[:, None] * spec.uncertainty.of_each)
 
 
 def joined_columns(parts: Sequence[Array]) -> Array:

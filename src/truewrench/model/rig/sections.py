@@ -237,6 +237,11 @@ class UncertaintySpec(Section):
     center_of_mass: NonNegative = 5.0e-4  # [m]
     inertia: NonNegative = 1.0e-2  # of I_ij, relative to sqrt(I_ii I_jj)
 
+    @property
+    def of_each(self) -> npt.NDArray[np.float64]:
+        """(10,) of the mass, the centre of mass and the inertia's elements xx yy zz xy xz yz."""
+        return np.array([self.mass, *[self.center_of_mass] * 3, *[self.inertia] * 6])
+
 
 UNKNOWN_MASS = 0.5
 """1 sigma of a payload's mass, relative, from which on it is not known."""
