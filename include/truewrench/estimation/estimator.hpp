@@ -205,8 +205,7 @@ class Estimator {
   // Of the only log of a robust fit, where its noise is beyond the stated: what the wrench does not explain.
   static double unexplained_by(const Fit& fit) {
     if (!SpacingSearch::noisy(fit)) return 0.0;
-    Fit masked = fit;
-    set_mask(masked);
+    const Fit masked = with_mask(fit);
     return unexplained(masked, 0, moments(masked, unmasked_sums(masked, 0)));
   }
 
@@ -226,14 +225,15 @@ class Estimator {
     return fit;
   }
 
-  // Steps of the offset, where the mask would hide more than 20 % of a log.
+  // Steps of the offset: where the mask would hide more than 20 % of a log; and one where it hides a log's end, if that step
+  // leaves as little of it to hide as of any record: a contact that has not ended is no constant.
   void seek_steps(std::shared_ptr<Fit>& robust, std::vector<std::vector<double>>& steps,
                   Estimate& out) const {
     for (std::size_t l = 0; l < steps.size(); ++l)
       while (steps[l].size() < 2) {
-        Fit masked = *robust;
-        set_mask(masked);
-        if (masked_share(masked, l) <= constants::most_lost) break;
+        const Fit masked = with_mask(*robust);
+        const bool lost = masked_share(masked, l) > constants::most_lost;
+        if (!lost && (!steps[l].empty() || !end_masked(masked, l))) break;
         const auto t = best_step(*robust, l);
         if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) break;
         auto trial_steps = steps;
@@ -241,6 +241,8 @@ class Estimator {
         std::sort(trial_steps[l].begin(), trial_steps[l].end());
         auto trial = robust_from(*robust, trial_steps, out);
         if (trial->failed || !(trial->deviance() <= robust->deviance() - 2.0 * robust->channels())) break;
+        const double placed = *t + scored_length(trial->logs()[l].stretches.back());  // a step lies within it
+        if (!lost && masked_share(with_mask(*trial), l, placed) > constants::masked_told) break;
         robust = trial;
         steps = trial_steps;
       }

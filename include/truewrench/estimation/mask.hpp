@@ -4,6 +4,7 @@
 #include "truewrench/estimation/fit.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <vector>
 
 namespace truewrench {
@@ -120,6 +121,11 @@ inline void set_mask(Fit& fit) {
   }
 }
 
+inline Fit with_mask(Fit fit) {
+  set_mask(fit);
+  return fit;
+}
+
 // How much the masked samples of a log, left in, would add to the variance of the noise.
 inline double masked_variance(const Fit& fit, std::size_t l) {
   double added = 0.0, all = 0.0;
@@ -132,14 +138,27 @@ inline double masked_variance(const Fit& fit, std::size_t l) {
   return added / std::max(all, 1.0);
 }
 
-inline double masked_share(const Fit& fit, std::size_t l) {
+// Share of a log's samples, or of those from a time on, that are masked.
+inline double masked_share(const Fit& fit, std::size_t l,
+                           double from = -std::numeric_limits<double>::infinity()) {
   double masked = 0.0, all = 0.0;
-  for (const Stretch& s : fit.logs()[l].stretches) {
-    for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
+  for (const Stretch& s : fit.logs()[l].stretches)
+    for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
+      if (s.raw.time[k] < from) continue;
+      all += s.raw.size[k];
       masked += s.raw.masked[static_cast<std::size_t>(k)] != 0 ? s.raw.size[k] : 0.0;
-    all += s.raw.size.sum();
-  }
+    }
   return masked / std::max(all, 1.0);
+}
+
+// Whether a log ends masked, for as long as a contact lasts at least.
+inline bool end_masked(const Fit& fit, std::size_t l) {
+  const LogFit& log = fit.logs()[l];
+  const Stretch& s = log.stretches.back();
+  const Eigen::Index last = s.raw.rows() - 1;
+  Eigen::Index k = last;
+  while (k >= 0 && s.raw.masked[static_cast<std::size_t>(k)] != 0) --k;
+  return k < last && s.raw.time[last] - s.raw.time[k + 1] + log.period >= constants::mask_shortest - 1e-9;
 }
 
 }  // namespace truewrench

@@ -62,6 +62,9 @@ inline int scored_together(const Stretch& s) {
   return std::max(1, static_cast<int>(std::lround(constants::knot_spacing / s.spline.h())));
 }
 
+// [s]
+inline double scored_length(const Stretch& s) { return kBlock * s.spline.h() * scored_together(s); }
+
 // What a constant wrench on each of them alone does, from the factorisation that stands.
 inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
   const LogFit& log = fit.logs()[l];
@@ -190,8 +193,7 @@ inline std::optional<double> best_step(Fit& fit, std::size_t l) {
   const std::size_t G = blocks.size();
   if (G < 2) return std::nullopt;
   const auto with = crossed(blocks, n, width);
-  const Stretch& front = fit.logs()[l].stretches.front();
-  const double length = kBlock * front.spline.h() * scored_together(front);
+  const double length = scored_length(fit.logs()[l].stretches.front());
   const auto longest = static_cast<std::size_t>(std::max(1.0, std::round(constants::scan_longest / length)));
   IntervalSums sums(n, width, blocks.front().b.size());
   std::vector<std::vector<double>> suffixes(G + 1, std::vector<double>(sums.R.size(), 0.0));

@@ -283,14 +283,9 @@ class SpacingSearch {
   bool resolves(std::size_t i, std::size_t now) const {
     const auto &fine = fits_.at(i), &coarse = fits_.at(now);
     if (!fine || !coarse) return false;
-    const double masked = share_masked(*coarse);
-    return masked > constants::masked_told && masked > constants::masked_told + 2.0 * share_masked(*fine);
-  }
-
-  static double share_masked(const Fit& fit) {
-    Fit masked = fit;
-    set_mask(masked);
-    return masked_share(masked, 0);
+    const double masked = masked_share(with_mask(*coarse), 0);
+    return masked > constants::masked_told &&
+           masked > constants::masked_told + 2.0 * masked_share(with_mask(*fine), 0);
   }
 
   // Whether finer knots follow what moves, where the motion alone does not ask for them: its noise is found smaller, in no group
