@@ -90,7 +90,7 @@ void bind_fit(nb::module_& m) {
       .def_ro("C", &Columns::C)
       .def_ro("b", &Columns::b)
       .def_ro("u", &Columns::u)
-      .def_ro("body", &Columns::body)
+      .def_ro("body_in_theta", &Columns::body_in_theta)
       .def_ro("slope", &Columns::slope)
       .def_ro("tilt", &Columns::tilt)
       .def_ro("gamma", &Columns::gamma)

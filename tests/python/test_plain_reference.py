@@ -83,13 +83,17 @@ def _places(columns: Any, layout: Any) -> np.ndarray:
         (layout.C, columns.C, 36),
         (layout.b, columns.b, 6),
         (layout.u, columns.u, 6),
-        (layout.mass, columns.body, 1),
-        (layout.com, columns.body + 1, 3),
-        (layout.inertia, columns.body + 4, 6),
         (layout.s, columns.clock[0], 1),
         (layout.kappa, columns.clock[0] + 1, 1),
     ):
         out[place] = at[begin : begin + count]
+    body = columns.body_in_theta
+    for place, begin, count in (
+        (layout.mass, body, 1),
+        (layout.com, body + 1, 3),
+        (layout.inertia, body + 4, 6),
+    ):
+        out[place] = range(begin, begin + count)
     if layout.gravity:
         out[layout.gamma], out[layout.tilt] = at[columns.gamma], at[columns.tilt : columns.tilt + 2]
     for place, begin in zip(layout.steps, columns.steps, strict=True):

@@ -52,6 +52,7 @@ class Intervals {
                     theta[columns.C + 6 * i + c];
       scale_[c] = s.rig().sign / s.rig().range[c];
     }
+    known_ = columns.body < 0;
     body_ = departed(s.log().payload, Stretch::body_of(columns, theta));
     gravity_ = s.gravity_of(columns, theta);
     next_ = 0;
@@ -97,7 +98,7 @@ class Intervals {
   std::vector<double>
       told_;  // (orders M) information on [x, x', x''] over h^p of an interval's motion samples
   double felt_[6] = {};
-  bool alone_ = false;
+  bool alone_ = false, known_ = false;  // known_: the body
   std::vector<char> done_;
 
   // The Jacobians of `same_` and their mean; and into how many parts it is cut, so that what lies between those of the samples
@@ -136,7 +137,8 @@ class Intervals {
       w[r] = s.now.w(k, r) / scale_[r];
     }
     const Matrix3 R = s.gravity() ? s.rotation_at(k) : Matrix3::Identity();
-    const MotionJacobian j = row_jacobian(body_, s.log().point, scale_, gravity_, R, nu, a, w, X, sums.ldx);
+    const MotionJacobian j =
+        row_jacobian(body_, s.log().point, scale_, gravity_, R, nu, a, w, known_, X, sums.ldx);
     if (s.log().source != Source::mapped) return by_splines(j, scale_, s.log().source == Source::imu, J);
     const int M = sums.M, columns = sums.orders * M;
     const double* by = s.mapped.jacobian.data() + k * s.mapped.jacobian.cols();  // (12, 3M)

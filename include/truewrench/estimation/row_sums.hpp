@@ -63,7 +63,7 @@ class RowSums {
     }
     nf = static_cast<int>(feature.size()) / n;
     dense_columns.clear();
-    for (int k = 0; k < kBodyParameters; ++k) dense_columns.push_back(columns.body + k);
+    for (int k = 0; k < kBodyParameters && columns.body >= 0; ++k) dense_columns.push_back(columns.body + k);
     if (gravity && columns.gamma >= 0)
       dense_columns.insert(dense_columns.end(), {columns.clock[0], columns.clock[0] + 1, columns.gamma});
     if (gravity) dense_columns.insert(dense_columns.end(), {columns.tilt, columns.tilt + 1});

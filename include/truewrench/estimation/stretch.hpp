@@ -335,8 +335,8 @@ class Stretch {
 
  public:
   static BodyVector body_of(const Columns& columns, const Eigen::VectorXd& theta) {
-    BodyVector out;
-    std::copy_n(theta.data() + columns.body, kBodyParameters, out.data());
+    BodyVector out = BodyVector::Zero();
+    if (columns.body >= 0) std::copy_n(theta.data() + columns.body, kBodyParameters, out.data());
     return out;
   }
   Gravity gravity_of(const Columns& columns, const Eigen::VectorXd& theta) const {

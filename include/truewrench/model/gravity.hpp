@@ -99,16 +99,18 @@ class Gravity {
 };
 
 // What d w is at one row: w (SI) and its motion; `scale` (6): fractions of range, with the sign of the rig. To X (6, ldx) by the
-// ten parameters of the body and those of gravity; returned by twist, acceleration and gravity.
+// ten parameters of the body, unless it is `known`, and those of gravity; returned by twist, acceleration and gravity.
 inline MotionJacobian row_jacobian(const Payload& body, const Vector3& point, const double* scale,
                                    const Gravity& gravity, const Matrix3& R_sensor_root, const Vector6& nu,
-                                   const Vector6& a, const Vector6& w, double* X, int ldx) {
+                                   const Vector6& a, const Vector6& w, bool known, double* X, int ldx) {
   MotionJacobian j = motion_jacobian(body, point, nu);
-  const BodyJacobian by_body = body_jacobian(body, nu, a, w);
-  for (int c = 0; c < kBodyParameters; ++c)
-    for (int r = 0; r < 6; ++r) X[r * ldx + c] = scale[r] * by_body(r, c);
+  int at = 0;
+  if (!known) {
+    const BodyJacobian by_body = body_jacobian(body, nu, a, w);
+    for (; at < kBodyParameters; ++at)
+      for (int r = 0; r < 6; ++r) X[r * ldx + at] = scale[r] * by_body(r, at);
+  }
   if (!gravity.acts()) return j;
-  int at = kBodyParameters;
   gravity.by_parameters(R_sensor_root, angular(nu), angular(a), [&](const double* by) {
     for (int r = 0; r < 6; ++r)
       X[r * ldx + at] = scale[r] * (j.g(r, 0) * by[0] + j.g(r, 1) * by[1] + j.g(r, 2) * by[2]);

@@ -14,8 +14,9 @@ namespace truewrench {
 
 // Where the parameters of one log stand in a vector of its own, and in theta.
 struct Columns {
-  int n = 0;                                                             // channels
-  int C = 0, b = 0, u = 0, body = 0, slope = -1, tilt = -1, gamma = -1;  // -1: there is none
+  int n = 0;                                                              // channels
+  int C = 0, b = 0, u = 0, body = -1, slope = -1, tilt = -1, gamma = -1;  // -1: there is none
+  int body_in_theta = 0;      // which has a place for a body that is known exactly, too
   std::vector<int> clock;     // of each motion stream: s, then kappa
   std::vector<int> bias;      // of each motion stream, -1: none
   std::vector<int> ramps;     // of an offset that walks: from each of its knots to the next
@@ -29,7 +30,8 @@ struct Columns {
   Columns in_theta() const {
     Columns out = *this;
     const auto place = [this](int& at) { at = at < 0 ? at : global[static_cast<std::size_t>(at)]; };
-    for (int* at : {&out.C, &out.b, &out.u, &out.body, &out.slope, &out.tilt, &out.gamma}) place(*at);
+    for (int* at : {&out.C, &out.b, &out.u, &out.slope, &out.tilt, &out.gamma}) place(*at);
+    out.body = body_in_theta;
     for (auto* list : {&out.clock, &out.bias, &out.ramps, &out.steps})
       for (int& at : *list) place(at);
     return out;
@@ -77,7 +79,9 @@ class Layout {
       }
       c.b = take(pooled, n);
       c.u = take(u, n);
-      c.body = take(bodies[static_cast<std::size_t>(log.body)], kBodyParameters);
+      const auto body = static_cast<std::size_t>(log.body);
+      c.body_in_theta = bodies[body];
+      if (!rig.body_prior[body].isZero(0.0)) c.body = take(bodies[body], kBodyParameters);
       for (const MotionStream& stream : log.motion) {
         c.clock.push_back(take(add(2, 0.0), 2));
         const double mean[2] = {stream.clock_mean, stream.kappa_mean},

@@ -259,7 +259,7 @@ def _bent(rig: Rig, assumed: Assumptions, columns: Sequence[Any], prior: Array, 
     """`_core.bend` of the normalised gain (6n, 6n), by the mean covariance of the logs' centres of mass."""
     n = rig.sensor.n
     unit = (assumed.channel_scale[:, None] / rig.sensor.range_array).ravel()
-    places = [np.array(c.at)[c.body + 1 : c.body + 4] for c in columns]
+    places = [c.body_in_theta + np.arange(1, 4) for c in columns]
     center = np.mean([covariance[np.ix_(at, at)] for at in places], axis=0)
     gain = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit)
     return np.asarray(_core.bend(gain, center, prior * unit**2) / np.outer(unit, unit))
@@ -276,7 +276,7 @@ def _carried(
     for log, c in zip(logs, columns, strict=True):
         if log.payload not in felt:
             continue
-        spec, places = rig.payloads[log.payload], np.array(c.at)[c.body : c.body + 10]
+        spec, places = rig.payloads[log.payload], c.body_in_theta + np.arange(10)
         mass, center = spec.mass * np.exp(theta[places[0]]), spec.center_of_mass_array + theta[places[1:4]]
         xx, yy, zz, xy, xz, yz = theta[places[4:]]
         inertia = spec.inertia_matrix + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -307,7 +307,7 @@ def _joint(
         spec, name = rig.payloads[log.payload], body_part(log.payload)
         if name in rows or spec.exact:
             continue
-        body = unit[np.array(c.at)[c.body : c.body + 10]]
+        body = unit[c.body_in_theta : c.body_in_theta + 10]
         rows[name], rows[f"inertia {log.payload}"] = body[:4], body[4:]
         stated[name] = np.append(np.log(spec.mass), spec.center_of_mass_array)
     for k, c in enumerate(columns):
@@ -326,9 +326,10 @@ def _sources(
     places: dict[str, set[int]] = {name: set() for name in _SOURCES}
     for c in columns:
         at = np.array(c.at)
-        places["mass"].add(int(at[c.body]))
-        places["center_of_mass"] |= set(at[c.body + 1 : c.body + 4].tolist())
-        places["inertia"] |= set(at[c.body + 4 : c.body + 10].tolist())
+        mass = c.body_in_theta
+        places["mass"].add(mass)
+        places["center_of_mass"] |= set(range(mass + 1, mass + 4))
+        places["inertia"] |= set(range(mass + 4, mass + 10))
         for clock in c.clock:
             places["timing"] |= {int(at[clock]), int(at[clock + 1])}
         if c.gamma >= 0:

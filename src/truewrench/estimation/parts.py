@@ -330,9 +330,11 @@ def _columns_at(part: Part, place: NDArray[np.int64]) -> SimpleNamespace:
     """Where the parameters of a log stand in theta of all."""
     assert part.found is not None
     columns = part.found.columns
-    names = ("C", "b", "u", "body", "slope", "tilt", "gamma", "clock", "bias", "steps", "step_times")
+    names = ("C", "b", "u", "slope", "tilt", "gamma", "clock", "bias", "steps", "step_times")
     return SimpleNamespace(
-        **{name: getattr(columns, name) for name in names}, at=place[np.array(columns.at)].tolist()
+        **{name: getattr(columns, name) for name in names},
+        body_in_theta=int(place[columns.body_in_theta]),
+        at=place[np.array(columns.at)].tolist(),
     )
 
 

@@ -129,7 +129,7 @@ def _taken(
     columns = [fit.columns(k) for k in range(len(moves))]
     rows = [np.eye(theta.size)[: 6 * n] * units[:, None]]
     at = np.array(columns[0].at)
-    body = at[columns[0].body : columns[0].body + 10]
+    body = columns[0].body_in_theta + np.arange(10)
     rows.append(np.eye(theta.size)[body])
     for move, c in zip(moves, columns, strict=True):
         for j, knot in enumerate(move.knots if move.knots.size else [np.inf]):
