@@ -36,7 +36,7 @@ struct OnlineEstimate {
   std::vector<Eigen::VectorXd> history_time;  // by log: [s] ends of blocks
   std::vector<RowMatrix> history_gain;        // (blocks, 6n)
   std::vector<std::int64_t> samples;          // by log: that were used or masked
-  Columns columns;                            // of the last log
+  std::vector<Columns> columns;               // by log, in theta
   std::int64_t blocks = 0;
 };
 
@@ -173,6 +173,7 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     out.spacing.push_back(online->spacing());
     out.sizes.push_back(online->sizes());
     out.own.push_back(online->theta());
+    out.columns.push_back(online->lag().layout().log(0));
     out.samples.push_back(online->samples() - before);
     std::vector<bool> masked(static_cast<std::size_t>(log.time.size()), false);
     Eigen::Index k = 0;
@@ -196,7 +197,6 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
   out.discrepancy2 = online->discrepancy2();
   out.pose = online->pose();
   out.quarters = online->agreement();
-  out.columns = online->lag().layout().log(0);
   out.blocks = online->blocks();
   return out;
 }

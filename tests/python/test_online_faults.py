@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from imperfect_cases import rig_of
 from record_cases import light_rig
 
 import truewrench as tw
 from truewrench import _core
+from truewrench.estimation.estimator import estimate
 from truewrench.estimation.online import found_online
 from truewrench.estimation.record import recorded_logs
 from truewrench.model.rig import Rig
@@ -117,3 +119,14 @@ def test_a_late_clock_is_no_jitter() -> None:
     told = [assumed.what for assumed in found.assumed]
     assert any(what.startswith("clock") for what in told)
     assert not any(what.startswith(("jitter", "vibration")) for what in told)
+
+
+def test_what_an_earlier_log_told_of_its_payload_is_kept_by_a_log_of_another() -> None:
+    settings = rig_of().to_mapping()
+    uncertain, exact = settings["payloads"]
+    settings["payloads"][uncertain]["uncertainty"] = {"mass": 0.02, "center_of_mass": 1e-3, "inertia": 0.05}
+    rig = tw.Rig.from_mapping(settings | {"gravity": [0, 0, -9.81]})
+    logs = [tw.simulate(rig, seed=4, payload=name).log for name in (uncertain, exact)]
+    online, whole = (estimate(rig, logs, online=online).payloads[uncertain] for online in (True, False))
+    assert online.std[:4] == pytest.approx(whole.std[:4], rel=0.2)
+    assert (online.std[:4] < 0.9 * np.array([0.02, 1e-3, 1e-3, 1e-3])).all()

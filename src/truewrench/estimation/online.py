@@ -89,23 +89,29 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
             None, status, none, none, none, none, (), found.pose, found.halves, found.quarters,
             [0.0] * len(records), found.unresolved, found.dropped, nothing,
         )  # fmt: skip
-    late = [np.asarray(own)[np.array(found.columns.at)[found.columns.clock]] for own in found.own]
+    at = [np.array(c.at) for c in found.columns]
+    late = [np.asarray(own)[k[c.clock]] for own, k, c in zip(found.own, at, found.columns, strict=True)]
     moved = [_at_clocks(record, s) for record, s in zip(records, late, strict=True)]
     fit = _core.make_fit(statement, moved, list(found.spacing), [[] for _ in records], cauchy=False)
-    theta, at = np.array(fit.theta), np.array(found.columns.at)
+    theta = np.array(fit.theta)
     for k, own in enumerate(found.own):
-        theta[np.array(fit.columns(k).at)] = np.asarray(own)[at]
+        theta[np.array(fit.columns(k).at)] = np.asarray(own)[at[k]]
         sizes, found_sizes = fit.sizes(k), found.sizes[k]
         sizes.raw_factor, sizes.motion_factor = found_sizes.raw_factor, found_sizes.motion_factor
-    last = np.array(fit.columns(len(records) - 1).at)
-    theta[last] = np.asarray(found.theta)[at]
+    # what logs share comes first in either theta, with all payloads; then what the last log has for itself
+    shared = int(at[-1][found.columns[-1].b])
+    own = slice(found.columns[-1].b, None)
+    there = np.r_[:shared, at[-1][own][at[-1][own] >= shared]]
+    last = np.array(fit.columns(len(records) - 1).at)[own]
+    here = np.r_[:shared, last[last >= shared]]
+    theta[here] = np.asarray(found.theta)[there]
     fit.theta = theta
     fit.lagged = theta[: 6 * n].reshape(n, 6)
     fit.predict()
     for k, masked in enumerate(found.masked):
         fit.set_mask(k, np.array(masked)[np.asarray(fit.rows(k)["source"], np.int64)].tolist())
     covariance = np.diag(np.asarray(fit.stated))
-    covariance[np.ix_(last, last)] = np.asarray(found.covariance)[np.ix_(at, at)]
+    covariance[np.ix_(here, here)] = np.asarray(found.covariance)[np.ix_(there, there)]
     counts = [len(time) for time in found.history_time]
     return OnlineFound(
         fit=fit,
