@@ -40,8 +40,6 @@ from truewrench.model.calibration import Calibration, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["Progress", "Show", "calibrate_from_motion"]
-
 _RATES = 3  # times that clocks are set
 
 Progress = Callable[[str, float | None], None]

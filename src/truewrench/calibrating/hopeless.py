@@ -20,8 +20,6 @@ from truewrench.robot.arm import robot_of
 from truewrench.robot.joint_faults import joint_faults
 from truewrench.robot.track import tracked
 
-__all__ = ["hopeless", "plain_gain"]
-
 Array = NDArray[np.float64]
 
 SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator

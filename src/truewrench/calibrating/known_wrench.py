@@ -21,16 +21,6 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
 
-__all__ = [
-    "compare_known_wrench",
-    "improvement_by_axis",
-    "judge_known_wrench",
-    "known_wrench_figures",
-    "known_wrench_reports",
-    "worse_on_rows",
-    "wrench_is_known",
-]
-
 Array = NDArray[np.float64]
 
 FOLDS = 5  # each row is held out once

@@ -47,8 +47,6 @@ from truewrench.robot.compensation import uncompensated
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
 
-__all__ = ["calibrate"]
-
 Array = NDArray[np.float64]
 EstimatorName = Literal["map", "online", "ekf", "ls"]
 

@@ -24,8 +24,6 @@ from truewrench.tool.poses import Poses
 from truewrench.tool.prior import S_STD, Prior
 from truewrench.tool.solve import Solution
 
-__all__ = ["Known", "PosesOfOne"]
-
 Array = NDArray[np.float64]
 
 _WIDE = 1e3  # sigma of the rig's prior, where the joint distribution holds it: tolerance, 1e-6 of a variance

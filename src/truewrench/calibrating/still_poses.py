@@ -34,17 +34,6 @@ from truewrench.tool.parameters import Layout
 from truewrench.tool.poses import Poses, split_poses, stands_still
 from truewrench.tool.solve import WALK, Solution, solve
 
-__all__ = [
-    "StillEstimate",
-    "compare_still",
-    "estimate_still",
-    "judge_still",
-    "misfit_of_still",
-    "only_still",
-    "still_figures",
-    "still_reports",
-]
-
 Array = NDArray[np.float64]
 
 FEWEST = 10  # poses, of which a fifth is held out at a time

@@ -23,8 +23,6 @@ from truewrench.model.rig.sections import ELEMENTS, UNKNOWN_GYRATION, UNKNOWN_UN
 from truewrench.robot.track import tracked
 from truewrench.tool.motion import body_start
 
-__all__ = ["known_logs", "known_payload", "notes_on_bodies", "scale_unknown", "with_first_guess"]
-
 Array = NDArray[np.float64]
 
 BENDS = 0.05  # 1 sigma of the gains beyond which gain times mass is no longer linear (docs/tool.md)

@@ -15,8 +15,6 @@ from truewrench.campaign.statistics import Campaign, wilson_interval
 from truewrench.io.pictures import BLUE, GREY, VERMILION, finish
 from truewrench.model.calibration import AXES
 
-__all__ = ["coverage_figure", "nees_figure", "sigma_figure"]
-
 Array = NDArray[np.float64]
 
 _FEWEST = 2  # trials that make a picture

@@ -34,8 +34,6 @@ from truewrench.model.rig.strict import key_path
 from truewrench.motion.trajectory import Trajectory
 from truewrench.simulation.free_body import default_trajectory
 
-__all__ = ["FORMAT", "campaign"]
-
 FORMAT = "truewrench-campaign/1"
 
 _SHARD = 64  # trials in a file

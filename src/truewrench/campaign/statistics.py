@@ -20,17 +20,6 @@ from scipy.special import betaincinv, chdtrc, chdtri, ndtri
 
 from truewrench.model.rig import Rig
 
-__all__ = [
-    "DEVIATION",
-    "TAIL",
-    "Campaign",
-    "campaign_words",
-    "cluster_interval",
-    "summarise",
-    "wilson_interval",
-    "wrong_and_confident",
-]
-
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 

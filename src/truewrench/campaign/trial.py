@@ -21,8 +21,6 @@ from truewrench.motion.trajectory import Trajectory
 from truewrench.simulation.free_body import Truth, simulate
 from truewrench.simulation.truth import nees
 
-__all__ = ["SCHEMA", "STREAMS", "Row", "make_row", "run_trial", "trial_seed"]
-
 STREAMS = {"force": "force", "moment": "moment", "v": "velocities v", "Omega": "velocities Omega"}
 
 Array = NDArray[np.float64]

@@ -13,8 +13,6 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import TypeVar
 
-__all__ = ["Lost", "available_cores", "in_processes"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

@@ -19,8 +19,6 @@ from truewrench.cli.common import Outcome
 from truewrench.cli.terminal import fail, show_outcome
 from truewrench.model.errors import InputError
 
-__all__ = ["app", "main"]
-
 app = typer.Typer(
     name="truewrench",
     help="Recalibrate a robot's six-axis force/torque sensor in place, from the motion of a known payload.",

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from truewrench import Evidence
     from truewrench.model.calibration import Calibration
 
-__all__ = ["apply", "calibrate", "validate", "write_report_beside"]
-
 
 def calibrate(
     rig: RigArgument,

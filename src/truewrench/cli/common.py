@@ -19,22 +19,6 @@ from truewrench.model.errors import InputError
 if TYPE_CHECKING:
     from truewrench.model.log import Log
 
-__all__ = [
-    "DebugOption",
-    "JsonOption",
-    "LogsArgument",
-    "Outcome",
-    "OutputFolderOption",
-    "OutputLogOption",
-    "RigArgument",
-    "check_distinct",
-    "check_folder",
-    "check_output",
-    "progress_bar",
-    "report_left_out",
-    "report_notes",
-]
-
 
 @dataclass(frozen=True)
 class Outcome:

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from truewrench.model.calibration import Calibration
     from truewrench.tool.model import Tool
 
-__all__ = ["apply_tool", "sensor_and_tool", "view_of"]
-
 
 def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool, dict[str, Any]]:
     """The calibration, if `source` is one and no rig, the tool, and the verdict on using both.

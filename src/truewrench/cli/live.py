@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from truewrench.model.calibration import Calibration
     from truewrench.model.rig import Rig
 
-__all__ = ["stream"]
-
 _SHOWN = 10  # complaints of one kind before silence
 
 

@@ -16,8 +16,6 @@ from truewrench.cli.common import (
     report_notes,
 )
 
-__all__ = ["inspect"]
-
 
 def inspect(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV, Parquet, or a recording.")],

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from truewrench.simulation.arm import ArmRun
     from truewrench.simulation.free_body import SimulatedRun
 
-__all__ = ["follow", "plan", "simulate"]
-
 
 def plan(
     rig: RigArgument,

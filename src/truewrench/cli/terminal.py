@@ -16,8 +16,6 @@ from rich.console import Console
 
 from truewrench.cli.common import Outcome
 
-__all__ = ["fail", "show_outcome"]
-
 _LINES = 15  # of why a command failed
 
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from truewrench.model.rig import Rig
     from truewrench.tool.identify import Evidence
 
-__all__ = ["plan_for_tool", "tool"]
-
 
 def tool(
     source: Annotated[

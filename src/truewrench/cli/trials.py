@@ -18,8 +18,6 @@ from truewrench.cli.common import (
 )
 from truewrench.model.errors import InputError
 
-__all__ = ["campaign", "demo"]
-
 
 def demo(
     output: OutputFolderOption,

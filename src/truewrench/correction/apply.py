@@ -21,8 +21,6 @@ from truewrench.io.tables import TimeReader, named_payload, open_table, raw_colu
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.model.errors import InputError
 
-__all__ = ["Applied", "Run", "apply", "corrector", "used_in_part", "without_weight"]
-
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
 FloatArray = npt.NDArray[np.float64]

@@ -18,8 +18,6 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
 
-__all__ = ["CORRECTED", "PREDICTED", "RAW", "apply_to_recording"]
-
 Array = NDArray[np.float64]
 
 RAW = "/truewrench/raw"

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from truewrench.model.calibration import Calibration
 
-__all__ = ["Warmth"]
-
 FloatArray = NDArray[np.float64]
 
 

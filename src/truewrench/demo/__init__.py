@@ -42,8 +42,6 @@ from truewrench.report.figures import (
 )
 from truewrench.simulation.free_body import SimulatedRun, simulate
 
-__all__ = ["NOISE", "Comparison", "Result", "compare", "run", "simulate_case"]
-
 Array = NDArray[np.float64]
 
 DURATION = 10.0  # [s], as in the paper

@@ -27,8 +27,6 @@ from truewrench.simulation.arm import ArmRun, simulate_arm, simulate_plan
 from truewrench.simulation.arm.run import arm_with
 from truewrench.simulation.truth import nees
 
-__all__ = ["run_arm"]
-
 Array = NDArray[np.float64]
 
 _POSTURES = 6  # of the arm in its picture

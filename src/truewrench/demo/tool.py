@@ -32,8 +32,6 @@ from truewrench.tool.page import write_page
 from truewrench.tool.parameters import COLUMNS, ELEMENTS, ROWS
 from truewrench.tool.words import tool_summary
 
-__all__ = ["GRIPPER", "Size", "run_tool"]
-
 Array = NDArray[np.float64]
 
 ARM = "panda_tool"

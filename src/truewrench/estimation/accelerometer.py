@@ -16,8 +16,6 @@ from truewrench.model.log import Log
 from truewrench.motion.smooth import DEGREE, segments, uniform_spline
 from truewrench.motion.spatial import at_point
 
-__all__ = ["at_sensor", "noise_at_sensor", "told_acceleration"]
-
 Array = NDArray[np.float64]
 
 MOST_LENT = 0.5

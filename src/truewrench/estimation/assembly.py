@@ -19,8 +19,6 @@ from truewrench.model.calibration import AXES, Bound, Calibration, LogReport, Ve
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
 
-__all__ = ["assemble", "assemble_motion", "motion_figures"]
-
 Array = NDArray[np.float64]
 
 

@@ -22,8 +22,6 @@ from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.motion.spatial import cross_matrix, twist_adjoint
 from truewrench.robot.track import tracked_streams
 
-__all__ = ["NOISE", "Information", "bound", "information", "oracle_rms"]
-
 Array = NDArray[np.float64]
 
 NOISE = "noise"

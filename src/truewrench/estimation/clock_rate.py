@@ -18,8 +18,6 @@ from truewrench.estimation.estimate import Estimate, LogRows
 from truewrench.model.log import Log, Tracking
 from truewrench.model.rig import Rig
 
-__all__ = ["LEFT", "TOLD", "clock_rates", "told_rate", "with_rate"]
-
 Array = NDArray[np.float64]
 
 TOLD, LEFT = 6.0, 2.0  # sigma of a rate: that is told, and then left; told in 0 of 230 records without one

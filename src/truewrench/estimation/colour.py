@@ -20,8 +20,6 @@ from scipy.optimize import minimize
 from truewrench.model.log import Log, Whitened
 from truewrench.motion.smooth import segments
 
-__all__ = ["Colour", "colour_of", "welch", "without_filters"]
-
 Array = NDArray[np.float64]
 
 BEGIN = 12.0  # [Hz] from which on a spectrum is noise, as motions are slower

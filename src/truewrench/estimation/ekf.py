@@ -19,8 +19,6 @@ from truewrench.model.log import Log
 from truewrench.model.payload import core_payload
 from truewrench.model.rig import Rig
 
-__all__ = ["EkfEstimate", "estimate_ekf"]
-
 Array = NDArray[np.float64]
 
 _ONE_SIDED = 0.1  # share of the rows that may lack raw channels or twist: dropouts, not another rate

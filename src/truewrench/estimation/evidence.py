@@ -10,8 +10,6 @@ from truewrench.estimation.known_wrench import KnownWrenchEstimate
 from truewrench.estimation.least_squares import LeastSquaresEstimate
 from truewrench.model.log import Log
 
-__all__ = ["Evidence"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:

@@ -26,8 +26,6 @@ from truewrench.motion.smooth import DEGREE, segments, smooth_twist, uniform_kno
 from truewrench.motion.spatial import twist_adjoint
 from truewrench.robot.track import tracked_streams
 
-__all__ = ["InertialChunk", "InertialMotion"]
-
 Array = NDArray[np.float64]
 
 _FINER = 1.5  # knots than the coarsest that pass: their bias would count as an error of the sensor

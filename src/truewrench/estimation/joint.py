@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EXACT", "Joint", "body_part", "explained"]
-
 Array = NDArray[np.float64]
 
 EXACT = 1e-9

@@ -33,8 +33,6 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["KnownWrenchEstimate", "estimate_from_known_wrench"]
-
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpttrf, dtbtrs
 from scipy.optimize import minimize
 
-__all__ = ["Chain", "ErrorSize", "Spread", "find_sizes", "predicted", "spread_of_sizes", "whitened"]
-
 Array = NDArray[np.float64]
 
 _RANK = 1e-9  # of the largest: a smaller combination of regressors is rounding; tolerance

@@ -21,8 +21,6 @@ from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments, smooth_twist
 
-__all__ = ["LeastSquaresEstimate", "least_squares"]
-
 Array = NDArray[np.float64]
 
 _SHORTEST = 8  # rows that a piece of the record must have to be differentiated

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["twist_covariance", "twist_noise"]
-
 Array = NDArray[np.float64]
 
 

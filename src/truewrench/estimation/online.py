@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 
-__all__ = ["History", "OnlineFound", "found_online"]
-
 Array = NDArray[np.float64]
 
 # of a record, but for its motion

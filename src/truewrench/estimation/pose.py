@@ -17,19 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from truewrench.model.calibration_parts import BlindTo
 
-__all__ = [
-    "DelayShare",
-    "PoseShare",
-    "blind_to",
-    "delay_share",
-    "pooled_delay_share",
-    "pooled_pose_share",
-    "pose_about_mean",
-    "pose_of_twist",
-    "pose_share",
-    "with_pose",
-]
-
 Array = NDArray[np.float64]
 
 FORCE = 1e-3

@@ -29,8 +29,6 @@ from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import chain_of
 from truewrench.robot.track import measured_twists
 
-__all__ = ["Recorded", "recorded", "recorded_logs"]
-
 Array = NDArray[np.float64]
 
 _NO_BIAS = 1e-9  # 1 sigma that holds a constant at zero

@@ -23,8 +23,6 @@ from truewrench.model.repeats import SAMPLED
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import DEGREE, segments, uniform_spline
 
-__all__ = ["ReferenceClock", "with_reference_on_time"]
-
 Array = NDArray[np.float64]
 
 TOLD = 6.0  # sigma of s, or of r, from which on they are undone

@@ -18,8 +18,6 @@ from scipy.special import chdtrc
 
 from truewrench import _core
 
-__all__ = ["Shared", "Told"]
-
 Array = NDArray[np.float64]
 
 _LEAST = 1e-9  # share of a gain that a fit has at least: tolerance

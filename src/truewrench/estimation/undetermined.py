@@ -11,8 +11,6 @@ from scipy.linalg import qr
 from truewrench import _core
 from truewrench.model.calibration_parts import Undetermined
 
-__all__ = ["undetermined_directions"]
-
 Array = NDArray[np.float64]
 
 TIED = 0.15  # share of an axis, in units of range, that another one has to make up to be named with it: words

@@ -20,19 +20,6 @@ from truewrench.estimation.wrench_regression import Part, Problem, Solution, sol
 from truewrench.estimation.wrench_rows import Rows, consistent
 from truewrench.model.calibration_parts import Assumed
 
-__all__ = [
-    "MOST_OUTLIERS",
-    "_FOUND",
-    "Fit",
-    "FoundErrors",
-    "as_stated",
-    "fit_with",
-    "fit_with_found",
-    "grouped_by",
-    "parts_of",
-    "residual_of",
-]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -28,8 +28,6 @@ from scipy.fft import dct, idct
 
 from truewrench.estimation.lasting_errors import Chain, ErrorSize, whitened
 
-__all__ = ["Part", "Problem", "Solution", "solve"]
-
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 

@@ -13,8 +13,6 @@ from truewrench.estimation.lasting_errors import Chain, ErrorSize, predicted
 from truewrench.estimation.plateaus import is_stepped, plateaus
 from truewrench.estimation.wrench_regression import Part, Problem, Solution
 
-__all__ = ["Rows", "consistent", "rows_by_kind"]
-
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]

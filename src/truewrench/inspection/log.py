@@ -15,8 +15,6 @@ from truewrench.io.table import ACCELERATION, ANGULAR_VELOCITY, ATTITUDE, GRAVIT
 from truewrench.io.tables import TimeReader, open_table
 from truewrench.model.errors import InputError
 
-__all__ = ["ColumnContent", "Gap", "LogContent", "Stream", "inspect_log"]
-
 GAP_PERIODS = 5.0
 """A stream pauses where this many nominal periods pass without a sample."""
 

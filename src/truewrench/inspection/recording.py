@@ -16,8 +16,6 @@ from truewrench.io.recordings.reader import Batch, Recording, Topic, open_record
 from truewrench.io.recordings.streams import Clocks, clock_notes, role_of, samples_of
 from truewrench.model.errors import InputError
 
-__all__ = ["RecordingContent", "StreamContent", "TopicContent", "inspect_recording"]
-
 IntArray = npt.NDArray[np.int64]
 
 _FIRST = 1024  # periods whose median is the nominal one

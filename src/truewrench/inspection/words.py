@@ -12,8 +12,6 @@ from rich.text import Text
 from truewrench.inspection.log import ColumnContent, LogContent
 from truewrench.inspection.recording import RecordingContent, StreamContent
 
-__all__ = ["log_summary", "recording_summary"]
-
 
 def recording_summary(content: RecordingContent) -> Iterator[RenderableType]:
     """Topics and what they would be taken for, then rates, gaps and ranges of what can be read."""

@@ -19,8 +19,6 @@ import pyarrow.compute as pc
 
 from truewrench.model.errors import InputError
 
-__all__ = ["Column", "numbers", "to_nanoseconds"]
-
 _LARGEST_SECONDS = 9_000_000_000  # int64 nanoseconds end at 9.22e9 s
 _UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}  # [ns] of Arrow's timestamps
 

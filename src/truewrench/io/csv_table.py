@@ -16,8 +16,6 @@ from truewrench.io.table import ACCELERATION, GRAVITY, SPECIFIC_FORCE, TWIST, Ch
 from truewrench.model.calibration import AXES
 from truewrench.model.errors import InputError
 
-__all__ = ["CsvChunk", "CsvTable"]
-
 _BLOCK = 4 << 20  # bytes read at once
 _END = 1 << 18  # bytes of a file's end that tell whether its last line is whole
 _TELLING = 50  # cells with a number that tell how long one is

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from truewrench.model.errors import InputError
 from truewrench.model.files import write_yaml
 
-__all__ = ["write_joint_trajectory"]
-
 Array = npt.NDArray[np.float64]
 
 

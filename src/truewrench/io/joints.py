@@ -13,8 +13,6 @@ from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 
-__all__ = ["BASE_ATTITUDE", "BASE_TWIST", "check_attitude", "joint_groups", "without_attitude"]
-
 BASE_TWIST = ("base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz")
 BASE_ATTITUDE = ("base_qw", "base_qx", "base_qy", "base_qz")
 

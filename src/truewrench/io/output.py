@@ -13,8 +13,6 @@ import pyarrow.parquet as pq
 from truewrench.model.errors import InputError
 from truewrench.model.files import atomic_output
 
-__all__ = ["is_parquet", "write_batches", "write_lines"]
-
 
 def is_parquet(path: str | Path) -> bool:
     """Whether a file of this name is written as Parquet."""

@@ -12,8 +12,6 @@ from truewrench.io.cells import Column
 from truewrench.io.table import Chunk, Table
 from truewrench.model.errors import InputError
 
-__all__ = ["ParquetTable"]
-
 _ROWS = 1 << 15  # read at once
 
 

@@ -14,8 +14,6 @@ from truewrench.model.errors import InputError
 from truewrench.motion.trajectory import SplineTwist
 from truewrench.motion.trajectory_joint import SplineJoints
 
-__all__ = ["joint_columns", "read_joint_plan", "read_plan"]
-
 Array = npt.NDArray[np.float64]
 
 _FEWEST_ROWS = 6  # what a quintic spline needs

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from truewrench import _core
 
-__all__ = ["in_packets", "with_even_stamps"]
-
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 

@@ -12,18 +12,6 @@ import pyarrow as pa
 from truewrench.io.cells import Column
 from truewrench.model.errors import InputError
 
-__all__ = [
-    "ACCELERATION",
-    "ANGULAR_VELOCITY",
-    "ATTITUDE",
-    "GRAVITY",
-    "REFERENCE",
-    "SPECIFIC_FORCE",
-    "TWIST",
-    "Chunk",
-    "Table",
-]
-
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 ANGULAR_VELOCITY = TWIST[3:]
 ATTITUDE = ("qw", "qx", "qy", "qz")

@@ -11,8 +11,6 @@ from truewrench import _core
 from truewrench.estimation.estimate import Estimate
 from truewrench.model.rig import Rig
 
-__all__ = ["advice"]
-
 Array = NDArray[np.float64]
 
 _GENERAL = (

@@ -20,8 +20,6 @@ from truewrench.estimation.estimate import Estimate, LogRows
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["Looks", "fast_looks", "slow_looks"]
-
 Array = NDArray[np.float64]
 
 BIN = 0.05  # [s] slow departures are averaged over: tolerance

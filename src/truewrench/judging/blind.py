@@ -10,8 +10,6 @@ from truewrench.estimation.estimate import Estimate
 from truewrench.model.calibration_parts import BlindTo
 from truewrench.model.rig import Rig
 
-__all__ = ["blind_to"]
-
 Array = NDArray[np.float64]
 
 STILL = 1e-9  # fraction of range: a wrench that moves by less shows nothing, and hides nothing: tolerance

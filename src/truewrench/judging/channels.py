@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["ChannelFault", "channel_faults", "motion_columns", "still_motion"]
-
 Array = NDArray[np.float64]
 
 FEWEST = 10  # samples from which on a repeated value is no coincidence: tolerance

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from truewrench.judging.setup_odds import Suspicion
 
-__all__ = ["Comparisons"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparisons:

@@ -11,8 +11,6 @@ from truewrench.judging.words import CHANNELS, log_name
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["largest_departure"]
-
 LOUD = 2.0  # times the stated noise, from which on a motion stream is the one that departs: words only
 
 

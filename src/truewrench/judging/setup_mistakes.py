@@ -14,18 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from truewrench.model.calibration_parts import AXES
 
-__all__ = [
-    "Hypothesis",
-    "Kind",
-    "axes_in_words",
-    "drifts",
-    "mixed_axes",
-    "payload_directions",
-    "payload_units",
-    "scales",
-    "turns",
-]
-
 Array = NDArray[np.float64]
 Kind = Literal["scale", "axes", "payload", "departure"]
 

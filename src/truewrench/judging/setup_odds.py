@@ -39,8 +39,6 @@ from truewrench.judging.setup_mistakes import (
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["Suspicion", "gross_errors", "payload_errors", "setup_errors", "suspected_setup_errors"]
-
 Array = NDArray[np.float64]
 
 COMMON = 0.3  # departures of other sensors, where `gain_prior` says more; its rates are those of `PRIOR_ODDS`

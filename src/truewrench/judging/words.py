@@ -22,19 +22,6 @@ from truewrench.model.calibration_parts import Assumed
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = [
-    "MOST",
-    "findings",
-    "kinds_of_disagreement",
-    "kinds_of_disturbances",
-    "listed",
-    "log_name",
-    "looks_fast",
-    "looks_slow",
-    "of_references",
-    "slow_stands",
-]
-
 MOST = 3  # kinds that are named at once
 WORTH = 0.1  # of the highest score, from which on a kind is named: the right one in 21 of 27 refusals
 TOLD = 4.0  # sigma of a clock, a quadratic term, a slow disturbance: 1 clean record in 2,000

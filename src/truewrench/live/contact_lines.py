@@ -17,8 +17,6 @@ from truewrench.live.lines import Output, batches
 from truewrench.live.stop import Stop
 from truewrench.model.errors import InputError
 
-__all__ = ["LiveContact", "contact_lines"]
-
 Complain = Callable[[str], None]
 
 

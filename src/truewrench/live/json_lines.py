@@ -23,8 +23,6 @@ from truewrench.model.errors import InputError
 if TYPE_CHECKING:  # all that an estimate needs takes a second to import
     from truewrench.live.session import LiveCalibration
 
-__all__ = ["INPUT", "Lines", "calibrate_lines", "correct_lines"]
-
 INPUT = "standard input"
 
 _KEYS = (*AXES, *(f"{axis}_std" for axis in AXES))

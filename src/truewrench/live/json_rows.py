@@ -14,8 +14,6 @@ from truewrench.io.table import ACCELERATION, ATTITUDE, GRAVITY, REFERENCE, SPEC
 from truewrench.live.lines import LONGEST
 from truewrench.model.rig.strict import shown
 
-__all__ = ["LineError", "Row", "motion_of", "read_row", "tare_of", "temperature_of"]
-
 _COLUMNS = frozenset(
     [*TWIST, *GRAVITY, *ATTITUDE, *ACCELERATION, *SPECIFIC_FORCE, *REFERENCE]
     + [*BASE_TWIST, *BASE_ATTITUDE, "temperature"]

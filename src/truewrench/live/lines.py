@@ -9,8 +9,6 @@ from collections.abc import Iterator
 
 from truewrench.live.stop import Stop
 
-__all__ = ["LONGEST", "Output", "batches"]
-
 LONGEST = 1 << 20
 """Bytes of a line: nothing that is longer is one."""
 

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from truewrench.model.calibration import Calibration
 
-__all__ = ["Progress"]
-
 
 @dataclass(frozen=True, slots=True)
 class Progress:

@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from truewrench.model.errors import InputError
 
-__all__ = ["Record"]
-
 
 class _Stream:
     """Samples of the same columns."""

@@ -39,8 +39,6 @@ if TYPE_CHECKING:  # all that an estimate needs takes a second to import
 
     from truewrench.live.session import LiveCalibration
 
-__all__ = ["OUTPUT", "Counts", "Topics", "calibrate_topics", "correct_topic"]
-
 OUTPUT = "/truewrench/wrench"
 """Topic of the corrected wrench."""
 

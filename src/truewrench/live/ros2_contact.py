@@ -33,8 +33,6 @@ from truewrench.live.stop import Stop
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 
-__all__ = ["CONTACT", "contact_topics"]
-
 CONTACT = "/truewrench/contact"
 """Topic of the contact wrench, its stamp the middle of the kernel;"""
 

@@ -10,8 +10,6 @@ from typing import Any
 
 from truewrench.model.errors import InputError
 
-__all__ = ["RESTART", "MergedRow", "Merger"]
-
 _PATIENCE = 0.05  # [s] after which a topic that is late is no longer waited for
 
 RESTART = 1_000_000_000

@@ -31,8 +31,6 @@ from truewrench.live.ros2_types import TYPE_HASHES
 from truewrench.live.stop import Stop
 from truewrench.model.errors import InputError
 
-__all__ = ["Node", "configuration", "domain_id", "finish", "lost", "ros_type", "taken", "unreliable"]
-
 _LARGEST_DOMAIN = 232
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _PREFIX = "rt/"  # of a ROS topic among those of DDS

@@ -14,8 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["TareService", "tare_service"]
-
 _LONGEST = 2.0  # [s] that a caller waits for an answer
 
 Answer = Callable[[bool, str], None]

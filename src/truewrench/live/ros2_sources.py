@@ -25,8 +25,6 @@ from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 
-__all__ = ["SensorSource", "Source", "motion_sources"]
-
 Sample = tuple[tuple[str, ...], int, Sequence[float]]
 
 

@@ -21,26 +21,6 @@ else:
 
     Nine = array[float64, 9]
 
-__all__ = [
-    "TYPE_HASHES",
-    "Bool",
-    "DiagnosticArray",
-    "DiagnosticStatus",
-    "Empty",
-    "Float64MultiArray",
-    "Header",
-    "Imu",
-    "JointState",
-    "KeyValue",
-    "Temperature",
-    "Time",
-    "TwistStamped",
-    "Vector3",
-    "Vector3Stamped",
-    "Wrench",
-    "WrenchStamped",
-]
-
 
 @dataclass
 @annotate.final

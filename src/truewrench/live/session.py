@@ -30,8 +30,6 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 
-__all__ = ["CALIBRATION", "RECORD", "LiveCalibration", "payload_of"]
-
 Columns = Mapping[str, npt.NDArray[Any]]
 
 FIRST = 2.0  # [s] of record for a first estimate

@@ -9,8 +9,6 @@ from contextlib import suppress
 from types import FrameType
 from typing import Any, Self
 
-__all__ = ["Stop"]
-
 
 class Stop:
     """Whether the program was asked to end; a context in which the signals say so and do no more.

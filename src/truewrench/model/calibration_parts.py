@@ -10,19 +10,6 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "AXES",
-    "KINDS",
-    "UNITS",
-    "Assumed",
-    "AxisImprovement",
-    "BlindTo",
-    "Bound",
-    "LogReport",
-    "Undetermined",
-    "Verdict",
-]
-
 AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 """The wrench axes, in order."""
 

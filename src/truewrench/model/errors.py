@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
-__all__ = ["InputError", "TruewrenchError", "UnsupportedError"]
-
 
 class TruewrenchError(Exception):
     """Base of every error the package raises on purpose."""

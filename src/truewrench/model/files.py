@@ -21,8 +21,6 @@ import yaml
 
 from truewrench.model.errors import InputError
 
-__all__ = ["Locate", "atomic_output", "read_yaml", "write_yaml"]
-
 Locate = Callable[[Sequence[str | int]], int | None]
 """Line (from 1) at which a key path such as ("sensor", "noise", 3) stands, None when it does not."""
 

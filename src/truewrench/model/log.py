@@ -10,8 +10,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicSpline
 
-__all__ = ["Log", "Reference", "Tracking", "Whitened"]
-
 FloatArray = npt.NDArray[np.float64]
 
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.model.rig import PayloadSpec, Rig
 
-__all__ = ["core_payload", "payload_wrench"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from truewrench.model.log import Log
 
-__all__ = ["SAMPLED", "without_repeats"]
-
 Array = NDArray[np.float64]
 
 SAMPLED = 0.1

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 
-__all__ = ["between_jumps", "held_out", "rows_of"]
-
 Array = NDArray[np.float64]
 
 SHORTEST = 100  # rows of a piece of a held-out log

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-__all__ = ["at_reference_temperature", "temperature_at"]
-
 Array = NDArray[np.float64]
 
 

@@ -12,8 +12,6 @@ from scipy.sparse import csr_array, diags_array
 
 from truewrench.motion.trajectory_joint import JointCurves
 
-__all__ = ["JointSpline", "fit_joints"]
-
 Array = NDArray[np.float64]
 
 _DEGREE = 5

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 
-__all__ = ["DEGREE", "SmoothTwist", "segments", "smooth_twist", "uniform_knots", "uniform_spline"]
-
 Array = NDArray[np.float64]
 
 DEGREE = 5

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["at_point", "cross", "cross_matrix", "rotated", "turns_between", "twist_adjoint"]
-
 Array = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
-__all__ = ["JointCurves", "JointTrajectory", "SplineJoints"]
-
 Array = NDArray[np.float64]
 
 

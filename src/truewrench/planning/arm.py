@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from truewrench.planning.symbolic import at_point, force_to_move
 from truewrench.robot.arm import Robot
 
-__all__ = ["ArmExpressions", "arm_expressions", "has_link_inertias"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import SplineTwist, attitude
 from truewrench.planning.limits import Limits, Usage, usage_of
 
-__all__ = ["TWIST_AXES", "Preview", "check_times", "check_twist", "place_usage", "wrench_usage"]
-
 Array = NDArray[np.float64]
 
 TWIST_AXES = ("vx", "vy", "vz", "wx", "wy", "wz")

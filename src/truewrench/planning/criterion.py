@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from truewrench.model.rig import Rig
 from truewrench.planning.buffered import Buffered
 
-__all__ = ["PACKED", "Criterion", "packed"]
-
 Array = NDArray[np.float64]
 
 PACKED = np.tril_indices(7)

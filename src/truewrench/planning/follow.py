@@ -18,8 +18,6 @@ from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.resolved_rate import FollowedTwist, follow_twist, limits_of
 from truewrench.robot.arm import Robot, robot_of
 
-__all__ = ["FollowedPlan", "follow_plan"]
-
 Array = NDArray[np.float64]
 
 _CLOSE = (

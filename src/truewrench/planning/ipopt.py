@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from truewrench.planning.optimise import Problem, Rows
 
-__all__ = ["minimise"]
-
 Array = NDArray[np.float64]
 
 

@@ -16,8 +16,6 @@ from truewrench.planning.joint_space import ArmOutputs, near_pairs
 from truewrench.planning.limits import Limits, Usage, clearance_usage, usage_of
 from truewrench.robot.arm import Robot
 
-__all__ = ["check_joints", "quick_usage"]
-
 Array = NDArray[np.float64]
 
 

@@ -27,8 +27,6 @@ from truewrench.robot.arm import robot_of
 from truewrench.robot.track import track
 from truewrench.simulation.truth import begin, readings, stamps_of
 
-__all__ = ["design_joints", "simulated_joints"]
-
 Array = NDArray[np.float64]
 
 _EFFORT = Effort(random=120, starts=6, first=20, finalists=2, iterations=60, again=20, rounds=1, excess=0.02)

@@ -19,8 +19,6 @@ from truewrench.planning.optimise import Bounds, Space
 from truewrench.planning.symbolic import at_point, wrench_over_range
 from truewrench.robot.arm import Robot
 
-__all__ = ["ArmOutputs", "arm_outputs", "joint_limits", "joint_space", "near_pairs"]
-
 Array = NDArray[np.float64]
 
 _CLEARANCE = 0.07  # of the arm's length: what hand and payload keep from the inner links

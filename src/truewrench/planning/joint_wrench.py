@@ -22,8 +22,6 @@ from truewrench.planning.search import Progress
 from truewrench.planning.wrench_plan import ONE_FREQUENCY, best_sinusoids, facts_of, scaled
 from truewrench.robot.arm import Robot, robot_of
 
-__all__ = ["design_joint_wrench"]
-
 Array = NDArray[np.float64]
 
 _REACHED = 0.5  # of what the joints could do together at the start

@@ -11,18 +11,6 @@ from numpy.typing import NDArray
 
 from truewrench.model.rig import Rig
 
-__all__ = [
-    "DEFAULT_WRENCH_FRACTION",
-    "SMALLEST",
-    "TOLERANCE",
-    "Limits",
-    "Usage",
-    "clearance_usage",
-    "usage_of",
-    "violations",
-    "wrench_fraction",
-]
-
 Array = NDArray[np.float64]
 Kind = Literal["position", "velocity", "acceleration", "jerk", "torque", "wrench", "workspace", "clearance"]
 

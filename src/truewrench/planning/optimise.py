@@ -21,8 +21,6 @@ from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
 from truewrench.planning.spread import Spread
 
-__all__ = ["FINE", "Bounds", "Problem", "Rows", "Space"]
-
 Array = NDArray[np.float64]
 
 FINE = 4  # times between two nodes at which the series themselves are looked at

@@ -10,8 +10,6 @@ from truewrench.model.rig import Rig
 from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
 
-__all__ = ["ROWS", "check_harmonics", "cycles_of", "plan_rows", "typical_velocity"]
-
 Array = NDArray[np.float64]
 
 _SPEED = 1.0  # [m/s, rad/s] where nothing is said

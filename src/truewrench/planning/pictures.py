@@ -16,8 +16,6 @@ from truewrench.model.calibration_parts import AXES
 from truewrench.planning.limits import Usage, wrench_fraction
 from truewrench.planning.result import Plan
 
-__all__ = ["draw_plan"]
-
 Array = NDArray[np.float64]
 
 _POINTS = 4000  # of a curve, at most

@@ -21,8 +21,6 @@ from truewrench.planning.twist_plan import design_twist
 from truewrench.planning.wrench_plan import design_wrench
 from truewrench.simulation.free_body import simulate
 
-__all__ = ["check_limits", "plan", "simulated_log"]
-
 _BOUNDS = ("position", "velocity", "acceleration", "jerk", "workspace")
 _SIMULATED = 60.0  # [s] of a motion that repeats itself: the rest is more of the same
 

@@ -34,8 +34,6 @@ from truewrench.motion.trajectory import SplineTwist, Trajectory
 from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.planning.check import Preview
 
-__all__ = ["HEAVIER", "LONGER", "POSE", "Prediction", "figures", "hidden", "ideal", "predict"]
-
 Array = NDArray[np.float64]
 
 LONGER = (2, 5)

@@ -19,8 +19,6 @@ from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import Trajectory
 from truewrench.robot.arm import Robot, robot_of
 
-__all__ = ["FollowedTwist", "JointLimits", "follow_twist", "limits_of"]
-
 Array = NDArray[np.float64]
 
 _SUBSTEPS = 4  # of the target pose between two commands

@@ -22,8 +22,6 @@ from truewrench.planning.check import Preview
 from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures
 
-__all__ = ["FORMAT", "Design", "Plan", "alpha_of", "write_design"]
-
 Array = NDArray[np.float64]
 
 FORMAT = "truewrench-plan/1"

@@ -14,8 +14,6 @@ from truewrench.planning.optimise import Problem
 from truewrench.planning.series import FourierMotion
 from truewrench.planning.solve import Solution, candidates, solve
 
-__all__ = ["Effort", "Found", "Progress", "search"]
-
 Array = NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from truewrench.motion.spatial import cross
 from truewrench.motion.trajectory import Body, motion_of_wrench, rotation_matrix
 
-__all__ = ["Batch", "Motions", "integrated", "without_drift"]
-
 Array = NDArray[np.float64]
 
 _STEPS_PER_PERIOD = 16  # of the fastest sinusoid, by Runge and Kutta's fourth order

@@ -12,8 +12,6 @@ from truewrench.planning.ipopt import minimise
 from truewrench.planning.limits import Limits
 from truewrench.planning.optimise import FINE, Problem, Rows
 
-__all__ = ["Solution", "candidates", "solve"]
-
 Array = NDArray[np.float64]
 
 _SIZES = 0.5 ** np.arange(0.0, 6.0, 0.5)  # of a random motion: of the largest that its series may be,

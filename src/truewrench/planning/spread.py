@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from truewrench.model.rig import Rig
 from truewrench.planning.series import SeriesBasis
 
-__all__ = ["Spread", "spread_weight"]
-
 Array = NDArray[np.float64]
 
 _SLACK = 0.05  # the price of one frequency is log(1 / slack), and finite

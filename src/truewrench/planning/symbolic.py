@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from truewrench.model.rig import Rig
 
-__all__ = ["at_point", "force_to_move", "total_derivative", "wrench_over_range"]
-
 Array = NDArray[np.float64]
 
 

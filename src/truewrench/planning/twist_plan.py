@@ -23,8 +23,6 @@ from truewrench.planning.series import FourierMotion, SeriesBasis
 from truewrench.planning.spread import spread_weight
 from truewrench.planning.twist_space import pose_space, pose_twist, twist_space
 
-__all__ = ["design_twist", "twist_design"]
-
 Array = NDArray[np.float64]
 
 

@@ -13,8 +13,6 @@ from truewrench.planning.optimise import Bounds, Space
 from truewrench.planning.series import FourierMotion
 from truewrench.planning.symbolic import at_point, total_derivative, wrench_over_range
 
-__all__ = ["pose_space", "pose_twist", "twist_space"]
-
 Array = NDArray[np.float64]
 
 

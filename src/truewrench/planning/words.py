@@ -13,8 +13,6 @@ from rich.text import Text
 from truewrench.model.calibration_parts import AXES
 from truewrench.planning.result import Plan
 
-__all__ = ["plan_words", "verdict_words"]
-
 _SHOWN = 8  # limits, the ones that are used most
 
 

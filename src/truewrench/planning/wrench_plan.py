@@ -21,8 +21,6 @@ from truewrench.planning.search import Progress
 from truewrench.planning.sinusoids import Batch, Motions, integrated, without_drift
 from truewrench.planning.twist_plan import twist_design
 
-__all__ = ["ONE_FREQUENCY", "Sinusoids", "best_sinusoids", "design_wrench", "facts_of", "scaled", "twist_of"]
-
 Array = NDArray[np.float64]
 
 ONE_FREQUENCY = (

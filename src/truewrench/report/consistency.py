@@ -14,8 +14,6 @@ from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import KnownWrenchEstimate
 from truewrench.report.series import Record, groups_of
 
-__all__ = ["CHANCE", "Consistency", "consistency"]
-
 Array = NDArray[np.float64]
 
 CHANCE = 0.01  # of a value outside its bounds where the noise is as expected

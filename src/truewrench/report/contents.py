@@ -20,8 +20,6 @@ from truewrench.report.series import Record, Series, record_of
 from truewrench.report.statistics import Envelope, envelope, histogram, spectrum
 from truewrench.report.tables import Table
 
-__all__ = ["Figure", "Section", "sections"]
-
 Array = NDArray[np.float64]
 
 _SHOWN = 200  # intervals and rows that are listed one by one

@@ -19,8 +19,6 @@ from truewrench.estimation.evidence import Evidence
 from truewrench.model.calibration import Calibration
 from truewrench.report.series import Record
 
-__all__ = ["Convergence", "convergence"]
-
 Array = NDArray[np.float64]
 
 _STEPS = 80

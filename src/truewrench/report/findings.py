@@ -14,21 +14,6 @@ from truewrench.report.convergence import Convergence
 from truewrench.report.statistics import Histogram, Spectrum
 from truewrench.report.tables import SOURCES
 
-__all__ = [
-    "CURES",
-    "agreement_words",
-    "axes_listed",
-    "consistency_words",
-    "convergence_words",
-    "dominating",
-    "helps",
-    "histogram_words",
-    "pose_words",
-    "source_words",
-    "spectrum_words",
-    "undetermined_words",
-]
-
 CURES = {
     "noise": "a longer record, or one of larger wrenches (faster, heavier),",
     "mass": "a payload that is weighed more exactly",

@@ -12,8 +12,6 @@ from truewrench.model.calibration import Calibration
 from truewrench.report.summary import with_uncertainty
 from truewrench.report.tables import Cell, Row, Table
 
-__all__ = ["assumed_table", "found_table"]
-
 _LATENESS = {0.0: "a filter of the sensor", 0.5: "a clock", 1.0: "a filter of the velocities"}
 _SURE = 3.0  # sigma
 

@@ -30,8 +30,6 @@ from truewrench.model.files import atomic_output
 from truewrench.report import findings, tables
 from truewrench.report.contents import Figure, sections
 
-__all__ = ["page", "write_report"]
-
 _FOLDER = Path(__file__).parent
 
 

@@ -23,16 +23,6 @@ from truewrench.report.convergence import Convergence
 from truewrench.report.series import Record
 from truewrench.report.statistics import Envelope, Histogram, Spectrum
 
-__all__ = [
-    "consistency_plot",
-    "convergence_plot",
-    "histogram_plot",
-    "information_plot",
-    "residual_plots",
-    "spectrum_plot",
-    "wrench_plots",
-]
-
 Array = NDArray[np.float64]
 
 BLUE, VERMILION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#808080"

@@ -19,8 +19,6 @@ from truewrench.model.log import Log
 from truewrench.model.split import held_out
 from truewrench.model.temperature import at_reference_temperature
 
-__all__ = ["Record", "Series", "Span", "groups_of", "record_of"]
-
 Array = NDArray[np.float64]
 Span = tuple[float, float]
 

@@ -12,8 +12,6 @@ from scipy.special import chdtri
 
 from truewrench.report.series import Record, Series
 
-__all__ = ["Envelope", "Histogram", "Spectrum", "envelope", "histogram", "spectrum"]
-
 Array = NDArray[np.float64]
 
 BUCKETS = 1000  # of the time axis: about the pixels of a wide screen

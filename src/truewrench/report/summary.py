@@ -18,14 +18,6 @@ from truewrench.judging.validation import Validation
 from truewrench.model.calibration import AXES, Calibration, LogReport
 from truewrench.model.calibration_parts import UNITS
 
-__all__ = [
-    "calibration_summary",
-    "exports_summary",
-    "show",
-    "validation_summary",
-    "with_uncertainty",
-]
-
 SHOWN = 10  # rows that are named one by one
 FEW = 5  # remarks, likewise
 

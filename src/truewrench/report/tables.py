@@ -13,20 +13,6 @@ from truewrench.model.calibration_parts import UNITS
 from truewrench.model.rig.sections import ELEMENTS
 from truewrench.report.summary import with_uncertainty
 
-__all__ = [
-    "SOURCES",
-    "Cell",
-    "Row",
-    "Table",
-    "gain_table",
-    "improvement_table",
-    "left_out_table",
-    "limits_table",
-    "offset_table",
-    "payload_table",
-    "wrench_table",
-]
-
 _NOTICED, _SMALL, _LARGE = 5e-4, 0.01, 0.05  # of full scale: departures that are named, shaded, and more so
 SOURCES = {
     "center_of_mass": "centre of mass",

@@ -20,8 +20,6 @@ from truewrench.model.rig.urdf import model_of, nearest
 from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import rotation_matrix
 
-__all__ = ["ArmMotion", "BaseMotion", "Robot", "load_robot", "robot_of", "rotation_of"]
-
 Array = NDArray[np.float64]
 
 

@@ -14,8 +14,6 @@ from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import rotation_of
 
-__all__ = ["BasePath"]
-
 Array = NDArray[np.float64]
 
 

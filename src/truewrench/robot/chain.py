@@ -11,8 +11,6 @@ from truewrench import _core
 from truewrench.robot.arm import Robot
 from truewrench.robot.base_path import BasePath
 
-__all__ = ["SensorMotion", "chain_of", "sensor_motion"]
-
 Array = NDArray[np.float64]
 
 _CHUNK = 4096  # rows, whose Jacobians take 8 MB

@@ -15,8 +15,6 @@ from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.robot.attitude import free_fall
 
-__all__ = ["uncompensated"]
-
 Array = NDArray[np.float64]
 
 

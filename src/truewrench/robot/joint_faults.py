@@ -13,8 +13,6 @@ from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 from truewrench.robot.parts import MOVES, SAMPLED
 
-__all__ = ["joint_faults"]
-
 Array = NDArray[np.float64]
 
 SPAN = 0.25  # [s] over which the way of a joint is compared: far above its noise, below a turn of its motion

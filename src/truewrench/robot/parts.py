@@ -13,8 +13,6 @@ from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import robot_of
 
-__all__ = ["MOVES", "SAMPLED", "on_common_rows", "together", "unwrapped"]
-
 Array = NDArray[np.float64]
 
 _POINTS = 4  # of a cubic

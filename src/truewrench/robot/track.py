@@ -27,8 +27,6 @@ from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import SensorMotion, chain_of, sensor_motion
 from truewrench.robot.parts import together, unwrapped
 
-__all__ = ["TrackedStream", "measured_twists", "track", "tracked", "tracked_streams"]
-
 Array = NDArray[np.float64]
 
 _FEWEST = 16  # rows of a joint stream that a motion can be made of

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from truewrench.model.errors import InputError
 
-__all__ = ["NAMES", "TOOL_RIGS", "path"]
-
 NAMES = ("ssrms", "spdm", "panda", "panda_ground", "ur10", "ur10_ground")
 """Rigs of arms that carry a known payload, for calibrations,"""
 

@@ -11,8 +11,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LowPass", "PoseForce", "dahl", "half_sine", "nonlinearity", "play", "pose_force", "wandering"]
-
 Array = NDArray[np.float64]
 Rng = np.random.Generator
 

@@ -34,8 +34,6 @@ from truewrench.simulation.effects import (
     wandering,
 )
 
-__all__ = ["FINE", "FineMotion", "Hardware", "Readout"]
-
 Array = NDArray[np.float64]
 Rng = np.random.Generator
 

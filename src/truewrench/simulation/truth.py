@@ -20,20 +20,6 @@ from truewrench.model.rig.fields import Fields
 from truewrench.motion.trajectory import Body
 from truewrench.simulation.imperfect import Readout
 
-__all__ = [
-    "Stamps",
-    "Truth",
-    "begin",
-    "draw_truth",
-    "nees",
-    "noise_of",
-    "read_truth",
-    "readings",
-    "stamps_of",
-    "stated",
-    "write_run",
-]
-
 Array = NDArray[np.float64]
 Stamp = NDArray[np.int64]
 

@@ -31,8 +31,6 @@ from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.tool.model import Tool
 
-__all__ = ["ContactApplied", "apply_contact"]
-
 Array = NDArray[np.float64]
 
 TOPIC = "/truewrench/contact"

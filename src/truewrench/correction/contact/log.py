@@ -16,8 +16,6 @@ from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 from truewrench.tool.model import Tool
 
-__all__ = ["Contact", "contact"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import BaseMotion, robot_of, rotation_of
 
-__all__ = ["MotionColumns", "MotionRows"]
-
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
 

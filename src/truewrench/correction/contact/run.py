@@ -19,18 +19,6 @@ from truewrench.model.rig import Rig
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import channel_turn
 
-__all__ = [
-    "CAPACITY",
-    "DELAY",
-    "NEW_COLUMNS",
-    "ContactEvent",
-    "ContactRun",
-    "Contacts",
-    "View",
-    "check_same_sensor",
-    "contact_settings",
-]
-
 Array = NDArray[np.float64]
 
 DELAY = 0.01

@@ -17,8 +17,6 @@ from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.files import atomic_output
 
-__all__ = ["Exports", "write_exports"]
-
 _NO_INVERSE = "the gain has no inverse"
 
 

@@ -13,8 +13,6 @@ from xml.etree import ElementTree
 from truewrench.io.exports.words import introduction, numbers
 from truewrench.model.calibration import Calibration
 
-__all__ = ["unfit", "write"]
-
 _MOST_GAUGES = 8  # MAX_GAUGES of ATI's library
 _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 

@@ -17,8 +17,6 @@ from truewrench.io.exports.loss import Loss, best_factors, diagonal_nominal, los
 from truewrench.io.exports.words import introduction, losses
 from truewrench.model.calibration import AXES, Calibration
 
-__all__ = ["loss", "unfit", "write"]
-
 _LEAST = 0.1  # of the nominal factor: a channel that feels less of its axis than that is another axis'
 
 

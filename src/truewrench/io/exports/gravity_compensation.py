@@ -16,8 +16,6 @@ from truewrench.io.exports.loss import Loss, loss_of_factors
 from truewrench.io.exports.words import introduction, line, losses
 from truewrench.model.calibration import Calibration
 
-__all__ = ["loss", "unfit", "write"]
-
 _FRAME = "ft_sensor"
 _SUITED = {
     "payload_on_sensor": "the sources of May 2021 and later, not releases up to 1.2.0",

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from truewrench.model.calibration import Calibration
 
-__all__ = ["Loss", "best_factors", "diagonal_nominal", "loss_of_factors"]
-
 Array = NDArray[np.float64]
 
 

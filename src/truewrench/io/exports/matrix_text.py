@@ -9,8 +9,6 @@ import numpy as np
 from truewrench.io.exports.words import introduction, numbers
 from truewrench.model.calibration import Calibration
 
-__all__ = ["write"]
-
 
 def write(calibration: Calibration, path: Path) -> None:
     """Six rows of n numbers below a comment with units, sign and offset."""

@@ -8,8 +8,6 @@ import numpy as np
 
 from truewrench.model.calibration import AXES, Calibration
 
-__all__ = ["write"]
-
 
 def write(calibration: Calibration, path: Path) -> None:
     """Arrays by name, and the verdict: `usable` and `reasons`."""

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from truewrench.io.exports.loss import Loss
 from truewrench.model.calibration import AXES, Calibration
 
-__all__ = ["introduction", "line", "losses", "numbers", "warning"]
-
 
 def introduction(calibration: Calibration) -> Iterator[str]:
     """Who made it of what, in which units and with which sign, and whether to use it, line by line."""

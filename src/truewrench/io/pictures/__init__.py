@@ -11,19 +11,6 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-__all__ = [
-    "AXES_COLOURS",
-    "BLUE",
-    "FONT",
-    "GREEN",
-    "GREY",
-    "LINE_STYLES",
-    "ORANGE",
-    "PURPLE",
-    "VERMILION",
-    "finish",
-]
-
 BLUE, GREEN, ORANGE, VERMILION, PURPLE, GREY = (
     "#0072B2",
     "#009E73",

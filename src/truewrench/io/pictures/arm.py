@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from truewrench.io.pictures import VERMILION, finish
 from truewrench.model.calibration_parts import AXES
 
-__all__ = ["arm_figure", "colour_bar", "heat_map"]
-
 Array = NDArray[np.float64]
 
 

@@ -12,8 +12,6 @@ from typing import Any
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader, ReaderError
 
-__all__ = ["BagReader"]
-
 _MESSAGE = 2  # `op` of a record; between them are those of connections
 _LENGTH, _TIME = struct.Struct("<I"), struct.Struct("<II")
 _NANOSECONDS = 1_000_000_000

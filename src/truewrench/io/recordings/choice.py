@@ -11,8 +11,6 @@ from truewrench.io.recordings.streams import Stream, role_of
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 
-__all__ = ["KEYS", "commanded", "named_topic", "one_topic", "roles_of", "topics_in_words"]
-
 KEYS = {
     "wrench": "wrench_topic",
     "joints": "joint_topic",

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Definitions", "Layout", "Numbers", "layouts_of", "read_layout"]
-
 _KEPT = 16  # layouts of a topic: publishers with other names, or texts that change
 
 Definitions = Mapping[str, Any]

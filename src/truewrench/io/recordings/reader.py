@@ -18,8 +18,6 @@ from truewrench.model.errors import InputError
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-__all__ = ["Batch", "Recording", "Topic", "is_recording", "open_recording", "sha256_of"]
-
 _MAGIC = {b"\x89MCAP0\r\n": ".mcap", b"#ROSBAG ": ".bag", b"SQLite f": ".db3"}
 _FORMATS = {".mcap": "MCAP", ".bag": "ROS 1 bag", ".db3": "SQLite of rosbag2", "": "rosbag2"}
 _BATCH = 4096  # messages of a topic decoded at once,

@@ -14,8 +14,6 @@ from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 
-__all__ = ["Selection", "select"]
-
 _APART = 0.02  # [s] between the delays of sensor and motion, worth a note
 _REPEATED = 0.01  # the largest share of samples that may repeat a stamp
 

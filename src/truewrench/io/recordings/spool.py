@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from truewrench.model.errors import InputError
 
-__all__ = ["Spool"]
-
 _ROWS = 1 << 14  # read at once
 _NEVER = np.iinfo(np.int64).min
 

@@ -16,8 +16,6 @@ from truewrench.io.recordings.spool import Spool
 from truewrench.io.table import ANGULAR_VELOCITY, GRAVITY, SPECIFIC_FORCE, TWIST
 from truewrench.model.errors import InputError
 
-__all__ = ["Clocks", "Stream", "clock_notes", "gather", "role_of", "samples_of"]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 

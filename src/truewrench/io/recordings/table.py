@@ -16,8 +16,6 @@ from truewrench.io.recordings.spool import Spool
 from truewrench.io.table import Chunk, Table
 from truewrench.model.rig import Rig
 
-__all__ = ["RecordingTable"]
-
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
 

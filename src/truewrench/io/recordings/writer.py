@@ -16,8 +16,6 @@ import numpy.typing as npt
 from truewrench.model.errors import InputError
 from truewrench.model.files import atomic_output
 
-__all__ = ["McapWriter", "mcap_output"]
-
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 

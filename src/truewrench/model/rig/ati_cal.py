@@ -19,8 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from truewrench.model.errors import InputError
 
-__all__ = ["AtiCalibration", "read_ati_cal"]
-
 Array = NDArray[np.float64]
 
 _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")

@@ -8,8 +8,6 @@ from typing import Any
 
 from truewrench.model.rig import Rig
 
-__all__ = ["within"]
-
 
 def within(mapping: dict[str, Any], rig: Rig, path: str | Path) -> dict[str, Any]:
     """The mapping of a rig as a file at `path` may hold it: its URDF is named from there.

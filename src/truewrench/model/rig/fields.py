@@ -13,8 +13,6 @@ from truewrench.model.errors import InputError
 from truewrench.model.files import Locate
 from truewrench.model.rig.strict import is_finite, key_path, shown
 
-__all__ = ["Fields"]
-
 
 class Fields:
     """One mapping of a file, and where in the file it stands.

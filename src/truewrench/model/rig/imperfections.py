@@ -12,16 +12,6 @@ from pydantic import Field
 
 from truewrench.model.rig.strict import NonNegative, Positive, Section, word_or_number
 
-__all__ = [
-    "ContactSpec",
-    "FilterSpec",
-    "HysteresisSpec",
-    "ImperfectionsSpec",
-    "SpikesSpec",
-    "StepSpec",
-    "VibrationSpec",
-]
-
 
 class HysteresisSpec(Section):
     """Every channel lags behind its load: by the play operator, or by Dahl's friction on top of it."""

@@ -14,8 +14,6 @@ from pydantic import model_validator
 
 from truewrench.model.rig.strict import NonNegative, Numbers, Positives, Section, Text, refuse, shown
 
-__all__ = ["MotionSpec", "RobotSpec"]
-
 FloatArray = npt.NDArray[np.float64]
 
 ACCELEROMETER_BIAS_PRIOR = 0.05

@@ -39,8 +39,6 @@ from truewrench.model.rig.strict import (
 )
 from truewrench.model.rig.urdf import link_at, nearest, read_urdf
 
-__all__ = ["AnyPayload", "FrankaPayload", "UrPayload", "UrdfPayload"]
-
 Array = npt.NDArray[np.float64]
 
 UNKNOWN_MASS_GUESS = 1.5

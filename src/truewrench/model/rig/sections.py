@@ -44,22 +44,6 @@ from truewrench.model.rig.strict import (
     word_or_number,
 )
 
-__all__ = [
-    "COLUMNS",
-    "ELEMENTS",
-    "ROWS",
-    "CompensatedSpec",
-    "InertiaSpec",
-    "LimitsSpec",
-    "PayloadSpec",
-    "PlanSpec",
-    "RecordingSpec",
-    "SensorSpec",
-    "SimulateSpec",
-    "TemperatureSpec",
-    "UncertaintySpec",
-]
-
 FloatArray = npt.NDArray[np.float64]
 
 

@@ -28,41 +28,6 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from truewrench.model.errors import InputError
 from truewrench.model.files import Locate
 
-__all__ = [
-    "Duration",
-    "Fraction",
-    "Listed",
-    "Mapped",
-    "Matrix",
-    "NonNegative",
-    "NonNegatives",
-    "Number",
-    "Numbers",
-    "Positive",
-    "PositiveInteger",
-    "Positives",
-    "Rate",
-    "Section",
-    "SixNumbers",
-    "SixPositives",
-    "Switch",
-    "Switched",
-    "Text",
-    "ThreeNumbers",
-    "WholeNumber",
-    "Word",
-    "Zero",
-    "choice",
-    "input_error",
-    "is_finite",
-    "key_path",
-    "of_length",
-    "printable",
-    "refuse",
-    "shown",
-    "word_or_number",
-]
-
 
 class Section(BaseModel):
     """One mapping of a settings file: immutable, and no key that it does not know."""

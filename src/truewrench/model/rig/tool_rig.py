@@ -13,8 +13,6 @@ from truewrench.model.files import read_yaml
 from truewrench.model.rig import Rig
 from truewrench.model.rig.strict import shown
 
-__all__ = ["GAIN_PRIOR", "TILT_PRIOR", "UNKNOWN", "load_tool_rig", "tool_rig"]
-
 UNKNOWN = "tool"
 """Name of the payload that stands for the tool nobody knows yet."""
 

@@ -12,8 +12,6 @@ from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, t
 
 from truewrench.model.errors import InputError
 
-__all__ = ["link_at", "model_of", "nearest", "read_urdf"]
-
 _UNBOUNDED = "1e300"  # what stands in the model for a position that has no limit
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # as urdfdom knows it

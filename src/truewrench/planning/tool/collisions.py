@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from truewrench.model.rig.urdf import model_of
 from truewrench.robot.arm import Robot
 
-__all__ = ["Collisions", "collisions_of"]
-
 Array = NDArray[np.float64]
 
 

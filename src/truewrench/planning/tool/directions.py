@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from truewrench.motion.spatial import cross
 
-__all__ = ["abba", "axes_of", "rim", "spread", "spread_among"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from truewrench.planning.limits import Limits
 from truewrench.planning.tool.postures import Stand
 
-__all__ = ["Timed", "joint_path", "route", "twist_path"]
-
 Array = NDArray[np.float64]
 
 # of s^4 (35 - 84 s + 70 s^2 - 20 s^3), at rest with its first three derivatives at both ends

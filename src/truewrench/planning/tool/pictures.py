@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
 from truewrench.planning.tool.plan import ToolPlan
 
-__all__ = ["draw_hemispheres", "draw_tool_plan"]
-
 Array = NDArray[np.float64]
 
 _POINTS = 4000  # of a curve, at most

@@ -35,8 +35,6 @@ from truewrench.tool.judge import LIGHT, NARROW, directions_of
 from truewrench.tool.poses import DWELL
 from truewrench.tool.prior import settings_of
 
-__all__ = ["DWELL_DEFAULT", "DWELL_MOST", "FEWEST", "MOST", "POSES", "ToolPlan", "plan_tool"]
-
 Array = NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
 

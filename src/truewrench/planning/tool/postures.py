@@ -16,8 +16,6 @@ from truewrench.planning.tool.collisions import Collisions, collisions_of
 from truewrench.planning.tool.directions import rim
 from truewrench.robot.arm import Robot, robot_of
 
-__all__ = ["Reach", "Stand", "postures_towards", "reach_of"]
-
 Array = NDArray[np.float64]
 
 _SAMPLES = 6000

@@ -23,8 +23,6 @@ from truewrench.tool.poses import SETTLE, Poses
 from truewrench.tool.prior import Prior, make_prior, widening
 from truewrench.tool.solve import REPEATABILITY, WALK, solve
 
-__all__ = ["CONTACT_AVERAGE", "LATER", "ToolPrediction", "pose_problem", "predict_motion", "predict_poses"]
-
 Array = NDArray[np.float64]
 
 CONTACT_AVERAGE = 0.02

@@ -12,8 +12,6 @@ from truewrench.planning.tool.plan import ToolPlan
 from truewrench.planning.words import verdict_words
 from truewrench.tool.parameters import ELEMENTS
 
-__all__ = ["tool_plan_words"]
-
 
 def tool_plan_words(plan: ToolPlan) -> Iterator[RenderableType]:
     """The verdict first, then what the poses or the motion promise."""

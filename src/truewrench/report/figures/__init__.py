@@ -17,16 +17,6 @@ from numpy.typing import NDArray
 
 from truewrench.io.pictures import AXES_COLOURS, FONT, finish
 
-__all__ = [
-    "Curve",
-    "Panel",
-    "ReadingError",
-    "ReadingPanels",
-    "convergence_figure",
-    "path_figure",
-    "reading_error_figure",
-]
-
 Array = NDArray[np.float64]
 
 

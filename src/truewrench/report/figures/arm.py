@@ -24,8 +24,6 @@ from truewrench.io.pictures import (
 from truewrench.io.pictures.arm import colour_bar, heat_map
 from truewrench.model.calibration_parts import AXES
 
-__all__ = ["driven_figure", "gain_figure"]
-
 Array = NDArray[np.float64]
 
 _JOINT_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, GREY, "black", "#56B4E9")

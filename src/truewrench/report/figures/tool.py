@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, ORANGE, finish
 
-__all__ = ["body_figure", "contact_figure"]
-
 Array = NDArray[np.float64]
 
 

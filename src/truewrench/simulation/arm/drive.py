@@ -23,8 +23,6 @@ from scipy.linalg import eigh
 from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.simulation.arm.model import Arm, Reading
 
-__all__ = ["Driven", "Servo", "drive", "servo_for"]
-
 Array = NDArray[np.float64]
 
 _FASTER = 40.0  # velocity loop, in units of the motion's own frequency

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.motion.trajectory import Body
 
-__all__ = ["Arm", "Reading", "arm_of"]
-
 Array = NDArray[np.float64]
 
 _PAYLOAD = "truewrench_payload"

@@ -13,8 +13,6 @@ from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.robot.arm import Robot
 from truewrench.simulation.arm.model import Arm, Reading
 
-__all__ = ["default_motion"]
-
 Array = NDArray[np.float64]
 
 _RATE = 100.0  # [Hz] of the spline's knots

@@ -23,8 +23,6 @@ from truewrench.simulation.free_body import wrench_on_sensor
 from truewrench.simulation.imperfect import FineMotion, Hardware, Readout
 from truewrench.simulation.truth import Stamps, Truth, begin, noise_of, readings, stamps_of, stated, write_run
 
-__all__ = ["ArmRun", "Moved", "arm_with", "disagreement", "move", "record", "simulate_arm", "simulate_plan"]
-
 Array = NDArray[np.float64]
 
 _AGREEMENT = 1e-6  # of the recorded wrench with Newton and Euler, relative to the largest
