@@ -18,8 +18,8 @@ from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import Trajectory
-from truewrench.simulation.free_body import Truth, simulate
-from truewrench.simulation.truth import nees
+from truewrench.simulation.free_body import simulate
+from truewrench.simulation.truth import Truth, nees
 
 STREAMS = {"force": "force", "moment": "moment", "v": "velocities v", "Omega": "velocities Omega"}
 

@@ -37,21 +37,6 @@ from truewrench.model.rig import Rig
 from truewrench.robot.attitude import free_fall
 from truewrench.robot.track import track
 
-__all__ = [
-    "ACCELERATION",
-    "GRAVITY",
-    "REFERENCE",
-    "TWIST",
-    "TimeReader",
-    "named_payload",
-    "open_table",
-    "raw_columns",
-    "read_columns",
-    "read_log",
-    "split_payload",
-    "write_table",
-]
-
 
 def open_table(path: str | Path, rig: Rig | None = None, *, whole: bool = True) -> Table:
     """A table file or a recording, its format recognised by its first bytes.

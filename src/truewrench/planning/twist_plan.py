@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.io.tables import ACCELERATION, TWIST
+from truewrench.io.table import ACCELERATION, TWIST
 from truewrench.model.calibration_parts import AXES
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig

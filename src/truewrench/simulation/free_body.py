@@ -21,8 +21,6 @@ from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitu
 from truewrench.simulation.imperfect import FineMotion, Hardware
 from truewrench.simulation.truth import Truth, begin, noise_of, readings, stamps_of, stated, write_run
 
-__all__ = ["SimulatedRun", "Truth", "default_trajectory", "simulate", "wrench_on_sensor"]
-
 Array = NDArray[np.float64]
 
 _PERIOD = 100.0 / 3.0  # [s] after which the motion without a plan repeats itself

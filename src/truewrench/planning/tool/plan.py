@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.io.plans import joint_columns
-from truewrench.io.tables import ACCELERATION, GRAVITY, TWIST
+from truewrench.io.table import ACCELERATION, GRAVITY, TWIST
 from truewrench.model.calibration import Calibration
 from truewrench.model.calibration_parts import Verdict
 from truewrench.model.errors import InputError, UnsupportedError
