@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.least_squares import least_squares
 from truewrench.judging import gross_errors
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -19,8 +19,6 @@ from truewrench.model.split import rows_of
 from truewrench.robot.arm import robot_of
 from truewrench.robot.joint_faults import joint_faults
 from truewrench.robot.track import tracked
-
-Array = NDArray[np.float64]
 
 SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator
 LARGEST = 40.0  # of nominal: what is larger is noise to the estimator, and nothing that smoothing does

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.estimate import Estimate, without_motion
@@ -15,13 +14,12 @@ from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_fro
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation import CHANGE
 from truewrench.judging.validation.comparison import Comparison
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, AxisImprovement, LogReport
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
-
-Array = NDArray[np.float64]
 
 FOLDS = 5  # each row is held out once
 BLOCKS = 4 * FOLDS  # stretches of a log, held out in turns: rows of one load are alike, so they go together
@@ -226,16 +224,14 @@ def _notes(rig: Rig, estimate: KnownWrenchEstimate) -> list[str]:
     return notes
 
 
-def _blocks(size: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def _blocks(size: int, rows: Integers) -> Integers:
     """(size,) which block each row belongs to, -1 for rows that are not used."""
     blocks = np.full(size, -1, dtype=np.int64)
     blocks[rows] = np.arange(rows.size) * min(BLOCKS, rows.size) // max(1, rows.size)
     return blocks
 
 
-def _errors(
-    rig: Rig, log: Log, fitted: KnownWrenchEstimate, k: int, out: NDArray[np.int64]
-) -> tuple[Array, Array]:
+def _errors(rig: Rig, log: Log, fitted: KnownWrenchEstimate, k: int, out: Integers) -> tuple[Array, Array]:
     """Corrected minus reference wrench of rows, with the nominal and with the fitted gain, (M, 6) each."""
     assert log.reference is not None
     sensor = rig.sensor
@@ -252,7 +248,7 @@ def _errors(
 
 
 def improvement_by_axis(
-    old: Array, new: Array, blocks: NDArray[np.int64], held_out: bool
+    old: Array, new: Array, blocks: Integers, held_out: bool
 ) -> Mapping[str, AxisImprovement]:
     """Squared errors (M, 6) compared per axis; the scatter between blocks says what chance alone does."""
     order = np.unique(blocks, return_inverse=True)[1]

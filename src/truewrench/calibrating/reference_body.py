@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.joint import EXACT, Joint, body_part
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import total_body
 from truewrench.tool.model_rows import MotionInformation, Problem, about_center
@@ -23,8 +23,6 @@ from truewrench.tool.parameters import Layout, second_moments, symmetric
 from truewrench.tool.poses import Poses
 from truewrench.tool.prior import S_STD, Prior
 from truewrench.tool.solve import Solution
-
-Array = NDArray[np.float64]
 
 _WIDE = 1e3  # sigma of the rig's prior, where the joint distribution holds it: tolerance, 1e-6 of a variance
 
@@ -200,7 +198,7 @@ def _gain(product: Array, body: Array) -> Array:
     return np.asarray(np.linalg.solve(unit.reshape(6, 6).T, product.reshape(n, 6).T).T.ravel())
 
 
-def _mapped(joint: Joint, old: str, new: str, at: NDArray[np.int64], value: Array, J: Array) -> Joint:
+def _mapped(joint: Joint, old: str, new: str, at: Integers, value: Array, J: Array) -> Joint:
     """One part in other coordinates: J by the parts that stand at `at`, of which it is the first."""
     M = np.eye(joint.mean.size)
     M[np.ix_(at[: value.size], at)] = J[: value.size]

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.calibrating.known_wrench import BLOCKS, FOLDS, FREEDOM, improvement_by_axis, worse_on_rows
 from truewrench.calibrating.reference_body import Known
@@ -24,6 +23,7 @@ from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
 from truewrench.estimation.estimate import Estimate, of_joint, without_motion
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation.comparison import Comparison
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import BlindTo, LogReport
 from truewrench.model.errors import UnsupportedError
 from truewrench.model.log import Log
@@ -33,8 +33,6 @@ from truewrench.tool.judge import WORST_WALK, misfit_of_poses
 from truewrench.tool.parameters import Layout
 from truewrench.tool.poses import Poses, split_poses, stands_still
 from truewrench.tool.solve import WALK, Solution, solve
-
-Array = NDArray[np.float64]
 
 FEWEST = 10  # poses, of which a fifth is held out at a time
 _CABLE = 1e-3  # fraction of range: a force that follows the pose, of which the effect is told

@@ -11,17 +11,14 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 from rich import box
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 from scipy.special import betaincinv, chdtrc, chdtri, ndtri
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 DEVIATION = 6.0  # |error| / sigma of a gain beyond which a usable calibration is wrong and confident,
 TAIL = 1e-8  # as it is where a NEES so large has less than this probability
@@ -113,7 +110,7 @@ def summarise(rig: Rig, rows: pa.Table, estimator: str, seed: int) -> Campaign:
     )
 
 
-def wrong_and_confident(rows: pa.Table) -> Flags:
+def wrong_and_confident(rows: pa.Table) -> Mask:
     """Trials whose verdict says usable although a gain, or all of them together, is out of the question."""
     deviation, nees, freedom = (_column(rows, name) for name in ("largest_deviation", "nees", "nees_dof"))
     with np.errstate(invalid="ignore"):
@@ -226,7 +223,7 @@ def _figures(columns: Sequence[Mapping[str, Any]], titles: Sequence[str]) -> Tab
     return table
 
 
-def _statistics(rows: pa.Table, chosen: Flags) -> dict[str, Any]:
+def _statistics(rows: pa.Table, chosen: Mask) -> dict[str, Any]:
     def column(name: str) -> Array:
         values = _column(rows, name)[chosen]
         return values[np.isfinite(values)]

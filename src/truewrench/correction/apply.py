@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
@@ -18,12 +17,11 @@ from truewrench.io.csv_table import CsvTable
 from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.model.errors import InputError
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +116,7 @@ class Run:
     def _read(self) -> list[str]:
         return [self._time.name, *self._raw, *self._celsius]
 
-    def samples(self) -> Iterator[tuple[npt.NDArray[np.int64], FloatArray, FloatArray]]:
+    def samples(self) -> Iterator[tuple[Integers, Array, Array]]:
         """Stamps (N,), raw (N, n), wrenches and their sigma (N, 12), where all channels have a sample."""
         for chunk in self.table.chunks(self._read):
             time, raw, new = self._correct(chunk)
@@ -145,7 +143,7 @@ class Run:
             yield batch
         self._check_rows()
 
-    def _correct(self, chunk: Chunk) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+    def _correct(self, chunk: Chunk) -> tuple[Integers, Array, Array]:
         time = self._time.read(chunk)
         raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
         new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
@@ -209,7 +207,7 @@ def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
         raise InputError(f"{source}: cannot be corrected: {error}") from error
 
 
-def _as_csv(columns: FloatArray) -> list[bytes]:
+def _as_csv(columns: Array) -> list[bytes]:
     names = [str(j) for j in range(columns.shape[1])]
     batch = pa.RecordBatch.from_arrays([pa.array(column, from_pandas=True) for column in columns.T], names)
     sink = pa.BufferOutputStream()

@@ -6,19 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.correction.apply import Applied, Run
 from truewrench.estimation.inertial import InertialMotion
 from truewrench.io.recordings.writer import mcap_output
 from truewrench.io.tables import named_payload, read_log
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-
-Array = NDArray[np.float64]
 
 RAW = "/truewrench/raw"
 CORRECTED = "/truewrench/corrected"
@@ -78,7 +76,7 @@ def apply_to_recording(
     return Applied(applied.rows, applied.corrected, (*applied.notes, *notes))
 
 
-def _predicted(rig: Rig, log: Log, time_offset: float) -> tuple[NDArray[np.int64], Array]:
+def _predicted(rig: Rig, log: Log, time_offset: float) -> tuple[Integers, Array]:
     """Stamps (M,) and wrenches (M, 6) where the motion tells the acceleration."""
     times, wrenches = [np.empty(0, dtype=np.int64)], [np.empty((0, 6))]
     for start in range(0, len(log.time_ns), _ROWS):

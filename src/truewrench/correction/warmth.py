@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
-
-FloatArray = NDArray[np.float64]
 
 
 class Warmth:
@@ -23,8 +21,8 @@ class Warmth:
         follows: whether the offset follows the temperature at all.
     """
 
-    def __init__(self, slope: FloatArray | None, reference: float, first: float | None = None) -> None:
-        self._slope: FloatArray = np.zeros(0) if slope is None else slope
+    def __init__(self, slope: Array | None, reference: float, first: float | None = None) -> None:
+        self._slope: Array = np.zeros(0) if slope is None else slope
         self._reference = reference
         self.latest = reference if first is None else first
         self.follows = bool(self._slope.any())
@@ -35,7 +33,7 @@ class Warmth:
         return cls(calibration.offset_temperature, calibration.rig.temperature.reference, first)
 
     @property
-    def shift(self) -> FloatArray:
+    def shift(self) -> Array:
         """(n,) what the offset is beyond that at the reference, by the latest reading."""
         return np.asarray((self.latest - self._reference) * self._slope)
 
@@ -52,7 +50,7 @@ class Warmth:
         """What is worth saying before the first reading, where one may come."""
         return tuple(f"{words} until one arrives" for words in self.note)
 
-    def held(self, readings: FloatArray) -> FloatArray:
+    def held(self, readings: Array) -> Array:
         """(N,) the latest of each row [degC], of readings (N,) with NaN where there is none."""
         known = np.append(self.latest, readings)
         last = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(known.size)))
@@ -60,6 +58,6 @@ class Warmth:
         self.latest = float(held[-1])
         return np.asarray(held[1:])
 
-    def without(self, raw: FloatArray, readings: FloatArray) -> FloatArray:
+    def without(self, raw: Array, readings: Array) -> Array:
         """Channels (N, n) at the reference temperature; readings (N,) [degC], NaN where there is none."""
         return np.asarray(raw - np.outer(self.held(readings) - self._reference, self._slope))

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.bound import bound
@@ -21,6 +20,7 @@ from truewrench.estimation.ekf import EkfEstimate, estimate_ekf
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.least_squares import least_squares
 from truewrench.io.pictures import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
+from truewrench.model.arrays import Array
 from truewrench.model.files import write_yaml
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import (
@@ -41,8 +41,6 @@ from truewrench.report.figures import (
     reading_error_figure,
 )
 from truewrench.simulation.free_body import SimulatedRun, simulate
-
-Array = NDArray[np.float64]
 
 DURATION = 10.0  # [s], as in the paper
 RATE = 1000.0  # [Hz], of sensor and twist; chosen

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import robots
 from truewrench.calibrating.pipeline import calibrate
 from truewrench.io.pictures.arm import arm_figure
 from truewrench.io.tables import read_log
 from truewrench.judging.validation import Validation, validate
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import UnsupportedError
 from truewrench.model.files import write_yaml
@@ -26,8 +26,6 @@ from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm import ArmRun, simulate_arm, simulate_plan
 from truewrench.simulation.arm.run import arm_with
 from truewrench.simulation.truth import nees
-
-Array = NDArray[np.float64]
 
 _POSTURES = 6  # of the arm in its picture
 

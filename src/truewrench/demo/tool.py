@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from truewrench import robots
 from truewrench.correction.contact.apply import apply_contact
 from truewrench.correction.contact.log import contact as contact_of
 from truewrench.correction.contact.run import ContactEvent
 from truewrench.io.tables import read_log
+from truewrench.model.arrays import Array
 from truewrench.model.files import atomic_output
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import load_tool_rig
@@ -31,8 +31,6 @@ from truewrench.tool.model import Tool
 from truewrench.tool.page import write_page
 from truewrench.tool.parameters import COLUMNS, ELEMENTS, ROWS
 from truewrench.tool.words import tool_summary
-
-Array = NDArray[np.float64]
 
 ARM = "panda_tool"
 GRIPPER: dict[str, Any] = {

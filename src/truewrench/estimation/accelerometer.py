@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.motion.smooth import DEGREE, segments, uniform_spline
 from truewrench.motion.spatial import at_point
-
-Array = NDArray[np.float64]
 
 MOST_LENT = 0.5
 """Of the noise of v, that the lever of Omega's may add where a twist is taken to the sensor: that both are

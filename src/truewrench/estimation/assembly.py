@@ -9,17 +9,15 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.assumptions import growth_of
 from truewrench.estimation.bound import oracle_rms
 from truewrench.estimation.estimate import Estimate, PayloadDeparture
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, Bound, Calibration, LogReport, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
-
-Array = NDArray[np.float64]
 
 
 def assemble_motion(

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.estimation.unknowns import Motion, Unknown, Wrench, unknowns_of, wrench_rates
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Bound
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log, Reference
@@ -21,8 +21,6 @@ from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.motion.spatial import cross_matrix, twist_adjoint
 from truewrench.robot.track import tracked_streams
-
-Array = NDArray[np.float64]
 
 NOISE = "noise"
 """What is left of the uncertainty when payload, clocks and gravity are known."""

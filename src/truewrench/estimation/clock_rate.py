@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.estimation.estimate import Estimate, LogRows
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Tracking
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 TOLD, LEFT = 6.0, 2.0  # sigma of a rate: that is told, and then left; told in 0 of 230 records without one
 STRAIGHT = 0.1  # of the chi-square of all lateness, or 3 a degree of freedom: what no line holds

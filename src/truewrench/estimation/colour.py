@@ -13,14 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Whitened
 from truewrench.motion.smooth import segments
-
-Array = NDArray[np.float64]
 
 BEGIN = 12.0  # [Hz] from which on a spectrum is noise, as motions are slower
 SLOW = 0.75  # of it, below which a corner is none: hysteresis and walks have spectra like that of a slow pole

@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.motion_noise import twist_covariance
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.payload import core_payload
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 _ONE_SIDED = 0.1  # share of the rows that may lack raw channels or twist: dropouts, not another rate
 
@@ -47,12 +45,12 @@ class EkfEstimate:
     offset: Array
     offsets: Array
     offsets_std: Array
-    samples: NDArray[np.int64]
+    samples: Integers
     history_time: Array
-    history_log: NDArray[np.int64]
+    history_log: Integers
     history_gain: Array
     nis: Array
-    degrees_of_freedom: NDArray[np.int64]
+    degrees_of_freedom: Integers
 
 
 def estimate_ekf(

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PchipInterpolator
 from scipy.linalg import cho_factor, cho_solve
 
 from truewrench import _core
 from truewrench.estimation.motion_noise import twist_noise
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.payload import core_payload, payload_wrench
@@ -25,8 +25,6 @@ from truewrench.model.rig import Rig
 from truewrench.motion.smooth import DEGREE, segments, smooth_twist, uniform_knots, uniform_spline
 from truewrench.motion.spatial import twist_adjoint
 from truewrench.robot.track import tracked_streams
-
-Array = NDArray[np.float64]
 
 _FINER = 1.5  # knots than the coarsest that pass: their bias would count as an error of the sensor
 _CHANCE = 3.0  # sigma of the fall of chi-square by halved knots that chance explains
@@ -54,14 +52,14 @@ class InertialChunk:
         covariance: (S, H + 1, 6) and between the wrench there and at 0 ... H rows later.
     """
 
-    rows: NDArray[np.int64]
+    rows: Integers
     wrench: Array
     rate: Array
     twist: Array
     acceleration: Array
     gravity: Array
     variance: Array
-    lagged: NDArray[np.int64]
+    lagged: Integers
     covariance: Array
 
 
@@ -121,7 +119,7 @@ class InertialMotion:
         ]
 
     def _chunk(
-        self, fits: Sequence[_Spline], rows: NDArray[np.int64], at: Array, time: Array, lags: int
+        self, fits: Sequence[_Spline], rows: Integers, at: Array, time: Array, lags: int
     ) -> InertialChunk:
         rig, payload, order = self._rig, self._payload, self._coordinates.order
 
@@ -279,10 +277,10 @@ class _Derivatives:
     """Two derivatives of a spline with uncertain coefficients, at M times."""
 
     of_coefficients: Array  # (p, p) their covariance
-    first: NDArray[np.int64]  # (M,) of the coefficients that act at a time
+    first: Integers  # (M,) of the coefficients that act at a time
     basis: Array  # (2, M, DEGREE + 1) by which
 
-    def covariance(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> Array:
+    def covariance(self, rows: Integers, others: Integers) -> Array:
         """(2, 2, ..., 1) between derivatives at rows and at others, of shapes that broadcast."""
         active = np.arange(DEGREE + 1)
         at, there = (self.first[k][..., None] + active for k in (rows, others))
@@ -291,7 +289,7 @@ class _Derivatives:
         return np.asarray(found)[..., None]
 
 
-def _basis(knots: Array, at: Array, order: int) -> tuple[NDArray[np.int64], Array]:
+def _basis(knots: Array, at: Array, order: int) -> tuple[Integers, Array]:
     """(M,) the first basis function that acts at a time; (M, DEGREE + 1) a derivative of all that do."""
     degree = DEGREE - order
     inner = knots[order : len(knots) - order]

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array, Integers
 
 EXACT = 1e-9
 """Of a unit: 1 sigma that holds a parameter."""
@@ -60,7 +59,7 @@ class Joint:
             start += len(mean)
         return Joint(places, np.concatenate(list(parts.values())), covariance)
 
-    def at(self, names: Sequence[str]) -> NDArray[np.int64]:
+    def at(self, names: Sequence[str]) -> Integers:
         """Places of some parts, one part after the other."""
         none = np.zeros(0, np.int64)
         return np.concatenate(

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation.lasting_errors import Spread, spread_of_sizes, whitened
 from truewrench.estimation.reference_clock import ReferenceClock
@@ -28,13 +27,11 @@ from truewrench.estimation.wrench_errors import (
 )
 from truewrench.estimation.wrench_regression import Problem
 from truewrench.estimation.wrench_rows import Rows, rows_by_kind
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.calibration_parts import Assumed
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,7 +265,7 @@ def _spreads(problem: Problem, kinds: Sequence[Rows], fit: Fit) -> list[list[Spr
 
 
 def _with_spreads(
-    covariance: Array, spreads: Sequence[Sequence[Spread]], stated: Array, exists: NDArray[np.bool_]
+    covariance: Array, spreads: Sequence[Sequence[Spread]], stated: Array, exists: Mask
 ) -> Array:
     """The covariance (n p, n p), and what not knowing the sizes of the errors adds to it."""
     whole, size = covariance.copy(), len(exists) // len(stated)

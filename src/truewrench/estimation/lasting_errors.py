@@ -19,11 +19,10 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpttrf, dtbtrs
 from scipy.optimize import minimize
 
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array, Mask
 
 _RANK = 1e-9  # of the largest: a smaller combination of regressors is rounding; tolerance
 _TIMES = 9  # correlation times where the search begins, from the shortest to the longest; tolerance
@@ -103,7 +102,7 @@ def whitened(chain: Chain, size: ErrorSize, x: Array) -> tuple[Array, float]:
     return E / np.sqrt(pivot)[:, None], float(np.log(pivot).sum())
 
 
-def predicted(chain: Chain, size: ErrorSize, x: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
+def predicted(chain: Chain, size: ErrorSize, x: Array, known: Mask) -> tuple[Array, Array]:
     """What lasts, at each place of a chain from all other places: mean (M,) and variance (M,).
 
     Args:

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation.motion_noise import twist_noise
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments, smooth_twist
-
-Array = NDArray[np.float64]
 
 _SHORTEST = 8  # rows that a piece of the record must have to be differentiated
 _INCOMPLETE = 0.1  # share of rows that may lack a stream
@@ -45,7 +43,7 @@ class LeastSquaresEstimate:
     offset: Array
     offsets: Array
     chi_square: Array
-    samples: NDArray[np.int64]
+    samples: Integers
 
 
 def least_squares(

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 
 def twist_noise(rig: Rig, log: Log) -> Array:

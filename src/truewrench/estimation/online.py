@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
-
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array, Integers
 
 # of a record, but for its motion
 _FIELDS = (
@@ -25,7 +23,7 @@ class History:
     """The gain after every block: time (B,) [s of its log], log (B,), gain (B, n, 6) normalised."""
 
     time: Array
-    log: NDArray[np.int64]
+    log: Integers
     gain: Array
 
 

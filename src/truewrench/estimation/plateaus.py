@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from truewrench.model.arrays import Array, Integers
 
 HELD = 0.5  # [s] METHOD 10.5
 STILL = 1.0  # sigma by which halves of a window, or windows of a plateau, may differ beside chance; tolerance

@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.calibration_parts import BlindTo
-
-Array = NDArray[np.float64]
 
 FORCE = 1e-3
 """Fraction of range: the force that follows the pose whose effect is told."""
@@ -66,7 +64,7 @@ class DelayShare:
     slope: Array
 
 
-def pose_share(time: Array, twist: Array, wrench: Array, mask: NDArray[np.bool_] | None = None) -> PoseShare:
+def pose_share(time: Array, twist: Array, wrench: Array, mask: Mask | None = None) -> PoseShare:
     """A of (10.10) and E w w^T of one gap-free record of a twist.
 
     Args:
@@ -125,7 +123,7 @@ def pose_about_mean(position: Array, rotation: Array) -> Array:
     return np.column_stack([_centred(position), (turned.mean().inv() * turned).as_rotvec()])
 
 
-def delay_share(time: Array, wrench: Array, mask: NDArray[np.bool_] | None = None) -> DelayShare:
+def delay_share(time: Array, wrench: Array, mask: Mask | None = None) -> DelayShare:
     """What a delay looks like in one gap-free record; arguments as for `pose_share`."""
     used = slice(None) if mask is None else ~mask
     return pooled_delay_share([np.gradient(wrench, time, axis=0)[used]], [wrench[used]])

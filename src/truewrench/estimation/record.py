@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
@@ -17,6 +16,7 @@ from truewrench import _core
 from truewrench.estimation.accelerometer import at_sensor, noise_at_sensor, told_acceleration
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
 from truewrench.estimation.motion_noise import twist_noise
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -28,8 +28,6 @@ from truewrench.robot.attitude import attitude_of
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import chain_of
 from truewrench.robot.track import measured_twists
-
-Array = NDArray[np.float64]
 
 _NO_BIAS = 1e-9  # 1 sigma that holds a constant at zero
 _SHORTEST_GAP = 0.05  # [s] that the attitude is not interpolated over, where it is more than 5 periods too
@@ -346,7 +344,7 @@ def _pieces(time: Array, shortest: float) -> list[slice]:
     return found
 
 
-def _leave_out(notes: list[str], log: Log, known: NDArray[np.bool_], columns: str, why: str) -> None:
+def _leave_out(notes: list[str], log: Log, known: Mask, columns: str, why: str) -> None:
     """Say how many samples of the sensor are lost for want of something that these columns tell."""
     sensed = np.isfinite(log.raw).any(axis=1)
     lost = int(np.count_nonzero(sensed & ~known))

@@ -15,15 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.log import Log
 from truewrench.model.repeats import SAMPLED
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import DEGREE, segments, uniform_spline
-
-Array = NDArray[np.float64]
 
 TOLD = 6.0  # sigma of s, or of r, from which on they are undone
 FEWEST, SHORTEST = 200, 20  # rows of a reference that is sampled, and of a stretch of it
@@ -115,7 +113,7 @@ class _Piece:
     smooth: BSpline
     noise: Array
 
-    def holds(self, time: Array) -> NDArray[np.bool_]:
+    def holds(self, time: Array) -> Mask:
         return np.asarray((time >= self.time[0]) & (time <= self.time[-1]))
 
     def nearest(self, then: Array) -> Array:
@@ -171,7 +169,7 @@ class _Record:
     def middle(self) -> float:
         return 0.5 * float(self.time[0] + self.time[-1])
 
-    def moved(self, p: Array, time: Array, nearest: bool = False) -> tuple[Array, NDArray[np.bool_]]:
+    def moved(self, p: Array, time: Array, nearest: bool = False) -> tuple[Array, Mask]:
         """(N, 6, 4) the reference that s, k, r have moved, by what they move it; and where it is known."""
         out, inside = np.zeros((time.size, 6, 4)), np.zeros(time.size, dtype=bool)
         since = time - self.middle
@@ -239,7 +237,7 @@ class _Record:
                 return p, P
         return None
 
-    def _scores(self, moved: Array, inside: NDArray[np.bool_], weight: Array) -> tuple[Array, Array, Array]:
+    def _scores(self, moved: Array, inside: Mask, weight: Array) -> tuple[Array, Array, Array]:
         """Of parts (PARTS, 3) and (PARTS, 3, 3), gain and offset eliminated; and new weights of the rows."""
         root = np.sqrt(weight[inside])
         X = np.column_stack([moved[..., 0], np.ones(len(moved))])

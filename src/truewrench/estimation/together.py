@@ -13,12 +13,10 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from truewrench import _core
-
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array, Integers, Mask
 
 _LEAST = 1e-9  # share of a gain that a fit has at least: tolerance
 _TOLD = 1e-3  # of a direction's variance, 1/4 where halves tell it alike: what less of it moves is not asked
@@ -91,7 +89,7 @@ class Shared:
         self.covariance = self._P * np.outer(unit, unit)
         self.without_added = _inverse(np.sum(bare, axis=0) + prior) * np.outer(unit, unit)
 
-    def _at(self, fit: Told) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _at(self, fit: Told) -> tuple[Integers, Integers]:
         return np.array(list(fit.keys)), np.array([self.places[key] for key in fit.keys.values()])
 
     def _of(self, fit: Told, covariance: Array) -> tuple[Array, Array]:
@@ -106,7 +104,7 @@ class Shared:
         pull[to] = V_inverse @ ((fit.theta[at] - fit.mean[at]) / unit)
         return information, pull
 
-    def of_all(self, fit: Told) -> NDArray[np.int64]:
+    def of_all(self, fit: Told) -> Integers:
         """Where the first parameters of a fit stand, those that are shared by all."""
         return np.array([self.places[fit.keys[j]] for j in range(fit.first)])
 
@@ -116,7 +114,7 @@ class Shared:
         share = np.maximum(share, _LEAST)
         return np.asarray(share / share.sum(axis=0))
 
-    def agreement(self, first: NDArray[np.bool_], gains: int) -> float:
+    def agreement(self, first: Mask, gains: int) -> float:
         """How likely the gain moves as far by some of the fits (10.11).
 
         That is P s, with s = sum (V_i^-1 m_i - L_i y) over them, which is N(0, L - L P L).
@@ -139,7 +137,7 @@ class Shared:
             return 1.0
         return float(chdtrc(int(told.sum()), float(np.sum(along[told] ** 2 / value[told]))))
 
-    def with_own(self, fits: Sequence[Told]) -> tuple[Array, Array, list[NDArray[np.int64]]]:
+    def with_own(self, fits: Sequence[Told]) -> tuple[Array, Array, list[Integers]]:
         """The same with what some fits have of their own.
 
         That hangs on the shared by x = K y + what does not depend on y, K = P_xy P_yy^-1, as in the fit.
@@ -180,7 +178,7 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(0.5 * (out + out.T))
 
 
-def _departure(L: Array, pull: Array, D: Array, u: NDArray[np.int64], unit: Array) -> float:
+def _departure(L: Array, pull: Array, D: Array, u: Integers, unit: Array) -> float:
     """The variance of the channels' departures from linear: (10.6) with R = E, as in the core.
 
     Args:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from truewrench import _core
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration_parts import Undetermined
-
-Array = NDArray[np.float64]
 
 TIED = 0.15  # share of an axis, in units of range, that another one has to make up to be named with it: words
 STRONG = 0.3  # of a direction, from which on a channel is named: words
@@ -68,7 +66,7 @@ def _relative(covariance: Array, prior: Array) -> Array:
     return np.asarray(np.where(np.isfinite(relative), relative, 0.0))
 
 
-def _near_axes(basis: Array) -> tuple[Array, NDArray[np.int64]]:
+def _near_axes(basis: Array) -> tuple[Array, Integers]:
     """An orthonormal basis (m, k) of the same space, turned towards coordinate axes, and these axes (k,)."""
     k = basis.shape[1]
     pivots = np.sort(qr(basis.T, mode="r", pivoting=True)[1][:k]).astype(np.int64)

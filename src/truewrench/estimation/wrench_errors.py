@@ -12,16 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from truewrench.estimation.lasting_errors import ErrorSize, Spread, find_sizes
 from truewrench.estimation.wrench_regression import Part, Problem, Solution, solve
 from truewrench.estimation.wrench_rows import Rows, consistent
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.calibration_parts import Assumed
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MOST_OUTLIERS = 0.1  # share of the rows that may be left out as outliers; of more, none is
 _FOUND = 0.01  # about the probability that the stated white noise, where it is true, is taken for another
@@ -169,7 +166,7 @@ def findings_of(
     noise: Array,
     errors: Sequence[FoundErrors],
     spreads: Sequence[Sequence[Spread]],
-    outliers: Sequence[NDArray[np.int64]],
+    outliers: Sequence[Integers],
 ) -> tuple[Assumed, ...]:
     """What was found of the errors, where it is not as stated, and what was left out.
 

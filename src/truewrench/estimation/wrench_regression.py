@@ -23,13 +23,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
 from truewrench.estimation.lasting_errors import Chain, ErrorSize, whitened
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from truewrench.model.arrays import Array, Mask
 
 _CHANCE = 1e-3  # probability that noise alone is taken for a direction in which the wrench varies
 _BAND = 24  # waves of the lowest band; the others are each as wide as all below it; tolerance
@@ -60,7 +57,7 @@ class Problem:
     std: Array
 
     @property
-    def exists(self) -> NDArray[np.bool_]:
+    def exists(self) -> Mask:
         """(n p,)."""
         return np.asarray(self.std.ravel() > 0.0)
 

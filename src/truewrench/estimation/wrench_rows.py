@@ -6,16 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from truewrench.estimation.lasting_errors import Chain, ErrorSize, predicted
 from truewrench.estimation.plateaus import is_stepped, plateaus
 from truewrench.estimation.wrench_regression import Part, Problem, Solution
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from truewrench.model.arrays import Array, Integers, Mask
 
 _OUTLIER = 1e-3  # probability that any row of a record without outliers is taken for one
 _MOST_PLACES = 20_000  # rows of logs whose errors last; of more, neighbours are averaged; tolerance

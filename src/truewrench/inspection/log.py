@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from truewrench.io.cells import numbers
 from truewrench.io.table import ACCELERATION, ANGULAR_VELOCITY, ATTITUDE, GRAVITY, TWIST, Table
 from truewrench.io.tables import TimeReader, open_table
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 
 GAP_PERIODS = 5.0
@@ -115,12 +115,10 @@ def inspect_log(path: str | Path) -> LogContent:
     )
 
 
-def _read(
-    table: Table, groups: dict[str, list[str]]
-) -> tuple[npt.NDArray[np.int64], dict[str, _StreamCounter]]:
+def _read(table: Table, groups: dict[str, list[str]]) -> tuple[Integers, dict[str, _StreamCounter]]:
     reader = TimeReader(table)
     counters = {name: _StreamCounter(columns) for name, columns in groups.items() if columns}
-    times: list[npt.NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
+    times: list[Integers] = [np.empty(0, dtype=np.int64)]
     columns = [column for group in groups.values() for column in group]
     for chunk in table.chunks([reader.name, *columns]):
         time = reader.read(chunk)
@@ -137,15 +135,13 @@ class _StreamCounter:
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
         self._rows = 0
-        self._times: list[npt.NDArray[np.int64]] = []
+        self._times: list[Integers] = []
         self._smallest = np.full(len(names), np.inf)
         self._largest = np.full(len(names), -np.inf)
         self._numbers = np.zeros(len(names), dtype=np.int64)
         self._nan = np.zeros(len(names), dtype=np.int64)
 
-    def add(
-        self, time: npt.NDArray[np.int64], values: npt.NDArray[np.float64], nan_counts: Sequence[int]
-    ) -> None:
+    def add(self, time: Integers, values: Array, nan_counts: Sequence[int]) -> None:
         present = ~np.isnan(values)
         self._rows += len(time)
         self._times.append(time[present.any(axis=1)])

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from truewrench.inspection.log import GAP_PERIODS, ColumnContent, Gap
 from truewrench.io.recordings.choice import KEYS, commanded
 from truewrench.io.recordings.layout import Layout
 from truewrench.io.recordings.reader import Batch, Recording, Topic, open_recording
 from truewrench.io.recordings.streams import Clocks, clock_notes, role_of, samples_of
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
-
-IntArray = npt.NDArray[np.int64]
 
 _FIRST = 1024  # periods whose median is the nominal one
 _LISTED = 100  # gaps that are named one by one
@@ -172,11 +170,11 @@ class _Stamps:
         self.samples = self.late = self.repeated = self.gap_count = 0
         self.first = self.last = 0
         self.gaps: list[tuple[int, int]] = []
-        self._waiting: list[IntArray] = []
+        self._waiting: list[Integers] = []
         self._nominal = 0.0
         self._steady = np.zeros(3)  # periods that are no gap: number, sum and sum of squares over nominal
 
-    def add(self, stamps: IntArray) -> None:
+    def add(self, stamps: Integers) -> None:
         if not len(stamps):
             return
         if not self.samples:
@@ -189,7 +187,7 @@ class _Stamps:
         self._count(period, stamps[len(stamps) - len(period) :] - period)
         self.last = max(self.last, int(stamps.max()))
 
-    def _count(self, period: IntArray, begin: IntArray) -> None:
+    def _count(self, period: Integers, begin: Integers) -> None:
         self.late += int((period < 0).sum())
         self.repeated += int((period == 0).sum())
         if not self._nominal:
@@ -237,7 +235,7 @@ class _StreamCounter:
         self._largest = np.full(width, -np.inf)
         self._numbers = np.zeros(width, dtype=np.int64)
 
-    def add(self, stamps: IntArray, values: npt.NDArray[np.float64]) -> None:
+    def add(self, stamps: Integers, values: Array) -> None:
         self.stamps.add(stamps)
         self._smallest = np.fmin(self._smallest, np.fmin.reduce(values, axis=0, initial=np.inf))
         self._largest = np.fmax(self._largest, np.fmax.reduce(values, axis=0, initial=-np.inf))

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 
 _LARGEST_SECONDS = 9_000_000_000  # int64 nanoseconds end at 9.22e9 s
@@ -38,7 +39,7 @@ class Column:
         return InputError.at(self.file, f"{self.row_words(i)}, column `{self.name}`", found, expected)
 
 
-def numbers(column: Column) -> tuple[npt.NDArray[np.float64], int]:
+def numbers(column: Column) -> tuple[Array, int]:
     """Finite numbers, NaN where there is none.
 
     Returns:
@@ -49,7 +50,7 @@ def numbers(column: Column) -> tuple[npt.NDArray[np.float64], int]:
     """
     cells = column.cells
     values = _cast_text(column) if _is_text(cells) else _cast_numeric(column)
-    result: npt.NDArray[np.float64] = values.to_numpy(zero_copy_only=False)
+    result: Array = values.to_numpy(zero_copy_only=False)
     if np.isinf(result).any():
         i = int(np.flatnonzero(np.isinf(result))[0])
         raise column.error(i, repr(cells[i].as_py()), "a finite number, an empty cell or NaN")
@@ -94,7 +95,7 @@ def _cast_numeric(column: Column) -> pa.Array:
     return pc.cast(column.cells, pa.float64(), safe=False)
 
 
-def to_nanoseconds(column: Column, per_second: bool) -> npt.NDArray[np.int64]:
+def to_nanoseconds(column: Column, per_second: bool) -> Integers:
     """Time stamps as integer nanoseconds, rounded to the nearest.
 
     Args:
@@ -128,7 +129,7 @@ def to_nanoseconds(column: Column, per_second: bool) -> npt.NDArray[np.int64]:
         i = int(np.flatnonzero(~fits)[0])
         raise column.error(i, f"{values[i].item()!r}{words}", _expected_time(per_second))
     if not per_second or whole:
-        stamps: npt.NDArray[np.int64] = values.astype(np.int64) * unit
+        stamps: Integers = values.astype(np.int64) * unit
         return stamps
     floor = np.floor(values)
     stamps = floor.astype(np.int64) * 1_000_000_000 + np.rint((values - floor) * 1e9).astype(np.int64)
@@ -139,7 +140,7 @@ def _expected_time(per_second: bool) -> str:
     return "seconds, at most 9e9 in size" if per_second else "whole nanoseconds that a 64-bit integer holds"
 
 
-def _text_to_nanoseconds(column: Column, text: pa.Array, per_second: bool) -> npt.NDArray[np.int64]:
+def _text_to_nanoseconds(column: Column, text: pa.Array, per_second: bool) -> Integers:
     plain = _plain_seconds(text) if per_second else _plain_integers(text)
     if plain is not None:
         return plain
@@ -147,15 +148,15 @@ def _text_to_nanoseconds(column: Column, text: pa.Array, per_second: bool) -> np
     return np.array(stamps, dtype=np.int64)
 
 
-def _plain_integers(text: pa.Array) -> npt.NDArray[np.int64] | None:
+def _plain_integers(text: pa.Array) -> Integers | None:
     try:
-        result: npt.NDArray[np.int64] = pc.cast(text, pa.int64()).to_numpy(zero_copy_only=False)
+        result: Integers = pc.cast(text, pa.int64()).to_numpy(zero_copy_only=False)
     except pa.ArrowInvalid:
         return None
     return result
 
 
-def _plain_seconds(text: pa.Array) -> npt.NDArray[np.int64] | None:
+def _plain_seconds(text: pa.Array) -> Integers | None:
     """Digits with at most a point, which is nearly every file; None when a cell is spelt otherwise."""
     parts = pc.extract_regex(text, r"^(?P<sign>[+-]?)(?P<whole>[0-9]{1,9}|[1-8][0-9]{9})(?P<rest>\.[0-9]*)?$")
     if parts.null_count:
@@ -166,7 +167,7 @@ def _plain_seconds(text: pa.Array) -> npt.NDArray[np.int64] | None:
     tenths = pc.cast(digits, pa.int64()).to_numpy(zero_copy_only=False)  # of a nanosecond
     magnitude = seconds * 1_000_000_000 + (tenths + 5) // 10
     negative = pc.equal(sign, "-").to_numpy(zero_copy_only=False)
-    result: npt.NDArray[np.int64] = np.where(negative, -magnitude, magnitude)
+    result: Integers = np.where(negative, -magnitude, magnitude)
     return result
 
 

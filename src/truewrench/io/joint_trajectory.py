@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.files import write_yaml
-
-Array = npt.NDArray[np.float64]
 
 
 def write_joint_trajectory(

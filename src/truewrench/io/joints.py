@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from truewrench.io.table import Table
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
@@ -62,10 +62,10 @@ def without_attitude(path: str | Path | None) -> InputError:
 
 
 def check_attitude(
-    attitude: npt.NDArray[np.float64],
+    attitude: Array,
     names: Sequence[str],
     path: str | Path | None,
-    time_ns: npt.NDArray[np.int64],
+    time_ns: Integers,
 ) -> None:
     """Refuse quaternions (N, 4), columns of these names, that are none; rows with NaN are passed over.
 

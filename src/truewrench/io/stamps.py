@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench import _core
-
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+from truewrench.model.arrays import Array, Integers, Mask
 
 APART = _core.PACKETS_APART
 """[ns] between packets at most: what is silent for longer is a gap."""
@@ -36,8 +34,8 @@ LOST = 0.5
 
 
 def with_even_stamps(
-    time_ns: Stamps, columns: dict[str, Array]
-) -> tuple[Stamps, dict[str, Array], tuple[str, ...]]:
+    time_ns: Integers, columns: dict[str, Array]
+) -> tuple[Integers, dict[str, Array], tuple[str, ...]]:
     """A table in which the samples of each stream that comes in packets are spaced evenly.
 
     Args:
@@ -62,14 +60,14 @@ def with_even_stamps(
     return merged, out, tuple(notes)
 
 
-def _said(stream: int, columns: Sequence[str], of: Sequence[int], even: Stamps) -> str:
+def _said(stream: int, columns: Sequence[str], of: Sequence[int], even: Integers) -> str:
     names = [name for name, i in zip(columns, of, strict=True) if i == stream]
     told = ", ".join(names if len(names) < 3 else [names[0], "...", names[-1]])
     period = 1e-6 * float(np.median(np.diff(even)))
     return f"{told}: samples come in packets, stamped on receipt; those taken as {period:.3g} ms apart"
 
 
-def in_packets(time_ns: Stamps) -> Stamps | None:
+def in_packets(time_ns: Integers) -> Integers | None:
     """Even stamps (N,) of samples that came in packets; None where they did not, or hardly."""
     out, found = time_ns.copy(), False
     cuts = np.flatnonzero(np.diff(time_ns) > APART) + 1
@@ -79,7 +77,7 @@ def in_packets(time_ns: Stamps) -> Stamps | None:
     return out if found and (np.diff(out) > 0).all() else None
 
 
-def _even(time_ns: Stamps) -> Stamps | None:
+def _even(time_ns: Integers) -> Integers | None:
     """Of samples without a gap: a line from one place where a packet was lost to the next."""
     steps = np.diff(time_ns)
     together = steps < CLOSE * (time_ns[-1] - time_ns[0]) / steps.size
@@ -104,7 +102,7 @@ def _even(time_ns: Stamps) -> Stamps | None:
     return np.asarray(time_ns[0] + np.rint(np.concatenate(even)).astype(np.int64))
 
 
-def _after_stalls(time_ns: Stamps, together: NDArray[np.bool_]) -> Stamps | None:
+def _after_stalls(time_ns: Integers, together: Mask) -> Integers | None:
     """With samples that waited, several at once, spread over the time in which nothing came."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], together.astype(int), [0]])))
     waited = [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= WAITED]
@@ -138,7 +136,7 @@ def _line(time: Array, begin: int, last: NDArray[np.intp], period: float, apart:
 
 def _streams(columns: Iterable[Array]) -> tuple[list[NDArray[np.intp]], list[int]]:
     """Rows of every stream, and which one each column is of."""
-    known: list[NDArray[np.bool_]] = []
+    known: list[Mask] = []
     of = []
     for column in columns:
         here = np.isfinite(column)

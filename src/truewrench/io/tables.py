@@ -31,6 +31,7 @@ from truewrench.io.table import (
     Chunk,
     Table,
 )
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -130,7 +131,7 @@ class TimeReader:
         self.name = "time_ns" if "time_ns" in table.names else "time_s"
         self._last: int | None = None
 
-    def read(self, chunk: Chunk) -> npt.NDArray[np.int64]:
+    def read(self, chunk: Chunk) -> Integers:
         """(rows,) stamps of a chunk [ns]."""
         column = chunk.column(self.name)
         time = to_nanoseconds(column, per_second=self.name == "time_s")
@@ -252,12 +253,10 @@ def write_table(path: str | Path, columns: Mapping[str, npt.NDArray[Any]]) -> No
     write_batches(path, [batch])
 
 
-def read_columns(
-    table: Table, names: Sequence[str]
-) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float64]], dict[str, int]]:
+def read_columns(table: Table, names: Sequence[str]) -> tuple[Integers, dict[str, Array], dict[str, int]]:
     """Stamps, every column, and how many of its cells are NaN."""
     reader, rows = TimeReader(table), 0
-    time_ns: npt.NDArray[np.int64] = np.empty(0, dtype=np.int64)
+    time_ns: Integers = np.empty(0, dtype=np.int64)
     columns = {name: np.empty(0) for name in names}
     nan_counts = dict.fromkeys(names, 0)
     for chunk in table.chunks([reader.name, *names]):

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.estimate import Estimate
@@ -30,6 +29,7 @@ from truewrench.judging.words import (
     of_references,
     slow_stands,
 )
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.calibration_parts import AXES, Undetermined, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -45,8 +45,6 @@ __all__ = [
     "of_references",
     "setup_errors",
 ]
-
-Array = NDArray[np.float64]
 
 CONDITION = 100.0  # of the normalised gain, beyond which it is told: words only
 SURE = 20.0  # nats of the odds of a set-up error: the order of words only
@@ -234,7 +232,7 @@ def _accuracy(
     logs: Sequence[Log],
     std: Array,
     required: Array,
-    accurate: NDArray[np.bool_],
+    accurate: Mask,
 ) -> str:
     i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(required), std / required, 0.0))), std.shape)
     failed = [axis for axis, fine in zip(AXES, accurate, strict=True) if not fine]

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.estimate import Estimate
+from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 _GENERAL = (
     "a longer, faster or heavier motion of that axis helps",

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicHermiteSpline
 
 from truewrench.estimation.estimate import Estimate, LogRows
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 BIN = 0.05  # [s] slow departures are averaged over: tolerance
 COSINES = 4  # over the length of a record, that a drifting offset is made of
@@ -106,7 +104,7 @@ def _binned(
         yield mean(y), np.column_stack([mean(w), np.ones(begins.size)]), columns
 
 
-def _mean(values: Array, use: NDArray[np.int64], begins: NDArray[np.int64]) -> Array:
+def _mean(values: Array, use: Integers, begins: Integers) -> Array:
     """Used rows of values (K, ...) averaged over bins that begin at these of them."""
     count = np.diff(begins, append=use.size)
     total = np.add.reduceat(values[use], begins, axis=0)

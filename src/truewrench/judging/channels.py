@@ -6,12 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 FEWEST = 10  # samples from which on a repeated value is no coincidence: tolerance
 AT_RAIL = 1e-3  # share of the samples at one extreme value from which on it counts as a rail,
@@ -106,7 +104,7 @@ def _rail(values: Array) -> str:
     return ""
 
 
-def _longest(at: NDArray[np.bool_]) -> int:
+def _longest(at: Mask) -> int:
     """Most consecutive true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(np.int8), [0]])))
     return int(np.max(edges[1::2] - edges[::2], initial=0))

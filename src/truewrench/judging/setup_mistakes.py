@@ -9,12 +9,11 @@ from itertools import permutations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES
 
-Array = NDArray[np.float64]
 Kind = Literal["scale", "axes", "payload", "departure"]
 
 # Prior odds against a correct set-up: about one rig in ten is wired or scaled wrongly at first. Each is

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from truewrench import _core
@@ -36,10 +35,9 @@ from truewrench.judging.setup_mistakes import (
     scales,
     turns,
 )
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 COMMON = 0.3  # departures of other sensors, where `gain_prior` says more; its rates are those of `PRIOR_ODDS`
 SPREADS = (1.0, 0.5, 0.25)  # of them, equally likely

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 
 
@@ -70,7 +70,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _lists(values: npt.NDArray[np.float64]) -> Any:
+def _lists(values: Array) -> Any:
     plain = values.astype(object)
     plain[~np.isfinite(values)] = None
     return plain.tolist()

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from truewrench import model
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.calibration_parts import (
     AXES,
     KINDS,
@@ -51,8 +52,6 @@ FORMAT = "truewrench/1"
 UNDETERMINED = 0.5
 """Of the prior's sigma: what is less certain than that was not determined by the data."""
 
-FloatArray = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -87,27 +86,27 @@ class Calibration:
         created: ISO 8601 time, UTC.
     """
 
-    gain: FloatArray
-    gain_std: FloatArray
-    offset: FloatArray
-    offset_std: FloatArray
-    inverse: FloatArray
-    covariance: FloatArray
+    gain: Array
+    gain_std: Array
+    offset: Array
+    offset_std: Array
+    inverse: Array
+    covariance: Array
     verdict: Verdict
     logs: tuple[LogReport, ...]
     rig: Rig
     estimator: str
     improvement: Mapping[str, AxisImprovement] = field(default_factory=dict)
     bound: Bound | None = None
-    offset_temperature: FloatArray | None = None
+    offset_temperature: Array | None = None
     time_offset: float = 0.0
     time_offset_std: float = 0.0
     payload_posterior: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     axes: Mapping[str, bool] = field(default_factory=dict)
     assumed: tuple[Assumed, ...] = ()
-    quadratic: FloatArray | None = None
-    quadratic_std: FloatArray | None = None
-    discrepancy: FloatArray | None = None
+    quadratic: Array | None = None
+    quadratic_std: Array | None = None
+    discrepancy: Array | None = None
     figures: Mapping[str, Any] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
     version: str = ""
@@ -119,20 +118,18 @@ class Calibration:
         return int(self.gain.shape[0])
 
     @property
-    def gain_std_normalised(self) -> FloatArray:
+    def gain_std_normalised(self) -> Array:
         """(n, 6) 1 sigma of the gains, in units of their channel's full scale over their axis' range."""
         sensor = self.rig.sensor
         return self.gain_std * sensor.range_array / sensor.channel_scale[:, None]
 
     @property
-    def gain_determined(self) -> npt.NDArray[np.bool_]:
+    def gain_determined(self) -> Mask:
         """(n, 6) whether the data and not the prior say what the gain is: its sigma is at most half of it."""
-        determined: npt.NDArray[np.bool_] = (
-            self.gain_std_normalised <= UNDETERMINED * self.rig.sensor.gain_prior
-        )
+        determined: Mask = self.gain_std_normalised <= UNDETERMINED * self.rig.sensor.gain_prior
         return determined
 
-    def wrench(self, raw: npt.ArrayLike, temperature: npt.ArrayLike | None = None) -> FloatArray:
+    def wrench(self, raw: npt.ArrayLike, temperature: npt.ArrayLike | None = None) -> Array:
         """The true wrench, (N, 6) [N, N m], of raw samples (N, n); NaN where a channel has none.
 
         NaN on `withheld` axes, too.
@@ -145,12 +142,12 @@ class Calibration:
         if temperature is not None and self.offset_temperature is not None:
             above = np.asarray(temperature, dtype=np.float64) - self.rig.temperature.reference
             offset = offset + above[..., None] * self.offset_temperature
-        wrench: FloatArray = (np.asarray(raw, dtype=np.float64) - offset) @ self.inverse.T
+        wrench: Array = (np.asarray(raw, dtype=np.float64) - offset) @ self.inverse.T
         wrench[..., self.withheld] = np.nan
         return wrench
 
     @property
-    def withheld(self) -> npt.NDArray[np.bool_]:
+    def withheld(self) -> Mask:
         """(6,) wrench axes that are not to be used, of a calibration that is good for others."""
         usable = np.array([self.axes.get(axis, False) for axis in AXES])
         return ~usable if usable.any() else np.zeros(6, dtype=np.bool_)
@@ -296,7 +293,7 @@ def _listed(fields: Fields, key: str) -> list[Fields]:
     return fields.sections(key) if key in fields.data else []
 
 
-def _per_channel(top: Fields, key: str, n: int, *, positive: bool = False) -> FloatArray | None:
+def _per_channel(top: Fields, key: str, n: int, *, positive: bool = False) -> Array | None:
     """As many numbers as channels; None where there are none, as in files from before there were any."""
     if top.data.get(key) is None:
         return None

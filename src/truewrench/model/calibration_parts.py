@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-import numpy.typing as npt
+from truewrench.model.arrays import Array
 
 AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 """The wrench axes, in order."""
@@ -21,8 +20,6 @@ KINDS = (
     *("gravity", "noise", "resolution", "drift", "step", "contact", "outliers"),
 )
 """What a record may hold beside the model; whatever names it, names it by one of these."""
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +67,7 @@ class Undetermined:
         words: the same for a person, such as "moment about z: gains of all channels".
     """
 
-    direction: FloatArray
+    direction: Array
     words: str
 
 
@@ -146,8 +143,8 @@ class LogReport:
     path: Path | None
     sha256: str
     payload: str
-    offset: FloatArray
-    offset_std: FloatArray
+    offset: Array
+    offset_std: Array
     time_offset: float = 0.0
     used: int = 0
     masked: Mapping[str, int] = field(default_factory=dict)

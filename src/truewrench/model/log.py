@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicSpline
 
-FloatArray = npt.NDArray[np.float64]
+from truewrench.model.arrays import Array, Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,13 +26,13 @@ class Reference:
     """
 
     origin_ns: int
-    breakpoints: FloatArray
-    twist: FloatArray
+    breakpoints: Array
+    twist: Array
     spacing: float
-    gravity_time: FloatArray
-    gravity: FloatArray | None
+    gravity_time: Array
+    gravity: Array | None
 
-    def motion(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def motion(self, time: Array) -> tuple[Array, Array, Array]:
         """Twist (N, 6), its component-wise derivative and free fall (N, 3) at times (N,) since the origin."""
         ends = np.repeat(self.breakpoints[[0, -1]], 5).reshape(2, 5)
         twist = BSpline(np.concatenate([ends[0], self.breakpoints, ends[1]]), self.twist, 5)
@@ -56,11 +55,11 @@ class Tracking:
         reference: None where positions are exact, and the twist is what was measured.
     """
 
-    jacobian: FloatArray
-    jacobian_rate: FloatArray | None = None
-    position_departure: FloatArray | None = None
-    position_sigma: FloatArray | None = None
-    velocity_departure: FloatArray | None = None
+    jacobian: Array
+    jacobian_rate: Array | None = None
+    position_departure: Array | None = None
+    position_sigma: Array | None = None
+    velocity_departure: Array | None = None
     reference: Reference | None = None
 
 
@@ -131,20 +130,20 @@ class Log:
     path: Path | None
     payload: str
     sha256: str
-    time_ns: npt.NDArray[np.int64]
-    raw: FloatArray
-    twist: FloatArray | None = None
-    gravity: FloatArray | None = None
-    angular_velocity: FloatArray | None = None
-    attitude: FloatArray | None = None
-    acceleration: FloatArray | None = None
-    specific_force: FloatArray | None = None
-    temperature: FloatArray | None = None
-    reference: FloatArray | None = None
-    position: FloatArray | None = None
-    velocity: FloatArray | None = None
-    base_twist: FloatArray | None = None
-    base_attitude: FloatArray | None = None
+    time_ns: Integers
+    raw: Array
+    twist: Array | None = None
+    gravity: Array | None = None
+    angular_velocity: Array | None = None
+    attitude: Array | None = None
+    acceleration: Array | None = None
+    specific_force: Array | None = None
+    temperature: Array | None = None
+    reference: Array | None = None
+    position: Array | None = None
+    velocity: Array | None = None
+    base_twist: Array | None = None
+    base_attitude: Array | None = None
     offset_jumps_ns: tuple[int, ...] = ()
     tracking: Tracking | None = None
     whitened: Mapping[str, Whitened] = field(default_factory=dict)
@@ -154,7 +153,7 @@ class Log:
     notes: tuple[str, ...] = ()
 
     @property
-    def time(self) -> FloatArray:
+    def time(self) -> Array:
         """(N,) time since the first row [s]."""
         return np.asarray((self.time_ns - self.time_ns[:1]) * 1e-9, np.float64)
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.model.arrays import Array
 from truewrench.model.rig import PayloadSpec, Rig
-
-Array = NDArray[np.float64]
 
 
 def core_payload(spec: PayloadSpec) -> _core.Payload:

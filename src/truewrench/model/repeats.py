@@ -11,11 +11,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
-
-Array = NDArray[np.float64]
 
 SAMPLED = 0.1
 """[s] that a value of a sampled reference stays; loads that are held or noted stay for longer."""
@@ -85,19 +83,19 @@ class _Stream:
         self.same = self.same[:, ~self.same.all(axis=0)]  # of columns that are alive
         self.repeats = np.append(False, self.same.all(axis=1) & (self.same.shape[1] > 0))[: self.rows.size]
 
-    def runs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def runs(self) -> tuple[Integers, Integers]:
         """Where values begin, counted in rows, and how many rows each lasts; nothing where none repeats."""
         if self.rows.size <= _FEWEST or not self.repeats.any():
             return self.rows[:0], self.rows[:0]
         fresh = np.flatnonzero(~self.repeats)
         return fresh, np.diff(np.append(fresh, self.rows.size))
 
-    def usual(self, time_ns: NDArray[np.int64]) -> float:
+    def usual(self, time_ns: Integers) -> float:
         """How long a value stays, in the median [ns]."""
         fresh, _ = self.runs()
         return float(np.median(np.diff(time_ns[self.rows[fresh]]))) if fresh.size > 1 else np.inf
 
-    def held(self) -> NDArray[np.int64]:
+    def held(self) -> Integers:
         """Rows that repeat the row before because their stream is slower than the rows."""
         fresh, lengths = self.runs()
         if fresh.size <= _FEWEST or (~self.same[~self.repeats[1:]]).mean() < _TOGETHER:
@@ -105,10 +103,10 @@ class _Stream:
         usual = lengths <= _LONGEST * max(1.0, float(np.median(lengths)))
         if np.mean(lengths[usual] > 1) < _HELD:
             return self.rows[:0]
-        kept: NDArray[np.bool_] = self.repeats & np.repeat(usual, lengths)
+        kept: Mask = self.repeats & np.repeat(usual, lengths)
         return self.rows[kept]
 
-    def hung(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def hung(self, time_ns: Integers) -> Integers:
         """Rows that repeat the row before although what they measure went on."""
         fresh, lengths = self.runs()
         long = np.append(lengths[:-1] > _HUNG, [False] * (lengths.size > 0))  # and followed by another value
@@ -124,11 +122,11 @@ class _Stream:
             step
         )  # not the next of some poses, the way to it left out
         long[long] = at_once & (change[after] > _JUMP * most)[:, most > 0.0].any(axis=1)
-        hung: NDArray[np.bool_] = self.repeats & np.repeat(long, lengths)
+        hung: Mask = self.repeats & np.repeat(long, lengths)
         return self.rows[hung]
 
 
-def _hung_streams(streams: dict[str, _Stream], time_ns: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
+def _hung_streams(streams: dict[str, _Stream], time_ns: Integers) -> dict[str, Integers]:
     """Rows in which streams hung; those of the motion all where one of them did and the other repeats too."""
     found = {name: stream.hung(time_ns) for name, stream in streams.items()}
     motion = [name for name in found if name != "raw"]

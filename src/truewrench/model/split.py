@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
-
-Array = NDArray[np.float64]
 
 SHORTEST = 100  # rows of a piece of a held-out log
 
@@ -58,7 +56,7 @@ def between_jumps(log: Log) -> list[Log]:
     return [replace(part, offset_jumps_ns=()) for part in pieces]
 
 
-def rows_of(log: Log, rows: NDArray[np.bool_] | slice) -> Log:
+def rows_of(log: Log, rows: Mask | slice) -> Log:
     """The log with some of its rows; views of those of a slice."""
 
     def pick(values: Array | None) -> Array | None:

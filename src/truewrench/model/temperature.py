@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
-Array = NDArray[np.float64]
 
-
-def temperature_at(log: Log, time_ns: NDArray[np.int64]) -> Array | None:
+def temperature_at(log: Log, time_ns: Integers) -> Array | None:
     """(M,) temperatures [degC] at these stamps, linear between readings; None where the log has none."""
     if log.temperature is None:
         return None

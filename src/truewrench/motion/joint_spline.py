@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 from scipy.sparse import csr_array, diags_array
 
+from truewrench.motion.spatial import Array
 from truewrench.motion.trajectory_joint import JointCurves
-
-Array = NDArray[np.float64]
 
 _DEGREE = 5
 _SAMPLES_PER_COEFFICIENT = 3.0

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 
-Array = NDArray[np.float64]
+from truewrench.motion.spatial import Array
 
 DEGREE = 5
 """Of the splines."""

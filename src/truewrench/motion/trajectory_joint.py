@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
-Array = NDArray[np.float64]
+from truewrench.motion.spatial import Array
 
 
 class JointTrajectory(Protocol):

@@ -8,12 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.planning.symbolic import at_point, force_to_move
 from truewrench.robot.arm import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

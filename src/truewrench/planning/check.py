@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import SplineTwist, attitude
 from truewrench.planning.limits import Limits, Usage, usage_of
-
-Array = NDArray[np.float64]
 
 TWIST_AXES = ("vx", "vy", "vz", "wx", "wy", "wz")
 _RATE = 1000.0  # [Hz]

@@ -7,12 +7,10 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
 from truewrench.planning.buffered import Buffered
-
-Array = NDArray[np.float64]
 
 PACKED = np.tril_indices(7)
 """Elements of the mean of [w; 1][w; 1]^T that are kept, w over the range."""

@@ -7,11 +7,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.planning.optimise import Problem, Rows
-
-Array = NDArray[np.float64]
 
 
 class _Call(ca.Callback):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import at_point
@@ -15,8 +15,6 @@ from truewrench.planning.check import Preview, check_times, place_usage, wrench_
 from truewrench.planning.joint_space import ArmOutputs, near_pairs
 from truewrench.planning.limits import Limits, Usage, clearance_usage, usage_of
 from truewrench.robot.arm import Robot
-
-Array = NDArray[np.float64]
 
 
 def check_joints(

@@ -6,9 +6,9 @@ from collections.abc import Set
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.plans import joint_columns
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
@@ -26,8 +26,6 @@ from truewrench.planning.spread import spread_weight
 from truewrench.robot.arm import robot_of
 from truewrench.robot.track import track
 from truewrench.simulation.truth import begin, readings, stamps_of
-
-Array = NDArray[np.float64]
 
 _EFFORT = Effort(random=120, starts=6, first=20, finalists=2, iterations=60, again=20, rounds=1, excess=0.02)
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.planning.arm import ArmExpressions, arm_expressions, has_link_inertias
@@ -18,8 +18,6 @@ from truewrench.planning.limits import Limits
 from truewrench.planning.optimise import Bounds, Space
 from truewrench.planning.symbolic import at_point, wrench_over_range
 from truewrench.robot.arm import Robot
-
-Array = NDArray[np.float64]
 
 _CLEARANCE = 0.07  # of the arm's length: what hand and payload keep from the inner links
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.plans import joint_columns
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory import SplineTwist, integrate_wrench
@@ -21,8 +21,6 @@ from truewrench.planning.result import Design
 from truewrench.planning.search import Progress
 from truewrench.planning.wrench_plan import ONE_FREQUENCY, best_sinusoids, facts_of, scaled
 from truewrench.robot.arm import Robot, robot_of
-
-Array = NDArray[np.float64]
 
 _REACHED = 0.5  # of what the joints could do together at the start
 _TRAVEL = (0.15, 0.6)  # of the arm's length, and [rad]: what the hand may be away from the start

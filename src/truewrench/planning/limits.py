@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
 
-Array = NDArray[np.float64]
 Kind = Literal["position", "velocity", "acceleration", "jerk", "torque", "wrench", "workspace", "clearance"]
 
 DEFAULT_WRENCH_FRACTION = 0.8  # the rest of the range is for tracking errors, offset and a gain that is off

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.planning.buffered import Buffered
 from truewrench.planning.criterion import PACKED, Criterion, packed
 from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
 from truewrench.planning.spread import Spread
-
-Array = NDArray[np.float64]
 
 FINE = 4  # times between two nodes at which the series themselves are looked at
 _FEWEST_NODES = 48
@@ -90,10 +88,10 @@ class Rows:
     """
 
     linear: Array
-    node: NDArray[np.int64]
-    output: NDArray[np.int64]
+    node: Integers
+    output: Integers
     sums: Array
-    kept: NDArray[np.bool_]
+    kept: Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,14 +181,14 @@ class Problem:
         nodal = self.nodes * (6 + self.bounded + self.summed.size)
         return len(self.linear) + nodal + self._closed
 
-    def rows(self, kept: NDArray[np.bool_]) -> Rows:
+    def rows(self, kept: Mask) -> Rows:
         """Some of the constraints; means that vanish always belong to them, integrals node by node."""
         L, nodal = len(self.linear), self.nodes * (6 + self.bounded)
         node, output = np.divmod(np.flatnonzero(kept[L : L + nodal]), 6 + self.bounded)
         integrals = kept[L + nodal + self._closed :].reshape(self.nodes, -1).any(axis=1)
         return Rows(self.linear[kept[:L]], node, output, self._integration[integrals], self._widened(kept))
 
-    def _widened(self, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _widened(self, kept: Mask) -> Mask:
         last = len(self.linear) + self.nodes * (6 + self.bounded)
         wide = kept.copy()
         wide[last : last + self._closed] = True

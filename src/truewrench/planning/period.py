@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.planning.limits import Limits
 from truewrench.planning.series import SeriesBasis
-
-Array = NDArray[np.float64]
 
 _SPEED = 1.0  # [m/s, rad/s] where nothing is said
 ROWS = 20.0  # of the table per period of the highest harmonic: a quintic spline then follows it to 1e-6

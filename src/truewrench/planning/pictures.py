@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
 from truewrench.io.pictures.arm import arm_figure, colour_bar, heat_map
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES
 from truewrench.planning.limits import Usage, wrench_fraction
 from truewrench.planning.result import Plan
-
-Array = NDArray[np.float64]
 
 _POINTS = 4000  # of a curve, at most
 _POSTURES = 5

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation.bound import Information, information, oracle_rms
 from truewrench.estimation.pose import (
@@ -27,14 +26,13 @@ from truewrench.estimation.pose import (
     with_pose,
 )
 from truewrench.estimation.undetermined import undetermined_directions
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import BlindTo, Undetermined
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig, SimulateSpec
 from truewrench.motion.trajectory import SplineTwist, Trajectory
 from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.planning.check import Preview
-
-Array = NDArray[np.float64]
 
 LONGER = (2, 5)
 HEAVIER = 2.0

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import at_point
 from truewrench.motion.trajectory import Trajectory
 from truewrench.robot.arm import Robot, robot_of
-
-Array = NDArray[np.float64]
 
 _SUBSTEPS = 4  # of the target pose between two commands
 _METRE_PER_RADIAN = 1.0  # what a radian of attitude weighs against a metre

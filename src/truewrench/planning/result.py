@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.joint_trajectory import write_joint_trajectory
 from truewrench.io.plans import joint_columns
 from truewrench.io.tables import write_table
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES, Verdict
 from truewrench.model.files import write_yaml
 from truewrench.model.rig import Rig
@@ -21,8 +21,6 @@ from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.check import Preview
 from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures
-
-Array = NDArray[np.float64]
 
 FORMAT = "truewrench-plan/1"
 """What a plan's file says it is."""

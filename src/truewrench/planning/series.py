@@ -13,9 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.motion.spatial import cross
 from truewrench.motion.trajectory import Body, motion_of_wrench, rotation_matrix
-
-Array = NDArray[np.float64]
 
 _STEPS_PER_PERIOD = 16  # of the fastest sinusoid, by Runge and Kutta's fourth order
 _FEWEST_STEPS = 120
@@ -32,14 +30,14 @@ class Batch:
     body: Body
     force: Array
     moment: Array
-    k: NDArray[np.int64]
+    k: Integers
     tau: float
 
     def scaled(self, factor: float) -> Batch:
         """All amplitudes times a factor."""
         return Batch(self.body, factor * self.force, factor * self.moment, self.k, self.tau)
 
-    def chosen(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Batch:
+    def chosen(self, which: Mask | Integers) -> Batch:
         """Some of the wrenches."""
         return Batch(self.body, self.force[which], self.moment[which], self.k[which], self.tau)
 

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.planning.ipopt import minimise
 from truewrench.planning.limits import Limits
 from truewrench.planning.optimise import FINE, Problem, Rows
-
-Array = NDArray[np.float64]
 
 _SIZES = 0.5 ** np.arange(0.0, 6.0, 0.5)  # of a random motion: of the largest that its series may be,
 _TYPICAL = 4.0  # or of typical velocities, where that is less
@@ -148,7 +146,7 @@ def use(g: Array, lower: Array, upper: Array) -> Array:
     return np.where(equal, used * (used > _FEASIBLE), used)
 
 
-def _first_rows(problem: Problem, share: Array) -> NDArray[np.bool_]:
+def _first_rows(problem: Problem, share: Array) -> Mask:
     """Constraints to begin with; the others are looked at where a solution comes near them."""
     L, nodal = len(problem.linear), problem.nodes * (6 + problem.bounded)
     even = np.arange(problem.nodes) % 2 == 0

@@ -12,12 +12,10 @@ one in some coordinates, for a fraction of a percent of sigma.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
 from truewrench.planning.series import SeriesBasis
-
-Array = NDArray[np.float64]
 
 _SLACK = 0.05  # the price of one frequency is log(1 / slack), and finite
 _AUTO = 0.02  # costs 0.8 % of sigma where the payload of [A00] flies free, and takes A from 0.87 to 0.47

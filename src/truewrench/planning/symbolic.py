@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 
 def wrench_over_range(rig: Rig, payload: str, twist: Any, acceleration: Any, gravity: Any) -> Any:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.table import ACCELERATION, TWIST
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
@@ -22,8 +22,6 @@ from truewrench.planning.search import Found, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
 from truewrench.planning.spread import spread_weight
 from truewrench.planning.twist_space import pose_space, pose_twist, twist_space
-
-Array = NDArray[np.float64]
 
 
 def design_twist(rig: Rig, payload: str, criterion: Literal["A", "D"], progress: Progress) -> Design:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
 from truewrench.planning.buffered import Buffered
 from truewrench.planning.limits import Limits
 from truewrench.planning.optimise import Bounds, Space
 from truewrench.planning.series import FourierMotion
 from truewrench.planning.symbolic import at_point, total_derivative, wrench_over_range
-
-Array = NDArray[np.float64]
 
 
 def twist_space(rig: Rig, payload: str, scale: Array) -> Space:

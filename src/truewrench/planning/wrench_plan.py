@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import UnsupportedError
 from truewrench.model.rig import PlanSpec, Rig
 from truewrench.motion.spatial import at_point
@@ -20,8 +20,6 @@ from truewrench.planning.result import Design
 from truewrench.planning.search import Progress
 from truewrench.planning.sinusoids import Batch, Motions, integrated, without_drift
 from truewrench.planning.twist_plan import twist_design
-
-Array = NDArray[np.float64]
 
 ONE_FREQUENCY = (
     "every force has one frequency, and the moment about its axis the same: a delay turns one into the other "
@@ -145,7 +143,7 @@ def _shapes(rig: Rig, body: Body, limits: Limits) -> Batch:
     return Batch(body, np.array(force), np.array(moment), np.array(k, dtype=np.int64), duration)
 
 
-def _alone(body: Body, limits: Limits, k: NDArray[np.int64], duration: float) -> Array:
+def _alone(body: Body, limits: Limits, k: Integers, duration: float) -> Array:
     """(6,) amplitude of each sinusoid at which it reaches a limit by itself."""
     rate = np.tile(2.0 * np.pi * k / duration, 2)
     skew = np.cross(np.eye(3), body.center_of_mass)  # rows e_i x c

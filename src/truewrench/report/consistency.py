@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import KnownWrenchEstimate
+from truewrench.model.arrays import Array
 from truewrench.report.series import Record, groups_of
-
-Array = NDArray[np.float64]
 
 CHANCE = 0.01  # of a value outside its bounds where the noise is as expected
 _MOST = 150  # values per stream

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, UNDETERMINED, Calibration
 from truewrench.model.calibration_parts import UNITS
 from truewrench.report import findings, found, plots, tables
@@ -19,8 +19,6 @@ from truewrench.report.convergence import convergence
 from truewrench.report.series import Record, Series, record_of
 from truewrench.report.statistics import Envelope, envelope, histogram, spectrum
 from truewrench.report.tables import Table
-
-Array = NDArray[np.float64]
 
 _SHOWN = 200  # intervals and rows that are listed one by one
 _HALVES = {"forces": slice(0, 3), "moments": slice(3, 6)}

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.report.series import Record
-
-Array = NDArray[np.float64]
 
 _STEPS = 80
 _MOST = 400  # points of an estimator's own history

@@ -14,16 +14,14 @@ from bokeh.models import BoxZoomTool, Legend, Range1d, Span, VStrip
 from bokeh.models.ranges import DataRange1d
 from bokeh.models.sources import ColumnDataSource
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.calibration import AXES
 from truewrench.model.calibration_parts import UNITS
 from truewrench.report.consistency import Consistency
 from truewrench.report.convergence import Convergence
 from truewrench.report.series import Record
 from truewrench.report.statistics import Envelope, Histogram, Spectrum
-
-Array = NDArray[np.float64]
 
 BLUE, VERMILION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#808080"
 _CURVES = ((BLUE, "solid"), (VERMILION, "dashed"), (GREEN, "dotdash"))
@@ -194,7 +192,7 @@ def _time_figure(height: int, record: Record, y: Range1d, label: str, **kinds: A
     return p
 
 
-def _judged(p: figure, x: Array, y: Array, good: NDArray[np.bool_]) -> None:
+def _judged(p: figure, x: Array, y: Array, good: Mask) -> None:
     """Round where good, triangular elsewhere."""
     p.scatter(x[good], y[good], marker="circle", size=6, color=BLUE)
     p.scatter(x[~good], y[~good], marker="triangle", size=11, color=VERMILION)

@@ -7,19 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import KnownWrenchEstimate
 from truewrench.judging.validation.residuals import residuals
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.split import held_out
 from truewrench.model.temperature import at_reference_temperature
 
-Array = NDArray[np.float64]
 Span = tuple[float, float]
 
 _MOST = 8_000  # rows of a log whose motion is estimated anew, in stretches spread over it
@@ -232,7 +231,7 @@ def _of_motion(calibration: Calibration, placed: Series, log: Log) -> Series:
     return _broken(whole, np.array(found.begin[1:], dtype=np.int64))
 
 
-def _broken(series: Series, breaks: NDArray[np.int64]) -> Series:
+def _broken(series: Series, breaks: Integers) -> Series:
     """With a NaN before these rows, so that nothing is drawn across them."""
 
     def cut(values: Array) -> Array:
@@ -250,7 +249,7 @@ def _broken(series: Series, breaks: NDArray[np.int64]) -> Series:
     )
 
 
-def _runs(time: Array, marked: NDArray[np.bool_]) -> tuple[Span, ...]:
+def _runs(time: Array, marked: Mask) -> tuple[Span, ...]:
     """Begin and end of every run of marked rows."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]])))
     return tuple((float(time[a]), float(time[b - 1])) for a, b in edges.reshape(-1, 2))

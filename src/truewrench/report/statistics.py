@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.report.series import Record, Series
-
-Array = NDArray[np.float64]
 
 BUCKETS = 1000  # of the time axis: about the pixels of a wide screen
 _LONGEST = 2048  # samples of a transform
@@ -68,7 +66,7 @@ class Histogram:
     edges: Array
     density: Array
     within: Array
-    outside: NDArray[np.int64]
+    outside: Integers
     size: Array
 
 

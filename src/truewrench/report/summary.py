@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from rich import box
 from rich.console import Console, RenderableType
 from rich.table import Table
@@ -15,6 +14,7 @@ from rich.text import Text
 
 from truewrench.io.exports import Exports
 from truewrench.judging.validation import Validation
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, Calibration, LogReport
 from truewrench.model.calibration_parts import UNITS
 
@@ -210,7 +210,7 @@ def exports_summary(exports: Exports) -> Iterator[RenderableType]:
         yield Text("\n".join(lines))
 
 
-def _largest(error: NDArray[np.float64]) -> str:
+def _largest(error: Array) -> str:
     return f"{error[:3].max():.3g} N and {error[3:].max():.3g} N m"
 
 

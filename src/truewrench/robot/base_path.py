@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import rotation_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +51,7 @@ class BasePath:
         twist = _spline(log.time, log.base_twist)
         return cls(twist, _spline(log.time, _continuous(log.base_attitude)), tuple(pieces))
 
-    def covers(self, time: Array) -> NDArray[np.bool_]:
+    def covers(self, time: Array) -> Mask:
         """Whether the base is known at times (K,)."""
         known = np.ones(time.shape, dtype=np.bool_)
         for stream in self.pieces:

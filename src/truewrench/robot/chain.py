@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.model.arrays import Array
 from truewrench.robot.arm import Robot
 from truewrench.robot.base_path import BasePath
-
-Array = NDArray[np.float64]
 
 _CHUNK = 4096  # rows, whose Jacobians take 8 MB
 

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.robot.attitude import free_fall
-
-Array = NDArray[np.float64]
 
 
 def uncompensated(rig: Rig, logs: Sequence[Log]) -> list[Log]:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 from truewrench.robot.parts import MOVES, SAMPLED
-
-Array = NDArray[np.float64]
 
 SPAN = 0.25  # [s] over which the way of a joint is compared: far above its noise, below a turn of its motion
 FOLLOWS = 0.9  # correlation of both ways, from which on their ratio says something, and

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import robot_of
-
-Array = NDArray[np.float64]
 
 _POINTS = 4  # of a cubic
 MOVES, SAMPLED = 0.02, 0.1  # [rad, m] that is a motion, [s] between rows at most: others are poses
@@ -101,7 +99,7 @@ def on_common_rows(time: Array, joints: Array) -> tuple[Array, list[list[int]]]:
     return out, parts
 
 
-def _parts(finite: NDArray[np.bool_]) -> list[list[int]]:
+def _parts(finite: Mask) -> list[list[int]]:
     """Columns that mostly have their samples together."""
     parts: list[list[int]] = []
     for column in range(finite.shape[1]):

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from truewrench import _core
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log, Reference, Tracking
 from truewrench.model.rig import Rig
@@ -26,8 +26,6 @@ from truewrench.robot.arm import Robot, robot_of
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import SensorMotion, chain_of, sensor_motion
 from truewrench.robot.parts import together, unwrapped
-
-Array = NDArray[np.float64]
 
 _FEWEST = 16  # rows of a joint stream that a motion can be made of
 _WIDER = 2.0  # knots of the reference, in units of the coarsest that the encoders accept (docs/method.md)
@@ -164,7 +162,7 @@ def _about(
     log: Log,
     fit: JointSpline,
     moved: Array,
-    velocities: NDArray[np.int64] | None,
+    velocities: Integers | None,
 ) -> Log:
     """The log about a reference, from which positions depart by `moved` (N, n)."""
     chain = chain_of(robot)
@@ -246,7 +244,7 @@ def _fall(rig: Rig, moving: SensorMotion) -> Array:
     return np.asarray(moving.R_sensor_inertial @ rig.gravity_array)
 
 
-def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:
+def _rows(log: Log, values: Array | None, columns: str) -> Integers:
     """Rows with all joints of a stream."""
     assert values is not None
     finite = np.isfinite(values)
@@ -260,7 +258,7 @@ def _rows(log: Log, values: Array | None, columns: str) -> NDArray[np.int64]:
     return rows
 
 
-def _covered(known: Array, at: Array) -> NDArray[np.bool_]:
+def _covered(known: Array, at: Array) -> Mask:
     """Whether times (N,) lie between samples of a stream, and in no gap of it."""
     inside = np.zeros(at.size, dtype=np.bool_)
     for piece in segments(known):
@@ -268,12 +266,12 @@ def _covered(known: Array, at: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def _of(values: Array | None, rows: NDArray[np.int64]) -> Array:
+def _of(values: Array | None, rows: Integers) -> Array:
     assert values is not None
     return values[rows]
 
 
-def _on_rows(log: Log, rows: NDArray[np.int64], values: Array) -> Array:
+def _on_rows(log: Log, rows: Integers, values: Array) -> Array:
     """Values of some rows of a log, NaN in the others."""
     out: Array = np.full((len(log.time_ns), *values.shape[1:]), np.nan)
     out[rows] = values
@@ -310,7 +308,7 @@ class TrackedStream:
     """
 
     order: int
-    rows: NDArray[np.int64]
+    rows: Integers
     value: Array
     covariance: Array
     coupling: Array | None = None

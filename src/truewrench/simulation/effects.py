@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array, Integers
+
 Rng = np.random.Generator
 
 _DAHL_REACH = 0.03  # of range: load over which friction comes within 1/e of its limit
@@ -46,7 +46,7 @@ def dahl(load: Array, size: float) -> Array:
     return friction
 
 
-def nonlinearity(own_axis: NDArray[np.int64], rng: Rng) -> Array:
+def nonlinearity(own_axis: Integers, rng: Rng) -> Array:
     """Coefficients (n, 21) of the products w_j w_l, j <= l, in n channels: 1 for the square of the own axis.
 
     Args:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -20,8 +20,6 @@ from truewrench.motion.spatial import cross
 from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.simulation.imperfect import FineMotion, Hardware
 from truewrench.simulation.truth import Truth, begin, noise_of, readings, stamps_of, stated, write_run
-
-Array = NDArray[np.float64]
 
 _PERIOD = 100.0 / 3.0  # [s] after which the motion without a plan repeats itself
 _FIRST = 5  # harmonic, the slowest: 0.15 Hz

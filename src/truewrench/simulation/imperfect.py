@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.model.rig.imperfections import FilterSpec, ImperfectionsSpec
@@ -34,7 +34,6 @@ from truewrench.simulation.effects import (
     wandering,
 )
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 FINE = 1000.0

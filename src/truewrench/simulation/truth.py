@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.table import GRAVITY, TWIST
 from truewrench.io.tables import write_table
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.files import read_yaml, write_yaml
 from truewrench.model.log import Log
@@ -19,9 +19,6 @@ from truewrench.model.rig import PayloadSpec, Rig
 from truewrench.model.rig.fields import Fields
 from truewrench.motion.trajectory import Body
 from truewrench.simulation.imperfect import Readout
-
-Array = NDArray[np.float64]
-Stamp = NDArray[np.int64]
 
 _PERFECT = Readout()
 _MOST_ROWS = 1e8  # a day at 1 kHz
@@ -101,9 +98,9 @@ class Stamps:
         shown: (M,) motion time that the sensor's samples show, ``t_sensor + time_offset`` [s].
     """
 
-    time_ns: Stamp
-    motion_ns: Stamp
-    sensor_ns: Stamp
+    time_ns: Integers
+    motion_ns: Integers
+    sensor_ns: Integers
     shown: Array
 
     @property
@@ -116,7 +113,7 @@ class Stamps:
         """(K,) [s]."""
         return _seconds(self.motion_ns)
 
-    def rows_of(self, stamps: Stamp, values: Array) -> Array:
+    def rows_of(self, stamps: Integers, values: Array) -> Array:
         """Values (K or M, ...) of one stream on all rows (N, ...), NaN where it has no sample."""
         rows = np.full((self.time_ns.size, *values.shape[1:]), np.nan)
         rows[np.searchsorted(self.time_ns, stamps)] = values
@@ -195,7 +192,7 @@ def write_run(path: str | Path, log: Log, truth: Truth, joints: Sequence[str] = 
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    columns: dict[str, Stamp | Array] = {"time_ns": log.time_ns}
+    columns: dict[str, Integers | Array] = {"time_ns": log.time_ns}
     columns |= {f"raw_{i}": channel for i, channel in enumerate(log.raw.T)}
     for names, block in (
         (TWIST, log.twist if log.tracking is None else None),  # which the joints tell
@@ -211,14 +208,14 @@ def write_run(path: str | Path, log: Log, truth: Truth, joints: Sequence[str] = 
     return target, truth_path
 
 
-def _stamps(duration: float, rate: float) -> Stamp:
+def _stamps(duration: float, rate: float) -> Integers:
     """Stamps k/rate of a stream in [0, duration) [ns]."""
     count = int(np.ceil(duration * rate - 1e-6))
-    stamps: Stamp = np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
+    stamps: Integers = np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
     return stamps
 
 
-def _seconds(time_ns: Stamp) -> Array:
+def _seconds(time_ns: Integers) -> Array:
     return np.asarray(time_ns * 1e-9, dtype=np.float64)
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
-from numpy.typing import NDArray
 
 from truewrench.correction.contact.run import (
     CAPACITY,
@@ -27,11 +26,10 @@ from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.recordings.writer import mcap_output
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.tool.model import Tool
-
-Array = NDArray[np.float64]
 
 TOPIC = "/truewrench/contact"
 STD = "/truewrench/contact_std"

@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.correction.contact.run import DELAY, ContactEvent, ContactRun, View
 from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST
 from truewrench.io.table import ANGULAR_VELOCITY, ATTITUDE, GRAVITY, SPECIFIC_FORCE, TWIST
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import robot_of
 from truewrench.tool.model import Tool
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST, check_attitude, without_attitude
 from truewrench.io.table import ANGULAR_VELOCITY, ATTITUDE, GRAVITY, SPECIFIC_FORCE, TWIST
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import BaseMotion, robot_of, rotation_of
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
 
 _HELD = 0.1  # [s] that positions of joints are carried on by velocities
@@ -106,7 +105,7 @@ class MotionColumns:
         if self._source == "joints":
             self._q[:] = np.nan
 
-    def read(self, time_ns: NDArray[np.int64], columns: Columns) -> MotionRows:
+    def read(self, time_ns: Integers, columns: Columns) -> MotionRows:
         """N rows, after those that were read before.
 
         Args:
@@ -135,7 +134,7 @@ class MotionColumns:
             fall[unlogged] = turn[unlogged].reshape(-1, 3, 3) @ self._rig.gravity_array
         return MotionRows(twist, fall, turn, np.empty((0, 36)))
 
-    def _of_joints(self, time_ns: NDArray[np.int64], columns: Columns) -> MotionRows:
+    def _of_joints(self, time_ns: Integers, columns: Columns) -> MotionRows:
         count = len(time_ns)
         q, qd = _group(columns, self._positions, count), _group(columns, self._velocities, count)
         for k in range(count):  # a row without positions has the last ones, carried on
@@ -172,9 +171,9 @@ class MotionColumns:
         return MotionRows(twist, fall, turn, noise)
 
 
-def _ever(before: bool, values: Array) -> NDArray[np.bool_]:
+def _ever(before: bool, values: Array) -> Mask:
     """Whether a row, or one before it, told anything."""
-    told: NDArray[np.bool_] = np.logical_or.accumulate(np.isfinite(values).any(axis=1))
+    told: Mask = np.logical_or.accumulate(np.isfinite(values).any(axis=1))
     return told | before
 
 

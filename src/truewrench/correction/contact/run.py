@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.correction.contact.motion import Columns, MotionColumns
 from truewrench.correction.warmth import Warmth
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import channel_turn
-
-Array = NDArray[np.float64]
 
 DELAY = 0.01
 """[s] half the length of the kernels: how long after a moment its wrench is known."""
@@ -109,8 +107,8 @@ class Contacts:
         chi2: (M,) wrench^T covariance^-1 wrench; above `_core.contact_limit` a contact.
     """
 
-    rows: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
+    rows: Integers
+    time_ns: Integers
     wrench: Array
     covariance: Array
     chi2: Array
@@ -188,7 +186,7 @@ class ContactRun:
         """Whether an event lasts."""
         return bool(self._rows.in_contact)
 
-    def feed(self, time_ns: NDArray[np.int64], raw: Array, columns: Columns) -> Contacts:
+    def feed(self, time_ns: Integers, raw: Array, columns: Columns) -> Contacts:
         """The wrenches that the next rows complete, of these and of earlier ones.
 
         Args:

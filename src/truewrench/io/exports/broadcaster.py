@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from truewrench.io.exports.loss import Loss, best_factors, diagonal_nominal, loss_of_factors
 from truewrench.io.exports.words import introduction, losses
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, Calibration
 
 _LEAST = 0.1  # of the nominal factor: a channel that feels less of its axis than that is another axis'
@@ -63,7 +63,7 @@ def write(calibration: Calibration, path: Path) -> None:
     path.write_text(comment + yaml.safe_dump(parameters, sort_keys=False), encoding="utf-8")
 
 
-def _by_axis(values: NDArray[np.float64]) -> dict[str, dict[str, float]]:
+def _by_axis(values: Array) -> dict[str, dict[str, float]]:
     numbers = [float(value) + 0.0 for value in values]  # + 0.0: no minus zero
     return {
         "force": dict(zip("xyz", numbers[:3], strict=True)),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.exports.loss import Loss
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, Calibration
 
 
@@ -37,7 +37,7 @@ def losses(loss: Loss) -> Iterator[str]:
         yield f"- without any calibration, RMS: {numbers(loss.rms_before, 4)}"
 
 
-def numbers(values: NDArray[np.float64], digits: int = 17) -> str:
+def numbers(values: Array, digits: int = 17) -> str:
     """Numbers, a space between two; with 17 digits to the last bit."""
     return " ".join(f"{float(value):.{digits}g}" for value in values)
 

@@ -12,12 +12,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
-from numpy.typing import NDArray
 
 from truewrench.io.pictures import VERMILION, finish
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES
-
-Array = NDArray[np.float64]
 
 
 def arm_figure(

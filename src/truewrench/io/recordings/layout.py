@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from truewrench.model.arrays import Mask
+
 _KEPT = 16  # layouts of a topic: publishers with other names, or texts that change
 
 Definitions = Mapping[str, Any]
@@ -53,7 +55,7 @@ class Layout:
     texts: Mapping[str, tuple[str, ...]]
     structure: npt.NDArray[np.intp]
 
-    def holds_for(self, messages: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    def holds_for(self, messages: npt.NDArray[np.uint8]) -> Mask:
         """Which of messages (N, length) have this layout, and these texts."""
         same = messages[:, self.structure] == self.message[self.structure]
         return np.asarray(same.all(axis=1))

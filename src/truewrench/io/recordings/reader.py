@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from truewrench.io.recordings.layout import Definitions
+from truewrench.model.arrays import Integers
 from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Batch:
     """Consecutive messages of a topic: when each was received [ns], and its bytes."""
 
     topic: Topic
-    receive: npt.NDArray[np.int64]
+    receive: Integers
     messages: list[bytes]
 
 

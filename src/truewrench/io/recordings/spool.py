@@ -10,6 +10,7 @@ from typing import IO
 import numpy as np
 import numpy.typing as npt
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 
 _ROWS = 1 << 14  # read at once
@@ -44,7 +45,7 @@ class Spool:
         self.rate = 0.0
         self.all_nan = True
 
-    def append(self, time: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
+    def append(self, time: Integers, values: Array) -> None:
         """Add rows with stamps (N,) and numbers (N, width)."""
         if not len(time):
             return
@@ -86,7 +87,7 @@ class Spool:
         self._late.close()
         self._file, self.rows = target, rows
 
-    def blocks(self) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]:
+    def blocks(self) -> Iterator[tuple[Integers, Array]]:
         """Stamps (N,) and numbers (N, width) in order of time, block by block."""
         for rows in self._rows():
             yield rows["time"].astype(np.int64), rows["values"].astype(np.float64)
@@ -97,7 +98,7 @@ class Spool:
             count = min(_ROWS, self.rows - start)
             yield np.frombuffer(os.pread(self._file.fileno(), count * size, start * size), self._row)
 
-    def _joined(self, time: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> npt.NDArray[np.void]:
+    def _joined(self, time: Integers, values: Array) -> npt.NDArray[np.void]:
         rows = np.empty(len(time), self._row)
         rows["time"], rows["values"] = time, values
         return rows

@@ -14,10 +14,8 @@ from truewrench.io.recordings.layout import Layout, layouts_of
 from truewrench.io.recordings.reader import Batch, Recording, Topic
 from truewrench.io.recordings.spool import Spool
 from truewrench.io.table import ANGULAR_VELOCITY, GRAVITY, SPECIFIC_FORCE, TWIST
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _LARGE_DELAY = 0.1  # [s] from header stamp to receipt, worth a note,
 _DRIFT = 0.01  # [s] over the recording, likewise
@@ -67,12 +65,12 @@ class Samples:
     """Consecutive samples: columns, stamps of receipt and of the header, if there is one, numbers."""
 
     columns: tuple[str, ...]
-    receive: IntArray
-    header: IntArray | None
-    values: FloatArray
+    receive: Integers
+    header: Integers | None
+    values: Array
 
 
-_Part = tuple[npt.NDArray[np.intp], IntArray | None, FloatArray]
+_Part = tuple[npt.NDArray[np.intp], Integers | None, Array]
 
 
 def samples_of(batch: Batch, known: list[Layout], recording: Recording, first: int) -> Iterator[Samples]:
@@ -122,7 +120,7 @@ def samples_of(batch: Batch, known: list[Layout], recording: Recording, first: i
 
 def _values(
     type_name: str, layout: Layout, messages: npt.NDArray[np.uint8]
-) -> Iterator[tuple[tuple[str, ...], FloatArray]]:
+) -> Iterator[tuple[tuple[str, ...], Array]]:
     if type_name == _JOINTS:
         names = layout.texts["name"]
         if len(set(names)) < len(names):
@@ -158,7 +156,7 @@ class Clocks:
         self._sums = np.zeros(5)  # of x, y, x x, x y, y y: time and departure [s]
         self._latest = 0.0
 
-    def add(self, receive: IntArray, header: IntArray) -> None:
+    def add(self, receive: Integers, header: Integers) -> None:
         """Stamps (N,) [ns]."""
         if not self._n:
             self._start, self._difference = int(receive[0]), int(receive[0] - header[0])

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from truewrench.io.cells import Column
@@ -14,14 +13,12 @@ from truewrench.io.recordings.reader import open_recording, sha256_of
 from truewrench.io.recordings.selection import Selection, select
 from truewrench.io.recordings.spool import Spool
 from truewrench.io.table import Chunk, Table
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.rig import Rig
-
-IntArray = npt.NDArray[np.int64]
-FloatArray = npt.NDArray[np.float64]
 
 
 class _RecordingChunk(Chunk):
-    def __init__(self, table: RecordingTable, time: IntArray, parts: dict[int, tuple[IntArray, FloatArray]]):
+    def __init__(self, table: RecordingTable, time: Integers, parts: dict[int, tuple[Integers, Array]]):
         self.rows = len(time)
         self._table = table
         self._time = time
@@ -84,10 +81,10 @@ class RecordingTable(Table):
             yield _RecordingChunk(self, time, parts)
 
 
-def _merged(spools: dict[int, Spool]) -> Iterator[tuple[IntArray, dict[int, tuple[IntArray, FloatArray]]]]:
+def _merged(spools: dict[int, Spool]) -> Iterator[tuple[Integers, dict[int, tuple[Integers, Array]]]]:
     """The union of the stamps, block by block; per stream its rows among them and its samples."""
     sources = {k: spool.blocks() for k, spool in spools.items()}
-    ahead: dict[int, tuple[IntArray, FloatArray]] = {}
+    ahead: dict[int, tuple[Integers, Array]] = {}
     empty = {k: np.empty((0, spool.width)) for k, spool in spools.items()}
     while True:
         for k in [k for k in sources if k not in ahead or not len(ahead[k][0])]:
@@ -100,7 +97,7 @@ def _merged(spools: dict[int, Spool]) -> Iterator[tuple[IntArray, dict[int, tupl
         if not ahead:
             return
         horizon = min(int(time[-1]) for time, _ in ahead.values())
-        taken: dict[int, tuple[IntArray, FloatArray]] = {}
+        taken: dict[int, tuple[Integers, Array]] = {}
         for k, (time, values) in ahead.items():
             n = int(np.searchsorted(time, horizon, side="right"))
             taken[k] = (time[:n], values[:n])

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.files import atomic_output
 
@@ -32,7 +32,7 @@ class McapWriter:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._connections: dict[str, Any] = {}
 
-    def wrenches(self, topic: str, time: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
+    def wrenches(self, topic: str, time: Integers, values: Array) -> None:
         """WrenchStamped: stamps (N,) [ns] and wrenches (N, 6) [N, N m]."""
         frame = self._frame.encode() + b"\0"
         start = -(-(16 + len(frame) - 4) // 8) * 8 + 4  # of the numbers, aligned to 8 after 4 bytes
@@ -52,14 +52,14 @@ class McapWriter:
         messages["length"], messages["frame"], messages["values"] = len(frame), np.void(frame), values
         self._write(topic, WRENCH, time, messages.tobytes(), messages.itemsize)
 
-    def arrays(self, topic: str, time: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
+    def arrays(self, topic: str, time: Integers, values: Array) -> None:
         """Float64MultiArray: stamps of receipt (N,) [ns] and numbers (N, n)."""
         head = struct.pack("<4sIIIxxxx", b"\0\1\0\0", 0, 0, values.shape[1])  # no dimensions, no offset
         messages = np.empty(len(time), np.dtype([("head", "V20"), ("values", "<f8", (values.shape[1],))]))
         messages["head"], messages["values"] = np.void(head), values
         self._write(topic, ARRAY, time, messages.tobytes(), messages.itemsize)
 
-    def _write(self, topic: str, kind: str, time: npt.NDArray[np.int64], data: bytes, size: int) -> None:
+    def _write(self, topic: str, kind: str, time: Integers, data: bytes, size: int) -> None:
         if len(time) and (time[0] < 0 or time[-1] >= _LAST):
             wrong = int(time[0] if time[0] < 0 else time[-1])
             raise InputError.at(

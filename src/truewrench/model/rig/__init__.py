@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.files import read_yaml
 from truewrench.model.rig.imperfections import ImperfectionsSpec
@@ -60,8 +60,6 @@ __all__ = [
     "UncertaintySpec",
     "load_rig",
 ]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 _NO_MOTION = MotionSpec(of="sensor", noise=(1e-3,) * 6)  # stands for one that is not stated
@@ -158,7 +156,7 @@ class Rig(Section):
                 raise InputError.at(self.path, key, "nothing", f"`{key}`, {what}")
 
     @property
-    def required_array(self) -> FloatArray:
+    def required_array(self) -> Array:
         """(6,) acceptable sigma of the gains to each wrench axis; infinite where it is not asked for."""
         each = self.required if isinstance(self.required, tuple) else (self.required,) * 6
         return np.array([np.inf if value is None else value for value in each])
@@ -176,7 +174,7 @@ class Rig(Section):
         return (self._path.parent if self._path else Path()) / self.motion.robot.urdf
 
     @property
-    def gravity_array(self) -> FloatArray:
+    def gravity_array(self) -> Array:
         """(3,) acceleration of free fall in the robot's root frame [m/s^2]."""
         return np.array(self.gravity)
 

@@ -14,12 +14,10 @@ from xml.etree import ElementTree
 from xml.parsers.expat import ErrorString
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
-
-Array = NDArray[np.float64]
 
 _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 _AGREES = (

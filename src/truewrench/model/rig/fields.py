@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.files import Locate
 from truewrench.model.rig.strict import is_finite, key_path, shown
@@ -114,14 +114,14 @@ class Fields:
             raise self.error(key, "a number of at least 0")
         return value
 
-    def sizes(self, key: str, count: int) -> npt.NDArray[np.float64]:
+    def sizes(self, key: str, count: int) -> Array:
         """As many numbers of at least 0."""
         values = self.array(key, (count,))
         if (values < 0.0).any():
             raise self.error(key, "numbers of at least 0", f"{values.min():g}")
         return values
 
-    def covariance(self, key: str, size: int) -> npt.NDArray[np.float64]:
+    def covariance(self, key: str, size: int) -> Array:
         """A symmetric matrix (size, size) without a negative eigenvalue, both as correlations."""
         covariance = self.array(key, (size, size))
         scale = np.sqrt(np.abs(np.diag(covariance)))
@@ -134,9 +134,7 @@ class Fields:
             raise self.error(key, "a positive semidefinite matrix", found)
         return covariance
 
-    def array(
-        self, key: str, shape: tuple[int, ...], *, nan_allowed: bool = False
-    ) -> npt.NDArray[np.float64]:
+    def array(self, key: str, shape: tuple[int, ...], *, nan_allowed: bool = False) -> Array:
         """Finite numbers, and NaN where it is allowed, in nested lists of the given shape."""
         place = (*self._place, key)
         self._check(self.get(key), place, shape, nan_allowed)

@@ -9,12 +9,10 @@ from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import model_validator
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig.strict import NonNegative, Numbers, Positives, Section, Text, refuse, shown
-
-FloatArray = npt.NDArray[np.float64]
 
 ACCELEROMETER_BIAS_PRIOR = 0.05
 """[m/s^2] 1 sigma of an accelerometer's constant error: 5 mg, what a factory leaves of a MEMS part."""
@@ -115,6 +113,6 @@ class MotionSpec(Section):
                 raise refuse(key, f"{length} entries", f"one per joint, as many as in `{first}` ({joints})")
 
     @property
-    def noise_array(self) -> FloatArray:
+    def noise_array(self) -> Array:
         """1 sigma per sample: (6,) of the twist, one per joint [rad/s], or (3,) of an IMU's Omega [rad/s]."""
         return np.array(self.noise if self.noise is not None else (), dtype=np.float64)

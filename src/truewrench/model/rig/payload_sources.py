@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import AfterValidator, AliasChoices, Discriminator, Field, Tag, ValidationError, ValidationInfo
 from scipy.spatial.transform import Rotation
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig.sections import (
     COLUMNS,
     ELEMENTS,
@@ -38,8 +38,6 @@ from truewrench.model.rig.strict import (
     shown,
 )
 from truewrench.model.rig.urdf import link_at, nearest, read_urdf
-
-Array = npt.NDArray[np.float64]
 
 UNKNOWN_MASS_GUESS = 1.5
 """[kg] of a payload stated as `unknown`: the middle of its prior."""

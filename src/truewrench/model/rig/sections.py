@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import AfterValidator, ValidationInfo, model_validator
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig.ati_cal import read_ati_cal
 from truewrench.model.rig.imperfections import ImperfectionsSpec
 from truewrench.model.rig.strict import (
@@ -43,8 +43,6 @@ from truewrench.model.rig.strict import (
     shown,
     word_or_number,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class AtiGain(Section):
@@ -168,28 +166,28 @@ class SensorSpec(Section):
         return self.compensated if isinstance(self.compensated, CompensatedSpec) else None
 
     @property
-    def noise_array(self) -> FloatArray:
+    def noise_array(self) -> Array:
         """(n,) 1 sigma of one sample of each channel [raw units]."""
         return np.array(self.noise)
 
     @property
-    def range_array(self) -> FloatArray:
+    def range_array(self) -> Array:
         """(6,) full scale of each wrench axis [N, N m]."""
         return np.array(self.range)
 
     @property
-    def nominal_gain_array(self) -> FloatArray:
+    def nominal_gain_array(self) -> Array:
         """(n, 6) gain that the sensor was believed to have [raw units per N or N m]."""
         return np.eye(6) if self.nominal_gain == "identity" else np.array(self.nominal_gain)
 
     @property
-    def channel_scale(self) -> FloatArray:
+    def channel_scale(self) -> Array:
         """(n,) full scale of each channel, |nominal_gain| @ range [raw units]."""
-        scale: FloatArray = np.abs(self.nominal_gain_array) @ self.range_array
+        scale: Array = np.abs(self.nominal_gain_array) @ self.range_array
         return scale
 
     @property
-    def offset_prior_array(self) -> FloatArray:
+    def offset_prior_array(self) -> Array:
         """(n,) 1 sigma of each channel's offset [raw units]; 0 where there is none."""
         if self.offset_prior is None:
             return 0.1 * self.channel_scale
@@ -222,7 +220,7 @@ class UncertaintySpec(Section):
     inertia: NonNegative = 1.0e-2  # of I_ij, relative to sqrt(I_ii I_jj)
 
     @property
-    def of_each(self) -> npt.NDArray[np.float64]:
+    def of_each(self) -> Array:
         """(10,) of the mass, the centre of mass and the inertia's elements xx yy zz xy xz yz."""
         return np.array([self.mass, *[self.center_of_mass] * 3, *[self.inertia] * 6])
 
@@ -261,12 +259,12 @@ class PayloadSpec(Section):
         return self
 
     @property
-    def center_of_mass_array(self) -> FloatArray:
+    def center_of_mass_array(self) -> Array:
         """(3,) centre of mass seen from the sensor origin, sensor axes [m]."""
         return np.array(self.center_of_mass)
 
     @property
-    def inertia_matrix(self) -> FloatArray:
+    def inertia_matrix(self) -> Array:
         """(3, 3) inertia about the centre of mass, sensor axes [kg m^2]."""
         i = self.inertia
         return np.array([[i.xx, i.xy, i.xz], [i.xy, i.yy, i.yz], [i.xz, i.yz, i.zz]])

@@ -8,12 +8,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.rig.urdf import model_of
 from truewrench.robot.arm import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +33,7 @@ class Collisions:
         """How many pairs of bodies are looked at."""
         return len(self.geometry.collisionPairs)
 
-    def touch(self, q: Array) -> NDArray[np.bool_]:
+    def touch(self, q: Array) -> Mask:
         """Whether any two bodies touch, in each of N positions (N, n) of the joints."""
         import pinocchio as pin
 

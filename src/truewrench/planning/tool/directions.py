@@ -6,12 +6,9 @@ Their order is one in which a drifting offset cancels.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.motion.spatial import cross
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _ROUNDS = 400  # of repulsion
 _FIRST_STEP = 0.2  # [rad]
@@ -67,7 +64,7 @@ def _opposite_pairs(count: int) -> Array:
     return np.asarray(np.stack([x, -x], axis=1).reshape(-1, 3)[:count])
 
 
-def spread_among(candidates: Array, count: int) -> Indices:
+def spread_among(candidates: Array, count: int) -> Integers:
     """Which of unit vectors (M, 3) to take, `count` at most: one by one the farthest from all before.
 
     For what can be reached and is no cone. The first two are the farthest apart of all.
@@ -81,7 +78,7 @@ def spread_among(candidates: Array, count: int) -> Indices:
     return np.array(chosen[:count], dtype=np.int64)
 
 
-def abba(directions: Array) -> Indices:
+def abba(directions: Array) -> Integers:
     """The order (N,) in which to visit unit vectors: A, its opposite B, a neighbour of B, its opposite, ...
 
     An offset that drifts adds the same to the two poses of each half of such a block and to neither direction

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from truewrench.model.arrays import Array
 from truewrench.planning.limits import Limits
 from truewrench.planning.tool.postures import Stand
-
-Array = NDArray[np.float64]
 
 # of s^4 (35 - 84 s + 70 s^2 - 20 s^3), at rest with its first three derivatives at both ends
 _FASTEST = (2.1875, 7.5132, 52.5)

@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, VERMILION, finish
+from truewrench.model.arrays import Array
 from truewrench.planning.tool.plan import ToolPlan
-
-Array = NDArray[np.float64]
 
 _POINTS = 4000  # of a curve, at most
 

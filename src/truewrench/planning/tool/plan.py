@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.plans import joint_columns
 from truewrench.io.table import ACCELERATION, GRAVITY, TWIST
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.calibration_parts import Verdict
 from truewrench.model.errors import InputError, UnsupportedError
@@ -35,7 +35,6 @@ from truewrench.tool.judge import LIGHT, NARROW, directions_of
 from truewrench.tool.poses import DWELL
 from truewrench.tool.prior import settings_of
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
 
 POSES = 12

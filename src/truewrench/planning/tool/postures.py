@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.planning.buffered import Buffered
@@ -15,8 +15,6 @@ from truewrench.planning.limits import Limits
 from truewrench.planning.tool.collisions import Collisions, collisions_of
 from truewrench.planning.tool.directions import rim
 from truewrench.robot.arm import Robot, robot_of
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 6000
 _WRIST = 3  # last joints, which turn the tool; the others stay near where they are
@@ -73,7 +71,7 @@ class Stand:
         touching = collisions_of(rig.urdf_path, robot, home)
         return cls(rig, robot, limits, arm_outputs(rig, payload, robot), touching, home)
 
-    def allowed(self, q: Array) -> NDArray[np.bool_]:
+    def allowed(self, q: Array) -> Mask:
         """Whether every limit holds at rest, and nothing touches, in each of N postures (N, n)."""
         out = ((q >= self.limits.lower) & (q <= self.limits.upper)).all(axis=1)
         rest = np.zeros_like(q).T

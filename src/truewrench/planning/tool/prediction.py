@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
@@ -22,8 +22,6 @@ from truewrench.tool.parameters import ELEMENTS, second_moments
 from truewrench.tool.poses import SETTLE, Poses
 from truewrench.tool.prior import Prior, make_prior, widening
 from truewrench.tool.solve import REPEATABILITY, WALK, solve
-
-Array = NDArray[np.float64]
 
 CONTACT_AVERAGE = 0.02
 """[s] over which a contact wrench is taken: the kernel of `apply --tool`."""

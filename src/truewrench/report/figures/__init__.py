@@ -13,11 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
-from numpy.typing import NDArray
 
 from truewrench.io.pictures import AXES_COLOURS, FONT, finish
-
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from truewrench.io.pictures import (
     AXES_COLOURS,
@@ -22,9 +21,8 @@ from truewrench.io.pictures import (
     finish,
 )
 from truewrench.io.pictures.arm import colour_bar, heat_map
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES
-
-Array = NDArray[np.float64]
 
 _JOINT_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, GREY, "black", "#56B4E9")
 

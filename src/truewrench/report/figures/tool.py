@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from truewrench.io.pictures import AXES_COLOURS, BLUE, GREY, LINE_STYLES, ORANGE, finish
-
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array
 
 
 def body_figure(

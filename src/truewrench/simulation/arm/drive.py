@@ -15,15 +15,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.simulation.arm.model import Arm, Reading
-
-Array = NDArray[np.float64]
 
 _FASTER = 40.0  # velocity loop, in units of the motion's own frequency
 _BANDWIDTH = (5.0, 100.0)  # of the velocity loop, at least and at most [rad/s]
@@ -75,7 +73,7 @@ class Driven:
     torque: Array
     reading: Reading
 
-    def at(self, rows: NDArray[np.int64]) -> Driven:
+    def at(self, rows: Integers) -> Driven:
         """Some of the rows."""
         return Driven(self.position[rows], self.velocity[rows], self.torque[rows], self.reading.at(rows))
 

@@ -12,12 +12,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.motion.trajectory import Body
-
-Array = NDArray[np.float64]
 
 _PAYLOAD = "truewrench_payload"
 # what MuJoCo measures at the sensor's site, in this order, three numbers each
@@ -46,7 +44,7 @@ class Reading:
     R_root_sensor: Array
     p_root_sensor: Array
 
-    def at(self, rows: NDArray[np.int64]) -> Reading:
+    def at(self, rows: Integers) -> Reading:
         """Some of the rows."""
         return Reading(*(getattr(self, field.name)[rows] for field in fields(self)))
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.robot.arm import Robot
 from truewrench.simulation.arm.model import Arm, Reading
-
-Array = NDArray[np.float64]
 
 _RATE = 100.0  # [Hz] of the spline's knots
 _LOWEST, _HIGHEST = 0.15, 0.8  # [Hz]

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.plans import read_joint_plan
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -22,8 +22,6 @@ from truewrench.simulation.arm.motion import default_motion
 from truewrench.simulation.free_body import wrench_on_sensor
 from truewrench.simulation.imperfect import FineMotion, Hardware, Readout
 from truewrench.simulation.truth import Stamps, Truth, begin, noise_of, readings, stamps_of, stated, write_run
-
-Array = NDArray[np.float64]
 
 _AGREEMENT = 1e-6  # of the recorded wrench with Newton and Euler, relative to the largest
 _CHECKED = 200  # samples of the sensor
@@ -181,7 +179,7 @@ def move(
     return Moved(stamps, joints, wrench[np.searchsorted(time, shown)], error, hardware, ideal)
 
 
-def disagreement(rig: Rig, payload: Body, reading: Reading, stencils: NDArray[np.int64]) -> float:
+def disagreement(rig: Rig, payload: Body, reading: Reading, stencils: Integers) -> float:
     """Largest departure of recorded wrenches from Newton and Euler on the derivative of recorded twists.
 
     Args:
