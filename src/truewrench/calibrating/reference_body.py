@@ -78,16 +78,12 @@ class PosesOfOne(Problem):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What is known so far.
+    """What is known so far."""
 
-    Attributes:
-        joint: `gain` as the rig states it and `tilt`, or, once there is a reference body, `product` in place
-            of the gain, with what else was found.
-        reference: name of that payload.
-    """
-
+    # `gain` as the rig states it and `tilt`, or, once there is a reference body, `product` in place of the
+    # gain, with what else was found
     joint: Joint
-    reference: str | None = None
+    reference: str | None = None  # name of that payload
 
     @staticmethod
     def stated(rig: Rig) -> Known:

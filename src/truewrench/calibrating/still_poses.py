@@ -40,21 +40,13 @@ _CABLE = 1e-3  # fraction of range: a force that follows the pose, of which the 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StillEstimate:
-    """What the poses say.
+    """What the poses say."""
 
-    Attributes:
-        estimate: gain, offsets and payloads, as every estimate has them.
-        poses: of all logs.
-        solutions: by payload, in the order in which they were solved.
-        before: what was known of gain, tilt and bodies before the poses.
-        known: the same and the offsets `pose offset K` after them.
-    """
-
-    estimate: Estimate
-    poses: Poses
-    solutions: dict[str, Solution]
-    before: Known
-    known: Known
+    estimate: Estimate  # gain, offsets and payloads, as every estimate has them
+    poses: Poses  # of all logs
+    solutions: dict[str, Solution]  # by payload, in the order in which they were solved
+    before: Known  # what was known of gain, tilt and bodies before the poses
+    known: Known  # the same and the offsets `pose offset K` after them
 
     @property
     def sizes(self) -> dict[str, Array]:

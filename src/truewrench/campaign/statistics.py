@@ -28,27 +28,16 @@ _ARRAYS = ("error", "std")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """A campaign's summary, and the trials that its pictures are drawn from.
+    """A campaign's summary, and the trials that its pictures are drawn from."""
 
-    Attributes:
-        summary: plain numbers and lists, as summary.yaml holds them.
-        channels: n names.
-        population: which trials the arrays hold, in words: the usable ones, or all where none is.
-        error: (N, n, 6) of the normalised gain.
-        std: (N, n, 6) stated 1 sigma.
-        nees: (N,) of the gain.
-        nees_dof: (N,) its degrees of freedom.
-        outputs: files and folders written.
-    """
-
-    summary: Mapping[str, Any]
-    channels: tuple[str, ...]
-    population: str
-    error: Array
-    std: Array
-    nees: Array
-    nees_dof: Array
-    outputs: tuple[Path, ...] = ()
+    summary: Mapping[str, Any]  # plain numbers and lists, as summary.yaml holds them
+    channels: tuple[str, ...]  # n names
+    population: str  # which trials the arrays hold, in words: the usable ones, or all where none is
+    error: Array  # (N, n, 6) of the normalised gain
+    std: Array  # (N, n, 6) stated 1 sigma
+    nees: Array  # (N,) of the gain
+    nees_dof: Array  # (N,) its degrees of freedom
+    outputs: tuple[Path, ...] = ()  # files and folders written
 
     def with_outputs(self, outputs: Sequence[Path]) -> Campaign:
         """The same, with what was written."""

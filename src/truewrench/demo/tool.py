@@ -54,17 +54,11 @@ _PAUSE = 20.0  # [s] between the records
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How much is done.
+    """How much is done."""
 
-    Attributes:
-        poses: that are planned.
-        dwell: at each [s].
-        record: length of the record with the press [s].
-    """
-
-    poses: int = 8
-    dwell: float = 2.5
-    record: float = 10.0
+    poses: int = 8  # that are planned
+    dwell: float = 2.5  # at each [s]
+    record: float = 10.0  # length of the record with the press [s]
 
 
 def run_tool(

@@ -33,20 +33,14 @@ _SHORTEST = 8  # samples of a twist that a spline can follow
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Information:
-    """What logs tell of gain, offsets and all else that is unknown, the motion being inferred from them.
+    """What logs tell of gain, offsets and all else that is unknown, the motion being inferred from them."""
 
-    Attributes:
-        data: (p, p) Fisher information; the 6n normalised gains first, row by row, then the n offsets of
-            every log, or of all of them, then the unknowns.
-        prior: (p,) 1 sigma of each beforehand.
-        gains: 6n.
-        unknowns: of the last of the p.
-    """
-
+    # (p, p) Fisher information; the 6n normalised gains first, row by row, then the n offsets of every log,
+    # or of all of them, then the unknowns
     data: Array
-    prior: Array
-    gains: int
-    unknowns: tuple[Unknown, ...]
+    prior: Array  # (p,) 1 sigma of each beforehand
+    gains: int  # 6n
+    unknowns: tuple[Unknown, ...]  # of the last of the p
 
     def covariance(self, times: float = 1.0) -> Array:
         """Of the normalised gains (6n, 6n), after so many records like these."""
@@ -159,32 +153,20 @@ def oracle_rms(rig: Rig, wrenches: Sequence[Array]) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stream:
-    """Measurements of the order-th derivative of the coordinates, whitened.
+    """Measurements of the order-th derivative of the coordinates, whitened."""
 
-    Attributes:
-        time: (N,) [s].
-        order: 0, 1, ...
-        rows: (N, 6, 6) or (6, 6), by the derivative.
-        lower: (N, 6, 6) by the derivative of the order below, or None.
-    """
-
-    time: Array
-    order: int
-    rows: Array
-    lower: Array | None = None
+    time: Array  # (N,) [s]
+    order: int  # 0, 1, ...
+    rows: Array  # (N, 6, 6) or (6, 6), by the derivative
+    lower: Array | None = None  # (N, 6, 6) by the derivative of the order below, or None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linear:
-    """The wrench at the sensor's samples, and by what.
+    """The wrench at the sensor's samples, and by what."""
 
-    Attributes:
-        wrench: (M, 6) normalised.
-        terms: derivatives (M, 6, 6) by derivatives of the coordinates, the lowest first.
-    """
-
-    wrench: Array
-    terms: list[Array]
+    wrench: Array  # (M, 6) normalised
+    terms: list[Array]  # derivatives (M, 6, 6) by derivatives of the coordinates, the lowest first
 
 
 def _information(

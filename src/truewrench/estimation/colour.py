@@ -51,19 +51,12 @@ STREAMS = {
 
 @dataclass(frozen=True, slots=True)
 class Colour:
-    """What makes white noise of coloured one: every `step`-th of sum_i b_i y_(k-i).
+    """What makes white noise of coloured one: every `step`-th of sum_i b_i y_(k-i)."""
 
-    Attributes:
-        b: (p + 1,) whose sum is 1.
-        step: samples.
-        growth: of the noise's 1 sigma.
-        corner: where its density had fallen to half, of the sampling rate.
-    """
-
-    b: Array
-    step: int
-    growth: float
-    corner: float
+    b: Array  # (p + 1,) whose sum is 1
+    step: int  # samples
+    growth: float  # of the noise's 1 sigma
+    corner: float  # where its density had fallen to half, of the sampling rate
 
     @property
     def advance(self) -> float:

@@ -24,33 +24,19 @@ _ONE_SIDED = 0.1  # share of the rows that may lack raw channels or twist: dropo
 
 @dataclass(frozen=True, slots=True)
 class EkfEstimate:
-    """What the filter says after the last row of the last log, in SI and raw units.
+    """What the filter says after the last row of the last log, in SI and raw units."""
 
-    Attributes:
-        gain: (6, 6).
-        covariance: (42, 42) of [gain row by row, offset of the last log].
-        offset: (6,) of the last log.
-        offsets: (L, 6), one per log.
-        offsets_std: (L, 6).
-        samples: (L,) rows with a sample of either stream.
-        history_time: (M,) since the first row of its log [s].
-        history_log: (M,) which log it belongs to.
-        history_gain: (M, 6, 6) the gain after that row.
-        nis: (N,) innovation^T S^-1 innovation of every row of every log.
-        degrees_of_freedom: (N,) samples of each row, the expectation of `nis`.
-    """
-
-    gain: Array
-    covariance: Array
-    offset: Array
-    offsets: Array
-    offsets_std: Array
-    samples: Integers
-    history_time: Array
-    history_log: Integers
-    history_gain: Array
-    nis: Array
-    degrees_of_freedom: Integers
+    gain: Array  # (6, 6)
+    covariance: Array  # (42, 42) of [gain row by row, offset of the last log]
+    offset: Array  # (6,) of the last log
+    offsets: Array  # (L, 6), one per log
+    offsets_std: Array  # (L, 6)
+    samples: Integers  # (L,) rows with a sample of either stream
+    history_time: Array  # (M,) since the first row of its log [s]
+    history_log: Integers  # (M,) which log it belongs to
+    history_gain: Array  # (M, 6, 6) the gain after that row
+    nis: Array  # (N,) innovation^T S^-1 innovation of every row of every log
+    degrees_of_freedom: Integers  # (N,) samples of each row, the expectation of `nis`
 
 
 def estimate_ekf(

@@ -38,29 +38,17 @@ _PERIODS = 1e-3  # of a chunk: step of the derivative by time
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialChunk:
-    """A stretch of a log.
+    """A stretch of a log."""
 
-    Attributes:
-        rows: (M,) rows of the log with every raw channel.
-        wrench: (M, 6) with the sign of the rig [N, N m].
-        rate: (M, 6) its derivative by time [N/s, N m/s].
-        twist: (M, 6) of the logged point.
-        acceleration: (M, 6).
-        gravity: (M, 3).
-        variance: (M, 6) of the wrench, by the noise of the velocities.
-        lagged: (S,) positions among the rows,
-        covariance: (S, H + 1, 6) and between the wrench there and at 0 ... H rows later.
-    """
-
-    rows: Integers
-    wrench: Array
-    rate: Array
-    twist: Array
-    acceleration: Array
-    gravity: Array
-    variance: Array
-    lagged: Integers
-    covariance: Array
+    rows: Integers  # (M,) rows of the log with every raw channel
+    wrench: Array  # (M, 6) with the sign of the rig [N, N m]
+    rate: Array  # (M, 6) its derivative by time [N/s, N m/s]
+    twist: Array  # (M, 6) of the logged point
+    acceleration: Array  # (M, 6)
+    gravity: Array  # (M, 3)
+    variance: Array  # (M, 6) of the wrench, by the noise of the velocities
+    lagged: Integers  # (S,) positions among the rows
+    covariance: Array  # (S, H + 1, 6) of the wrench there with that 0 ... H rows later
 
 
 class InertialMotion:
@@ -155,22 +143,14 @@ class InertialMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Coordinates:
-    """What splines are fitted to: the twist, or about a reference the displacement from it.
+    """What splines are fitted to: the twist, or about a reference the displacement from it."""
 
-    Attributes:
-        time: (N,) [s].
-        values: (N, 6).
-        noise: (6,) 1 sigma, the components' correlation left out.
-        widest: knots that the splines may have [s].
-        order: of the derivative that is the twist.
-        motion: of times (M,), to which the coordinates and their next two derivatives (3, M, 6) add.
-    """
-
-    time: Array
-    values: Array
-    noise: Array
-    widest: float
-    order: int
+    time: Array  # (N,) [s]
+    values: Array  # (N, 6)
+    noise: Array  # (6,) 1 sigma, the components' correlation left out
+    widest: float  # knots that the splines may have [s]
+    order: int  # of the derivative that is the twist
+    # of times (M,), to which the coordinates and their next two derivatives (3, M, 6) add
     motion: Callable[[Array, Array], tuple[Array, Array, Array]]
 
 

@@ -38,17 +38,11 @@ def body_part(payload: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """N(mean, covariance) of parts that are called by name.
+    """N(mean, covariance) of parts that are called by name."""
 
-    Attributes:
-        places: of each part.
-        mean: (p,).
-        covariance: (p, p).
-    """
-
-    places: Mapping[str, slice]
-    mean: Array
-    covariance: Array
+    places: Mapping[str, slice]  # of each part
+    mean: Array  # (p,)
+    covariance: Array  # (p, p)
 
     @staticmethod
     def of_parts(parts: Mapping[str, Array], covariance: Array) -> Joint:

@@ -36,51 +36,32 @@ from truewrench.model.rig import Rig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownWrenchEstimate:
-    """Gain and offsets by weighted total least squares, in SI and raw units.
+    """Gain and offsets by weighted total least squares, in SI and raw units."""
 
-    Attributes:
-        gain: (n, 6).
-        covariance: (7n, 7n) of [gain row by row, offset of the last log].
-        normalised_covariance: the same, gain_ij range_j / scale_i and offset_i / scale_i.
-        offsets: (L, n), one per log.
-        offsets_std: (L, n).
-        offset_temperature: (n,) slope of the offset per K, None without a temperature column or prior.
-        converged: whether the iterations ended below their tolerance.
-        iterations: how many.
-        rows: per log, the rows with all channels and the whole reference that were used.
-        incomplete: (L,) rows that lack a channel, a component of the reference or the temperature.
-        between: (L,) rows between plateaus, not used where errors last: what these do there is unknown.
-        outliers: per log, the rows that contradict all others and were left out.
-        contradicting: rows that would have been, had they not been too many.
-        squares: per log, of each used row: whitened residuals squared and summed, n but for what is fitted.
-        sum_of_squares: (n,) of each channel's whitened residuals, over the stated noise unless errors last.
-        freedom: (n,) degrees of freedom of it.
-        spare: (n,) how many rows, or plateaus, there are beyond what they determine.
-        errors: what was found of the errors, per kind of log.
-        row_noise: (L, n, n) covariance of raw - gain ref - offset of a row of each log, raw units.
-        findings: what the estimate rests on beside the rig as stated.
-    """
-
-    gain: Array
-    covariance: Array
-    normalised_covariance: Array
-    offsets: Array
-    offsets_std: Array
+    gain: Array  # (n, 6)
+    covariance: Array  # (7n, 7n) of [gain row by row, offset of the last log]
+    normalised_covariance: Array  # the same, gain_ij range_j / scale_i and offset_i / scale_i
+    offsets: Array  # (L, n), one per log
+    offsets_std: Array  # (L, n)
+    # (n,) slope of the offset per K, None without a temperature column or prior
     offset_temperature: Array | None
-    converged: bool
-    iterations: int
-    rows: tuple[Integers, ...]
-    incomplete: Integers
+    converged: bool  # whether the iterations ended below their tolerance
+    iterations: int  # how many
+    rows: tuple[Integers, ...]  # per log, the rows with all channels and the whole reference that were used
+    incomplete: Integers  # (L,) rows that lack a channel, a component of the reference or the temperature
+    # (L,) rows between plateaus, not used where errors last: what these do there is unknown
     between: Integers
-    outliers: tuple[Integers, ...]
-    contradicting: int
+    outliers: tuple[Integers, ...]  # per log, the rows that contradict all others and were left out
+    contradicting: int  # rows that would have been, had they not been too many
+    # per log, of each used row: whitened residuals squared and summed, n but for what is fitted
     squares: tuple[Array, ...]
+    # (n,) of each channel's whitened residuals, over the stated noise unless errors last
     sum_of_squares: Array
-    freedom: Array
-    spare: Array
-    errors: tuple[FoundErrors, ...]
-    row_noise: Array
-    findings: tuple[Assumed, ...]
+    freedom: Array  # (n,) degrees of freedom of it
+    spare: Array  # (n,) how many rows, or plateaus, there are beyond what they determine
+    errors: tuple[FoundErrors, ...]  # what was found of the errors, per kind of log
+    row_noise: Array  # (L, n, n) covariance of raw - gain ref - offset of a row of each log, raw units
+    findings: tuple[Assumed, ...]  # what the estimate rests on beside the rig as stated
 
 
 def estimate_from_known_wrench(

@@ -35,19 +35,12 @@ _WIDEST = 1.5  # sigma of a logit or log time that the curvature at the maximum 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """M rows, or means of rows, along time.
+    """M rows, or means of rows, along time."""
 
-    Attributes:
-        step: (M,) time since the one before [s]; infinite where a log begins.
-        count: (M,) how many rows each is the mean of.
-        shortest: correlation time below which what lasts does so within one place only [s].
-        longest: above which it is a constant [s].
-    """
-
-    step: Array
-    count: Array
-    shortest: float
-    longest: float
+    step: Array  # (M,) time since the one before [s]; infinite where a log begins
+    count: Array  # (M,) how many rows each is the mean of
+    shortest: float  # correlation time below which what lasts does so within one place only [s]
+    longest: float  # above which it is a constant [s]
 
     @property
     def spare(self) -> int:
@@ -57,32 +50,20 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSize:
-    """Errors of one channel: variances over the stated one, and how long they last.
+    """Errors of one channel: variances over the stated one, and how long they last."""
 
-    Attributes:
-        white: variance of a row's own error.
-        lasting: variance of what lasts.
-        time: correlation time of that [s]; 0: from one mean to the next.
-    """
-
-    white: float = 1.0
-    lasting: float = 0.0
-    time: float = 0.0
+    white: float = 1.0  # variance of a row's own error
+    lasting: float = 0.0  # variance of what lasts
+    time: float = 0.0  # correlation time of that [s]; 0: from one mean to the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """What the uncertainty of one channel's sizes adds.
+    """What the uncertainty of one channel's sizes adds."""
 
-    Attributes:
-        covariance: (p, p) of the parameters, to be added.
-        white: 1 sigma of the white errors' standard deviation, over the stated one.
-        lasting: the same of what lasts.
-    """
-
-    covariance: Array
-    white: float
-    lasting: float
+    covariance: Array  # (p, p) of the parameters, to be added
+    white: float  # 1 sigma of the white errors' standard deviation, over the stated one
+    lasting: float  # the same of what lasts
 
 
 def whitened(chain: Chain, size: ErrorSize, x: Array) -> tuple[Array, float]:

@@ -27,23 +27,14 @@ _INCOMPLETE = 0.1  # share of rows that may lack a stream
 
 @dataclass(frozen=True, slots=True)
 class LeastSquaresEstimate:
-    """Gain and offsets by least squares, in SI and raw units.
+    """Gain and offsets by least squares, in SI and raw units."""
 
-    Attributes:
-        gain: (n, 6).
-        covariance: (7n, 7n) of [gain row by row, offset of the last log]: that of the sensor noise alone.
-        offset: (n,) of the last log.
-        offsets: (L, n), one per log.
-        chi_square: (n,) residual chi-square per degree of freedom of each channel.
-        samples: (L,) rows used of each log.
-    """
-
-    gain: Array
-    covariance: Array
-    offset: Array
-    offsets: Array
-    chi_square: Array
-    samples: Integers
+    gain: Array  # (n, 6)
+    covariance: Array  # (7n, 7n) of [gain row by row, offset of the last log]: that of the sensor noise alone
+    offset: Array  # (n,) of the last log
+    offsets: Array  # (L, n), one per log
+    chi_square: Array  # (n,) residual chi-square per degree of freedom of each channel
+    samples: Integers  # (L,) rows used of each log
 
 
 def least_squares(

@@ -31,16 +31,12 @@ _RANK = 1e-10  # of singular values, relative to the largest: a tolerance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseShare:
-    """How much of the pose a motion can hide, and how much it excites.
+    """How much of the pose a motion can hide, and how much it excites."""
 
-    Attributes:
-        share: A, mean R^2 of the components of the pose that move on (w, 1); 1 where none moves: at rest the
-            pose is the wrench.
-        moment: (6, 6) E w w^T, w normalised.
-    """
-
+    # A, mean R^2 of the components of the pose that move on (w, 1); 1 where none moves: at rest the pose is
+    # the wrench
     share: float
-    moment: Array
+    moment: Array  # (6, 6) E w w^T, w normalised
 
     @property
     def unit_covariance(self) -> Array:
@@ -53,15 +49,10 @@ class PoseShare:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DelayShare:
-    """What a small delay tau of the sensor looks like: raw changes by -tau C dw/dt.
+    """What a small delay tau of the sensor looks like: raw changes by -tau C dw/dt."""
 
-    Attributes:
-        share: R^2 of dw/dt on (w, 1), all axes together.
-        slope: (6, 6) M of the regression dw/dt = M w + const [1/s]: the gain moves by -tau C M.
-    """
-
-    share: float
-    slope: Array
+    share: float  # R^2 of dw/dt on (w, 1), all axes together
+    slope: Array  # (6, 6) M of the regression dw/dt = M w + const [1/s]: the gain moves by -tau C M
 
 
 def pose_share(time: Array, twist: Array, wrench: Array, mask: Mask | None = None) -> PoseShare:

@@ -37,15 +37,11 @@ _LINEAR, _ANGULAR = slice(0, 3), slice(3, 6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """One log for the estimator.
+    """One log for the estimator."""
 
-    Attributes:
-        streams: what the core reads; its samples of the sensor are the rows of the log, NaN where missing.
-        notes: what was left out, for people.
-    """
-
+    # what the core reads; its samples of the sensor are the rows of the log, NaN where missing
     streams: _core.RecordedLog
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what was left out, for people
 
 
 def recorded_logs(

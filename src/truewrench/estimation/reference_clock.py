@@ -36,21 +36,13 @@ ROUNDS, SETTLED = 30, 0.01  # at most, and sigma of a step
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceClock:
-    """What was undone at a reference.
+    """What was undone at a reference."""
 
-    Attributes:
-        late: s [s].
-        late_std: its 1 sigma.
-        rate: r; 0 where none is told.
-        moved: (N, 6, p) of w by s, k (and r) in each row of the log [N, N m, per s, s^2, 1].
-        covariance: (p, p) of these.
-    """
-
-    late: float
-    late_std: float
-    rate: float
-    moved: Array
-    covariance: Array
+    late: float  # s [s]
+    late_std: float  # its 1 sigma
+    rate: float  # r; 0 where none is told
+    moved: Array  # (N, 6, p) of w by s, k (and r) in each row of the log [N, N m, per s, s^2, 1]
+    covariance: Array  # (p, p) of these
 
 
 def with_reference_on_time(rig: Rig, log: Log) -> tuple[Log, ReferenceClock | None]:

@@ -26,27 +26,16 @@ _SETTLED = 1e-3  # its relative change
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Told:
-    """What one fit says.
+    """What one fit says."""
 
-    Attributes:
-        keys: what stands at those places of theta that are shared, the gain first.
-        first: how many of the first parameters are shared by all.
-        u: the places of the quadratic term, among them.
-        theta: (p,) estimate.
-        mean: (p,) beforehand.
-        prior: (p,) variances beforehand, as the fit has them.
-        covariance: (p, p).
-        added: (6n, 6n) of the gain by (10.9).
-    """
-
-    keys: Mapping[int, Hashable]
-    first: int
-    u: slice
-    theta: Array
-    mean: Array
-    prior: Array
-    covariance: Array
-    added: Array
+    keys: Mapping[int, Hashable]  # what stands at those places of theta that are shared, the gain first
+    first: int  # how many of the first parameters are shared by all
+    u: slice  # the places of the quadratic term, among them
+    theta: Array  # (p,) estimate
+    mean: Array  # (p,) beforehand
+    prior: Array  # (p,) variances beforehand, as the fit has them
+    covariance: Array  # (p, p)
+    added: Array  # (6n, 6n) of the gain by (10.9)
 
 
 class Shared:

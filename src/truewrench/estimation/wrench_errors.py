@@ -28,23 +28,14 @@ _ROUNDS = 20  # of leaving out rows and estimating again; tolerance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundErrors:
-    """Errors of all logs of one kind.
+    """Errors of all logs of one kind."""
 
-    Attributes:
-        stepped: whether their reference stands still on most rows.
-        logs: which logs.
-        sizes: per channel, over the stated variance of a row (sensor and reference).
-        fall: (n,) of -2 log restricted likelihood, because something lasts.
-        found: whether the sizes are other than stated.
-        last: whether errors last.
-    """
-
-    stepped: bool
-    logs: tuple[int, ...]
-    sizes: tuple[ErrorSize, ...]
-    fall: Array
-    found: bool
-    last: bool
+    stepped: bool  # whether their reference stands still on most rows
+    logs: tuple[int, ...]  # which logs
+    sizes: tuple[ErrorSize, ...]  # per channel, over the stated variance of a row (sensor and reference)
+    fall: Array  # (n,) of -2 log restricted likelihood, because something lasts
+    found: bool  # whether the sizes are other than stated
+    last: bool  # whether errors last
 
 
 @dataclass(frozen=True, slots=True, eq=False)

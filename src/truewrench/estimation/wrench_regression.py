@@ -36,25 +36,15 @@ _STEP = 1e-5  # of sigma, at which the iterations end; tolerance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """All rows of all logs in normalised units: channels over their scale, wrenches over their range.
+    """All rows of all logs in normalised units: channels over their scale, wrenches over their range."""
 
-    Attributes:
-        raw: (N, n).
-        reference: (N, 6).
-        columns: (N, m) one per offset, then temperature: what multiplies the other parameters.
-        raw_noise: (n, n) R.
-        reference_noise: (6, 6) D.
-        mean: (n, p) prior of [C, offsets, slope], p = 6 + m.
-        std: (n, p), 0 where a parameter does not exist.
-    """
-
-    raw: Array
-    reference: Array
-    columns: Array
-    raw_noise: Array
-    reference_noise: Array
-    mean: Array
-    std: Array
+    raw: Array  # (N, n)
+    reference: Array  # (N, 6)
+    columns: Array  # (N, m) one per offset, then temperature: what multiplies the other parameters
+    raw_noise: Array  # (n, n) R
+    reference_noise: Array  # (6, 6) D
+    mean: Array  # (n, p) prior of [C, offsets, slope], p = 6 + m
+    std: Array  # (n, p), 0 where a parameter does not exist
 
     @property
     def exists(self) -> Mask:
@@ -69,21 +59,13 @@ class Problem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Rows whose errors have one structure, averaged where they belong together.
+    """Rows whose errors have one structure, averaged where they belong together."""
 
-    Attributes:
-        raw: (M, n) means of rows.
-        reference: (M, 6) likewise.
-        columns: (M, m) likewise.
-        chain: of the M means.
-        sizes: of the errors of each channel, over the stated variance.
-    """
-
-    raw: Array
-    reference: Array
-    columns: Array
-    chain: Chain
-    sizes: tuple[ErrorSize, ...]
+    raw: Array  # (M, n) means of rows
+    reference: Array  # (M, 6) likewise
+    columns: Array  # (M, m) likewise
+    chain: Chain  # of the M means
+    sizes: tuple[ErrorSize, ...]  # of the errors of each channel, over the stated variance
 
     @property
     def as_stated(self) -> bool:
@@ -93,29 +75,17 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """What the parts say, normalised.
+    """What the parts say, normalised."""
 
-    Attributes:
-        parameters: (n, p).
-        covariance: (n p, n p) of them, row by row.
-        noise: (n, n) S.
-        designs: per part (M, p): the regressors.
-        residuals: per part (M, n): v.
-        followed: (p, p) covariance of what the parameters follow, over a row's stated variance.
-        fitted: (n,) degrees of freedom that the parameters take.
-        converged: whether the iterations ended below their tolerance.
-        iterations: how many.
-    """
-
-    parameters: Array
-    covariance: Array
-    noise: Array
-    designs: tuple[Array, ...]
-    residuals: tuple[Array, ...]
-    followed: Array
-    fitted: Array
-    converged: bool
-    iterations: int
+    parameters: Array  # (n, p)
+    covariance: Array  # (n p, n p) of them, row by row
+    noise: Array  # (n, n) S
+    designs: tuple[Array, ...]  # per part (M, p): the regressors
+    residuals: tuple[Array, ...]  # per part (M, n): v
+    followed: Array  # (p, p) covariance of what the parameters follow, over a row's stated variance
+    fitted: Array  # (n,) degrees of freedom that the parameters take
+    converged: bool  # whether the iterations ended below their tolerance
+    iterations: int  # how many
 
 
 def solve(problem: Problem, parts: Sequence[Part]) -> Solution:

@@ -20,25 +20,15 @@ _BRIEF = 0.5, 0.15  # shortest time that errors last over the spacing of rows, o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """All usable rows of logs of one kind, K of the problem's.
+    """All usable rows of logs of one kind, K of the problem's."""
 
-    Attributes:
-        stepped: whether the reference stands still on most rows of these logs.
-        logs: which logs.
-        index: (K,) which rows of the problem.
-        place: (K,) the place of each, from 0: a row, a plateau, or what lies between two.
-        time: (K,) since the log's first row [s].
-        log: (K,) whose row it is.
-        still: (K,) whether the reference stands still there.
-    """
-
-    stepped: bool
-    logs: tuple[int, ...]
-    index: Integers
-    place: Integers
-    time: Array
-    log: Integers
-    still: Mask
+    stepped: bool  # whether the reference stands still on most rows of these logs
+    logs: tuple[int, ...]  # which logs
+    index: Integers  # (K,) which rows of the problem
+    place: Integers  # (K,) the place of each, from 0: a row, a plateau, or what lies between two
+    time: Array  # (K,) since the log's first row [s]
+    log: Integers  # (K,) whose row it is
+    still: Mask  # (K,) whether the reference stands still there
 
     def mean(self, x: Array, used: Mask) -> Array:
         """(M, k) mean of x (K, k) over the used rows of each place; 0 of none."""

@@ -55,23 +55,14 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Columns that are sampled together.
+    """Columns that are sampled together."""
 
-    Attributes:
-        name: for a person.
-        columns: in the order of the file.
-        samples: rows in which at least one of the columns has a number.
-        rate: samples a second, from the median period; 0 with fewer than two samples.
-        jitter: standard deviation of the period over its median.
-        gaps: pauses of more than five nominal periods.
-    """
-
-    name: str
-    columns: tuple[ColumnContent, ...]
-    samples: int
-    rate: float
-    jitter: float
-    gaps: tuple[Gap, ...]
+    name: str  # for a person
+    columns: tuple[ColumnContent, ...]  # in the order of the file
+    samples: int  # rows in which at least one of the columns has a number
+    rate: float  # samples a second, from the median period; 0 with fewer than two samples
+    jitter: float  # standard deviation of the period over its median
+    gaps: tuple[Gap, ...]  # pauses of more than five nominal periods
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,56 +32,32 @@ _TAKEN = {
 
 @dataclass(frozen=True, slots=True)
 class StreamContent:
-    """Columns that come together.
+    """Columns that come together."""
 
-    Attributes:
-        columns: with their ranges.
-        samples: how many messages have them.
-        rate: samples a second, from the median of the first periods; 0 with fewer than two samples.
-        jitter: standard deviation of the period over its median, gaps left out.
-        gaps: the first pauses of more than five nominal periods.
-        gap_count: how many there are.
-        late: samples stamped earlier than one before them.
-        repeated: samples with the stamp of the one before.
-    """
-
-    columns: tuple[ColumnContent, ...]
-    samples: int
-    rate: float
-    jitter: float
-    gaps: tuple[Gap, ...]
-    gap_count: int
-    late: int
-    repeated: int
+    columns: tuple[ColumnContent, ...]  # with their ranges
+    samples: int  # how many messages have them
+    rate: float  # samples a second, from the median of the first periods; 0 with fewer than two samples
+    jitter: float  # standard deviation of the period over its median, gaps left out
+    gaps: tuple[Gap, ...]  # the first pauses of more than five nominal periods
+    gap_count: int  # how many there are
+    late: int  # samples stamped earlier than one before them
+    repeated: int  # samples with the stamp of the one before
 
 
 @dataclass(frozen=True, slots=True)
 class TopicContent:
-    """One topic.
+    """One topic."""
 
-    Attributes:
-        topic: its name.
-        type: of its messages.
-        publishers: known of ROS 1 only, else 1.
-        messages: as counted.
-        rate: of receipt.
-        stamps: `header`, `receive` where the messages have no header, None where they are not read.
-        delay: mean time from header stamp to receipt [s], None without headers.
-        drift: how much that grows over the recording [s], likewise.
-        streams: what is read of it, stamped by headers if there are any.
-        taken_as: what a rig without topics of its own would take it for, or why it would not.
-    """
-
-    topic: str
-    type: str
-    publishers: int
-    messages: int
-    rate: float
-    stamps: str | None
-    delay: float | None
-    drift: float | None
-    streams: tuple[StreamContent, ...]
-    taken_as: str
+    topic: str  # its name
+    type: str  # of its messages
+    publishers: int  # known of ROS 1 only, else 1
+    messages: int  # as counted
+    rate: float  # of receipt
+    stamps: str | None  # `header`, `receive` where the messages have no header, None where they are not read
+    delay: float | None  # mean time from header stamp to receipt [s], None without headers
+    drift: float | None  # how much that grows over the recording [s], likewise
+    streams: tuple[StreamContent, ...]  # what is read of it, stamped by headers if there are any
+    taken_as: str  # what a rig without topics of its own would take it for, or why it would not
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,19 +53,14 @@ SINGULAR = 1e12  # that only rounding keeps from infinity: tolerance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
-    """What is decided on an estimate.
+    """What is decided on an estimate."""
 
-    Attributes:
-        verdict: usable, reasons, undetermined directions, and what the record could not have shown.
-        axes: which wrench axes may be used: the gains of all channels to it are as accurate as `required`,
-            and nothing but the accuracy of other axes speaks against the result. An axis that is not asked
-            for is not vouched for.
-        notes: what decides nothing and has to be said.
-    """
-
-    verdict: Verdict
+    verdict: Verdict  # usable, reasons, undetermined directions, and what the record could not have shown
+    # which wrench axes may be used: the gains of all channels to it are as accurate as `required`, and
+    # nothing but the accuracy of other axes speaks against the result. An axis that is not asked for is not
+    # vouched for.
     axes: Mapping[str, bool]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what decides nothing and has to be said
 
 
 def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log]) -> Judgement:

@@ -38,19 +38,12 @@ STEPS = 3.0  # sigma: a motion that is logged in larger steps is coarse
 
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """One kind of departure that the record looks like.
+    """One kind of departure that the record looks like."""
 
-    Attributes:
-        kind: one of `KINDS`.
-        score: fall of chi-square less the penalty, over all channels and logs.
-        words: what was seen, for a person.
-        value: how large it is: fraction of range, of jitter [s], of a step of the motion SI.
-    """
-
-    kind: str
-    score: float
-    words: str = ""
-    value: float = 0.0
+    kind: str  # one of `KINDS`
+    score: float  # fall of chi-square less the penalty, over all channels and logs
+    words: str = ""  # what was seen, for a person
+    value: float = 0.0  # how large it is: fraction of range, of jitter [s], of a step of the motion SI
 
 
 def slow_looks(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Looks, ...]:

@@ -20,17 +20,11 @@ IN_A_ROW = 3
 
 @dataclass(frozen=True, slots=True)
 class ChannelFault:
-    """A raw channel that cannot be calibrated from.
+    """A raw channel that cannot be calibrated from."""
 
-    Attributes:
-        channel: its place.
-        silent: whether it says nothing in any log, so that its gains are not determined.
-        words: what a person reads.
-    """
-
-    channel: int
-    silent: bool
-    words: str
+    channel: int  # its place
+    silent: bool  # whether it says nothing in any log, so that its gains are not determined
+    words: str  # what a person reads
 
 
 def channel_faults(rig: Rig, logs: Sequence[Log]) -> list[ChannelFault]:

@@ -9,16 +9,10 @@ from truewrench.judging.setup_odds import Suspicion
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparisons:
-    """Held-out comparison, or why there is none, and suspected set-up errors.
+    """Held-out comparison, or why there is none, and suspected set-up errors."""
 
-    Attributes:
-        worse: why, by that, the new gain should not replace the nominal one, in words.
-        not_held_out: why nothing was held out, in words; empty where something was. It is always told.
-        setup: `setup_errors` of the estimate.
-        hopeless: why nothing was estimated, in words: `joint_faults`, `gross_errors`.
-    """
-
-    worse: tuple[str, ...] = ()
+    worse: tuple[str, ...] = ()  # why, by that, the new gain should not replace the nominal one, in words
+    # why nothing was held out, in words; empty where something was. It is always told.
     not_held_out: str = ""
-    setup: tuple[Suspicion, ...] = ()
-    hopeless: tuple[str, ...] = ()
+    setup: tuple[Suspicion, ...] = ()  # `setup_errors` of the estimate
+    hopeless: tuple[str, ...] = ()  # why nothing was estimated, in words: `joint_faults`, `gross_errors`

@@ -64,17 +64,11 @@ PAYLOAD_PARAMETERS = (
 
 @dataclass(frozen=True, slots=True)
 class Suspicion:
-    """A set-up error that explains the estimate better than a correct set-up does.
+    """A set-up error that explains the estimate better than a correct set-up does."""
 
-    Attributes:
-        kind: what was set up wrongly.
-        words: the same for a person, with the odds.
-        log_odds: natural logarithm of the posterior odds against a correct set-up.
-    """
-
-    kind: Kind
-    words: str
-    log_odds: float
+    kind: Kind  # what was set up wrongly
+    words: str  # the same for a person, with the odds
+    log_odds: float  # natural logarithm of the posterior odds against a correct set-up
 
 
 @dataclass(frozen=True, slots=True, eq=False)

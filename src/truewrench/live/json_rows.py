@@ -28,19 +28,12 @@ class LineError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line.
+    """One line."""
 
-    Attributes:
-        time_ns: its time [ns].
-        stamp: key and value of the time as the line has them.
-        raw: n channels, NaN for null; None in a line without any channel.
-        data: all that the line says.
-    """
-
-    time_ns: int
-    stamp: tuple[str, int | float]
-    raw: tuple[float, ...] | None
-    data: dict[str, Any]
+    time_ns: int  # its time [ns]
+    stamp: tuple[str, int | float]  # key and value of the time as the line has them
+    raw: tuple[float, ...] | None  # n channels, NaN for null; None in a line without any channel
+    data: dict[str, Any]  # all that the line says
 
 
 def read_row(line: bytes, n: int) -> Row:

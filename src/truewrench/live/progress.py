@@ -13,23 +13,14 @@ from truewrench.model.calibration import Calibration
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """What a part of the record says.
+    """What a part of the record says."""
 
-    Attributes:
-        time_ns: of its last sample.
-        seconds: its length.
-        samples: how many there are.
-        calibration: None where there is not enough to estimate from.
-        reason: why there is none.
-        final: whether it is the result.
-    """
-
-    time_ns: int
-    seconds: float
-    samples: int
-    calibration: Calibration | None = None
-    reason: str = ""
-    final: bool = False
+    time_ns: int  # of its last sample
+    seconds: float  # its length
+    samples: int  # how many there are
+    calibration: Calibration | None = None  # None where there is not enough to estimate from
+    reason: str = ""  # why there is none
+    final: bool = False  # whether it is the result
 
     @property
     def usable(self) -> bool:

@@ -68,19 +68,12 @@ class Topics:
 
 @dataclass(slots=True)
 class Counts:
-    """Messages of the sensor (or of sensor and motion).
+    """Messages of the sensor (or of sensor and motion)."""
 
-    Attributes:
-        received: those that arrived.
-        used: those that became a wrench, or part of the record.
-        refused: those that were wrong.
-        lost: those that did not arrive, where the middleware knows.
-    """
-
-    received: int = 0
-    used: int = 0
-    refused: int = 0
-    lost: int = 0
+    received: int = 0  # those that arrived
+    used: int = 0  # those that became a wrench, or part of the record
+    refused: int = 0  # those that were wrong
+    lost: int = 0  # those that did not arrive, where the middleware knows
 
 
 class _Order:

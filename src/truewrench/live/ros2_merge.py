@@ -18,18 +18,13 @@ RESTART = 1_000_000_000
 
 @dataclass(order=True)
 class MergedRow:
-    """What was measured at one time.
+    """What was measured at one time."""
 
-    Attributes:
-        time_ns: stamp.
-        values: by column.
-        header: of the sensor's message; None where it has none at this time.
-        arrived: when its first message came, on the clock of the caller [s].
-    """
-
-    time_ns: int
-    values: dict[str, float] = field(default_factory=dict, compare=False)
+    time_ns: int  # stamp
+    values: dict[str, float] = field(default_factory=dict, compare=False)  # by column
+    # of the sensor's message; None where it has none at this time
     header: Any = field(default=None, compare=False)
+    # when its first message came, on the clock of the caller [s]
     arrived: float = field(default=0.0, compare=False)
 
 

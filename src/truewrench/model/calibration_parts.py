@@ -110,45 +110,28 @@ class AxisImprovement:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """What no estimator can beat, as RMS of sigma over the normalised gains.
+    """What no estimator can beat, as RMS of sigma over the normalised gains."""
 
-    Attributes:
-        oracle_rms: when the motion is known.
-        rms: when the motion has to be inferred from the log.
-    """
-
-    oracle_rms: float
-    rms: float
+    oracle_rms: float  # when the motion is known
+    rms: float  # when the motion has to be inferred from the log
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogReport:
-    """What one log contributed.
+    """What one log contributed."""
 
-    Attributes:
-        path: as it was given, None for a log that was not read from a file.
-        sha256: of the file, empty likewise.
-        payload: which payload of the rig the arm carried.
-        offset: (n,) of this log [raw units].
-        offset_std: (n,) its 1 sigma.
-        time_offset: [s], t_motion = t_sensor + time_offset.
-        used: samples that the estimate rests on.
-        masked: samples left out one by one, by reason.
-        rejected: samples that the estimate could not use at all, by reason.
-        disturbances: (begin, end) of what was left out as contact or spike [s from the log's first row].
-        dropped_rows: rows of the log without any measurement.
-        nan_counts: cells that held NaN and were left out, by column.
-    """
-
-    path: Path | None
-    sha256: str
-    payload: str
-    offset: Array
-    offset_std: Array
-    time_offset: float = 0.0
-    used: int = 0
-    masked: Mapping[str, int] = field(default_factory=dict)
+    path: Path | None  # as it was given, None for a log that was not read from a file
+    sha256: str  # of the file, empty likewise
+    payload: str  # which payload of the rig the arm carried
+    offset: Array  # (n,) of this log [raw units]
+    offset_std: Array  # (n,) its 1 sigma
+    time_offset: float = 0.0  # [s], t_motion = t_sensor + time_offset
+    used: int = 0  # samples that the estimate rests on
+    masked: Mapping[str, int] = field(default_factory=dict)  # samples left out one by one, by reason
+    # samples that the estimate could not use at all, by reason
     rejected: Mapping[str, int] = field(default_factory=dict)
+    # (begin, end) of what was left out as contact or spike [s from the log's first row]
     disturbances: tuple[tuple[float, float], ...] = ()
-    dropped_rows: int = 0
+    dropped_rows: int = 0  # rows of the log without any measurement
+    # cells that held NaN and were left out, by column
     nan_counts: Mapping[str, int] = field(default_factory=dict)

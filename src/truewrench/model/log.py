@@ -14,23 +14,14 @@ from truewrench.model.arrays import Array, Integers
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """A motion of the sensor's origin close to the true one.
+    """A motion of the sensor's origin close to the true one."""
 
-    Attributes:
-        origin_ns: the time stamp that its times count from.
-        breakpoints: (K + 1,) of a quintic spline with clamped ends [s].
-        twist: (K + 5, 6) its coefficients, sensor axes [m/s, rad/s].
-        spacing: of the knots of the joints' fit behind it [s].
-        gravity_time: (M,) [s].
-        gravity: (M, 3) free fall at these times in sensor axes [m/s^2], None on orbit.
-    """
-
-    origin_ns: int
-    breakpoints: Array
-    twist: Array
-    spacing: float
-    gravity_time: Array
-    gravity: Array | None
+    origin_ns: int  # the time stamp that its times count from
+    breakpoints: Array  # (K + 1,) of a quintic spline with clamped ends [s]
+    twist: Array  # (K + 5, 6) its coefficients, sensor axes [m/s, rad/s]
+    spacing: float  # of the knots of the joints' fit behind it [s]
+    gravity_time: Array  # (M,) [s]
+    gravity: Array | None  # (M, 3) free fall at these times in sensor axes [m/s^2], None on orbit
 
     def motion(self, time: Array) -> tuple[Array, Array, Array]:
         """Twist (N, 6), its component-wise derivative and free fall (N, 3) at times (N,) since the origin."""
@@ -44,42 +35,28 @@ class Reference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracking:
-    """What the n joints say of the sensor's motion, per row of the log; NaN where there is no sample.
+    """What the n joints say of the sensor's motion, per row of the log; NaN where there is no sample."""
 
-    Attributes:
-        jacobian: (N, 6, n) of the sensor's origin, sensor axes; at the reference, if there is one.
-        jacobian_rate: (N, 6, n) its derivative by time; None without a reference.
-        position_departure: (N, n) of the positions from the reference [rad, m]; None without one.
-        position_sigma: (N, n) their noise at a few rows, where they are integrated velocities; else None.
-        velocity_departure: (N, n) of the tachometers; None without a reference, or without tachometers.
-        reference: None where positions are exact, and the twist is what was measured.
-    """
-
-    jacobian: Array
-    jacobian_rate: Array | None = None
+    jacobian: Array  # (N, 6, n) of the sensor's origin, sensor axes; at the reference, if there is one
+    jacobian_rate: Array | None = None  # (N, 6, n) its derivative by time; None without a reference
+    # (N, n) of the positions from the reference [rad, m]; None without one
     position_departure: Array | None = None
+    # (N, n) their noise at a few rows, where they are integrated velocities; else None
     position_sigma: Array | None = None
+    # (N, n) of the tachometers; None without a reference, or without tachometers
     velocity_departure: Array | None = None
-    reference: Reference | None = None
+    reference: Reference | None = None  # None where positions are exact, and the twist is what was measured
 
 
 @dataclass(frozen=True, slots=True)
 class Whitened:
-    """How the noise of a stream was filtered, which has been undone.
+    """How the noise of a stream was filtered, which has been undone."""
 
-    Attributes:
-        columns: of the log, for a person.
-        growth: of the noise's 1 sigma.
-        advance: of what is slow [s].
-        corner: where the density of the noise had fallen to half [Hz].
-        step: samples of which one is left.
-    """
-
-    columns: str
-    growth: float
-    advance: float
-    corner: float
-    step: int
+    columns: str  # of the log, for a person
+    growth: float  # of the noise's 1 sigma
+    advance: float  # of what is slow [s]
+    corner: float  # where the density of the noise had fallen to half [Hz]
+    step: int  # samples of which one is left
 
     @property
     def words(self) -> str:

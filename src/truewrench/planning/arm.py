@@ -16,23 +16,14 @@ from truewrench.robot.arm import Robot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmExpressions:
-    """What joint positions, velocities and accelerations make of the arm.
+    """What joint positions, velocities and accelerations make of the arm."""
 
-    Attributes:
-        twist: of the sensor's origin (6,), sensor axes.
-        acceleration: its component-wise derivative (6,).
-        R_root_sensor: (3, 3).
-        p_root_sensor: (3,).
-        origins: of every joint in the root (3,), root first.
-        torque: (n,) of the joints, None where the links have no inertia.
-    """
-
-    twist: Any
-    acceleration: Any
-    R_root_sensor: Any
-    p_root_sensor: Any
-    origins: tuple[Any, ...]
-    torque: Any
+    twist: Any  # of the sensor's origin (6,), sensor axes
+    acceleration: Any  # its component-wise derivative (6,)
+    R_root_sensor: Any  # (3, 3)
+    p_root_sensor: Any  # (3,)
+    origins: tuple[Any, ...]  # of every joint in the root (3,), root first
+    torque: Any  # (n,) of the joints, None where the links have no inertia
 
 
 def has_link_inertias(robot: Robot) -> bool:

@@ -21,27 +21,16 @@ _RATE = 1000.0  # [Hz]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preview:
-    """A planned motion at (N,) times, and its use of the limits.
+    """A planned motion at (N,) times, and its use of the limits."""
 
-    Attributes:
-        time: [s].
-        twist: (N, 6) of the centre of mass, sensor axes.
-        wrench: (N, 6) that the sensor will feel, with the sign of the rig [N, N m].
-        gravity: (N, 3) in sensor axes.
-        R_root_sensor: (N, 3, 3).
-        p_root_sensor: (N, 3) [m].
-        skeleton: (N, P, 3) positions of joints, root first, sensor last; P = 0 without an arm [m].
-        usage: of every limit.
-    """
-
-    time: Array
-    twist: Array
-    wrench: Array
-    gravity: Array
-    R_root_sensor: Array
-    p_root_sensor: Array
-    skeleton: Array
-    usage: list[Usage]
+    time: Array  # [s]
+    twist: Array  # (N, 6) of the centre of mass, sensor axes
+    wrench: Array  # (N, 6) that the sensor will feel, with the sign of the rig [N, N m]
+    gravity: Array  # (N, 3) in sensor axes
+    R_root_sensor: Array  # (N, 3, 3)
+    p_root_sensor: Array  # (N, 3) [m]
+    skeleton: Array  # (N, P, 3) positions of joints, root first, sensor last; P = 0 without an arm [m]
+    usage: list[Usage]  # of every limit
 
 
 def check_times(duration: float) -> Array:

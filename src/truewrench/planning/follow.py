@@ -27,19 +27,12 @@ _CLOSE = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowedPlan:
-    """How an arm follows a plan.
+    """How an arm follows a plan."""
 
-    Attributes:
-        robot: the arm.
-        motion: commands and errors.
-        linear: largest linear error over the plan's largest linear speed.
-        angular: likewise.
-    """
-
-    robot: Robot
-    motion: FollowedTwist
-    linear: float
-    angular: float
+    robot: Robot  # the arm
+    motion: FollowedTwist  # commands and errors
+    linear: float  # largest linear error over the plan's largest linear speed
+    angular: float  # likewise
 
     @property
     def reasons(self) -> tuple[str, ...]:

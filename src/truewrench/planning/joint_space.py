@@ -24,21 +24,13 @@ _CLEARANCE = 0.07  # of the arm's length: what hand and payload keep from the in
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmOutputs:
-    """SX function of (q, qd, qdd) to what is limited, and what each output is.
+    """SX function of (q, qd, qdd) to what is limited, and what each output is."""
 
-    Attributes:
-        function: to wrench over range (6,) and all outputs (y,).
-        workspace: (6,) x, y, z of sensor and centre of mass [m].
-        torque: (n,) [N m, N].
-        distance: (d,) inverse squares of the distances between the pairs [1/m^2].
-        pairs: names of these pairs.
-    """
-
-    function: ca.Function
-    workspace: slice
-    torque: slice
-    distance: slice
-    pairs: tuple[str, ...]
+    function: ca.Function  # to wrench over range (6,) and all outputs (y,)
+    workspace: slice  # (6,) x, y, z of sensor and centre of mass [m]
+    torque: slice  # (n,) [N m, N]
+    distance: slice  # (d,) inverse squares of the distances between the pairs [1/m^2]
+    pairs: tuple[str, ...]  # names of these pairs
 
 
 def joint_limits(rig: Rig, robot: Robot) -> Limits:

@@ -27,29 +27,17 @@ def wrench_fraction(rig: Rig) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limits:
-    """Limits of n coordinates, infinite where there is none.
+    """Limits of n coordinates, infinite where there is none."""
 
-    Attributes:
-        lower: (n,) of the positions: joints, or the integral of the twist by component from the start.
-        upper: (n,).
-        velocity: (n,) of joints or twist.
-        acceleration: (n,) of their derivatives.
-        jerk: (n,) of their second derivatives.
-        torque: (n,) of the joints [N m, N].
-        wrench: (6,) [N, N m].
-        workspace: (3, 2) smallest and largest x, y, z of sensor and centre of mass in the root frame [m].
-        clearance: smallest distance between parts that must not touch [m].
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-    torque: Array
-    wrench: Array
-    workspace: Array
-    clearance: float = 0.0
+    lower: Array  # (n,) of the positions: joints, or the integral of the twist by component from the start
+    upper: Array  # (n,)
+    velocity: Array  # (n,) of joints or twist
+    acceleration: Array  # (n,) of their derivatives
+    jerk: Array  # (n,) of their second derivatives
+    torque: Array  # (n,) of the joints [N m, N]
+    wrench: Array  # (6,) [N, N m]
+    workspace: Array  # (3, 2) smallest and largest x, y, z of sensor and centre of mass in the root frame [m]
+    clearance: float = 0.0  # smallest distance between parts that must not touch [m]
 
     @classmethod
     def of(cls, rig: Rig, n: int) -> Limits:
@@ -105,27 +93,16 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """The largest use of one limit.
+    """The largest use of one limit."""
 
-    Attributes:
-        limit: what is limited.
-        axis: of which axis, joint or body.
-        index: of the axis.
-        share: largest value over the limit; above 1 the limit is violated.
-        time: when it is reached [s].
-        first: when the limit is first exceeded [s], None where it never is.
-        value: that is reached.
-        bound: the limit.
-    """
-
-    limit: Kind
-    axis: str
-    index: int
-    share: float
-    time: float
-    first: float | None
-    value: float
-    bound: float
+    limit: Kind  # what is limited
+    axis: str  # of which axis, joint or body
+    index: int  # of the axis
+    share: float  # largest value over the limit; above 1 the limit is violated
+    time: float  # when it is reached [s]
+    first: float | None  # when the limit is first exceeded [s], None where it never is
+    value: float  # that is reached
+    bound: float  # the limit
 
     @property
     def violated(self) -> bool:

@@ -28,70 +28,42 @@ _NODES_PER_HARMONIC = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bounds:
-    """What is kept to, as arrays; infinite where there is no limit.
+    """What is kept to, as arrays; infinite where there is no limit."""
 
-    Attributes:
-        lower: (n,) of the coordinates.
-        upper: (n,).
-        velocity: (n,) of their absolute derivatives.
-        acceleration: (n,).
-        jerk: (n,).
-        node_lower: (y,) of what the node function returns after the wrench.
-        node_upper: (y,).
-        wrench: (6,) largest shares of the range.
-        integral_lower: (c,) of the integral from time 0 of what is to vanish on average.
-        integral_upper: (c,).
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-    node_lower: Array
-    node_upper: Array
-    wrench: Array
-    integral_lower: Array
-    integral_upper: Array
+    lower: Array  # (n,) of the coordinates
+    upper: Array  # (n,)
+    velocity: Array  # (n,) of their absolute derivatives
+    acceleration: Array  # (n,)
+    jerk: Array  # (n,)
+    node_lower: Array  # (y,) of what the node function returns after the wrench
+    node_upper: Array  # (y,)
+    wrench: Array  # (6,) largest shares of the range
+    integral_lower: Array  # (c,) of the integral from time 0 of what is to vanish on average
+    integral_upper: Array  # (c,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Space:
-    """Coordinates that a motion is planned in.
+    """Coordinates that a motion is planned in."""
 
-    Attributes:
-        n: number of coordinates.
-        node: SX function of (z, zdot, zddot), (n,) each, to wrench over range (6,), bounded quantities (y,)
-            and quantities whose mean over the period is to vanish (c,).
-        bounds: what limits mean for these coordinates.
-        scale: (n,) typical velocities.
-        free_start: whether z(0) is chosen, too.
-    """
-
-    n: int
+    n: int  # number of coordinates
+    # SX function of (z, zdot, zddot), (n,) each, to wrench over range (6,), bounded quantities (y,) and
+    # quantities whose mean over the period is to vanish (c,)
     node: ca.Function
-    bounds: Callable[[Limits], Bounds]
-    scale: Array
-    free_start: bool
+    bounds: Callable[[Limits], Bounds]  # what limits mean for these coordinates
+    scale: Array  # (n,) typical velocities
+    free_start: bool  # whether z(0) is chosen, too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Some of the constraints.
+    """Some of the constraints."""
 
-    Attributes:
-        linear: (L, size) their constant Jacobian.
-        node: (R,) nodes of those that hold at a node,
-        output: (R,) and which of its outputs they limit.
-        sums: (S, K) weights of the nodes in integrals.
-        kept: (G,) which of all they are.
-    """
-
-    linear: Array
-    node: Integers
-    output: Integers
-    sums: Array
-    kept: Mask
+    linear: Array  # (L, size) their constant Jacobian
+    node: Integers  # (R,) nodes of those that hold at a node,
+    output: Integers  # (R,) and which of its outputs they limit
+    sums: Array  # (S, K) weights of the nodes in integrals
+    kept: Mask  # (G,) which of all they are
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -42,33 +42,20 @@ POSE = "pose"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Sigma of the gain that a calibration with this motion will have.
+    """Sigma of the gain that a calibration with this motion will have."""
 
-    Attributes:
-        std: (n, 6) 1 sigma of the normalised gain.
-        gain_std: (n, 6) in raw units per N or N m.
-        oracle_rms: RMS over the normalised gains if the motion were known, payload, clocks and gravity exact.
-        bound_rms: if only payload, clocks and gravity were exact.
-        limited_by: RMS sigma that noise and each thing that is uncertain account for.
-        longer: RMS sigma of records that many times as long.
-        heavier_rms: RMS sigma with a payload of twice the mass and inertia moved alike.
-        heavier_wrench: what it would use of the wrench limits, 1 is all.
-        undetermined: directions that stay less certain than half of their prior.
-        pose: how much of the pose the motion can hide.
-        blind_to: what a record of this motion could not show.
-    """
-
-    std: Array
-    gain_std: Array
+    std: Array  # (n, 6) 1 sigma of the normalised gain
+    gain_std: Array  # (n, 6) in raw units per N or N m
+    # RMS over the normalised gains if the motion were known, payload, clocks and gravity exact
     oracle_rms: float
-    bound_rms: float
-    limited_by: Mapping[str, float]
-    longer: Mapping[int, float]
-    heavier_rms: float
-    heavier_wrench: float
-    undetermined: tuple[Undetermined, ...]
-    pose: PoseShare
-    blind_to: tuple[BlindTo, ...]
+    bound_rms: float  # if only payload, clocks and gravity were exact
+    limited_by: Mapping[str, float]  # RMS sigma that noise and each thing that is uncertain account for
+    longer: Mapping[int, float]  # RMS sigma of records that many times as long
+    heavier_rms: float  # RMS sigma with a payload of twice the mass and inertia moved alike
+    heavier_wrench: float  # what it would use of the wrench limits, 1 is all
+    undetermined: tuple[Undetermined, ...]  # directions that stay less certain than half of their prior
+    pose: PoseShare  # how much of the pose the motion can hide
+    blind_to: tuple[BlindTo, ...]  # what a record of this motion could not show
 
     @property
     def rms(self) -> float:

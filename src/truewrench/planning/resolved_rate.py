@@ -28,40 +28,24 @@ _SLOWING = 0.2  # [s]: at most this part of the way to a limit in a second, so t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointLimits:
-    """What n joints keep to; inf where there is no limit.
+    """What n joints keep to; inf where there is no limit."""
 
-    Attributes:
-        lower: (n,) smallest position [rad, m].
-        upper: (n,) largest position.
-        velocity: (n,) largest speed [rad/s, m/s].
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
+    lower: Array  # (n,) smallest position [rad, m]
+    upper: Array  # (n,) largest position
+    velocity: Array  # (n,) largest speed [rad/s, m/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowedTwist:
-    """Commands to the joints and how well they follow the plan, at N times.
+    """Commands to the joints and how well they follow the plan, at N times."""
 
-    Attributes:
-        time: (N,) [s], the first 0.
-        position: (N, n) joint positions that the commands lead to [rad, m].
-        velocity: (N, n) commands, each held until the next time; the last is that of rest.
-        twist: (N, 6) of the sensor's origin half-way to the next time, sensor axes [m/s, rad/s].
-        twist_error: (N, 6) `twist` less the plan's.
-        position_error: (N,) distance of the sensor from its planned place [m].
-        attitude_error: (N,) angle to its planned attitude [rad].
-    """
-
-    time: Array
-    position: Array
-    velocity: Array
-    twist: Array
-    twist_error: Array
-    position_error: Array
-    attitude_error: Array
+    time: Array  # (N,) [s], the first 0
+    position: Array  # (N, n) joint positions that the commands lead to [rad, m]
+    velocity: Array  # (N, n) commands, each held until the next time; the last is that of rest
+    twist: Array  # (N, 6) of the sensor's origin half-way to the next time, sensor axes [m/s, rad/s]
+    twist_error: Array  # (N, 6) `twist` less the plan's
+    position_error: Array  # (N,) distance of the sensor from its planned place [m]
+    attitude_error: Array  # (N,) angle to its planned attitude [rad]
 
 
 def limits_of(rig: Rig) -> JointLimits:

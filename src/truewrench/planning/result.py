@@ -36,27 +36,16 @@ _ROWS = 12.0  # of the motion per period of its fastest frequency: a spline has 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """A motion before anything is promised of it.
+    """A motion before anything is promised of it."""
 
-    Attributes:
-        motion: twist of the rig's point, or joints.
-        columns: of the table: names and values (N,).
-        preview: at 1 kHz.
-        period: after which the motion repeats itself [s].
-        notes: what is worth a look.
-        facts: how it was found.
-        obstacles: why no motion is possible at all, in words.
-        joints: n names, if it is a motion of joints.
-    """
-
-    motion: Trajectory | JointTrajectory
-    columns: Mapping[str, Array]
-    preview: Preview
-    period: float
-    notes: tuple[str, ...] = ()
-    facts: Mapping[str, Any] | None = None
-    obstacles: tuple[str, ...] = ()
-    joints: tuple[str, ...] = ()
+    motion: Trajectory | JointTrajectory  # twist of the rig's point, or joints
+    columns: Mapping[str, Array]  # of the table: names and values (N,)
+    preview: Preview  # at 1 kHz
+    period: float  # after which the motion repeats itself [s]
+    notes: tuple[str, ...] = ()  # what is worth a look
+    facts: Mapping[str, Any] | None = None  # how it was found
+    obstacles: tuple[str, ...] = ()  # why no motion is possible at all, in words
+    joints: tuple[str, ...] = ()  # n names, if it is a motion of joints
 
 
 @dataclass(frozen=True, slots=True, eq=False)

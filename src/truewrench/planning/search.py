@@ -28,44 +28,26 @@ _LOOKED_AT = 5  # of these motions
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """What a search may take.
+    """What a search may take."""
 
-    Attributes:
-        random: motions that are drawn.
-        starts: of them that are optimised.
-        first: iterations of IPOPT from each of them,
-        finalists: how many of them are optimised further,
-        iterations: by so many,
-        again: and iterations from the best, in every round of one with limits a little tighter.
-        rounds: of each optimisation, with the constraints that the one before came near.
-        excess: of its size that a motion may lose to limits that it exceeds; sigma grows as much.
-    """
-
-    random: int = 200
-    starts: int = 6
-    first: int = 30
-    finalists: int = 2
-    iterations: int = 60
-    again: int = 30
-    rounds: int = 1
-    excess: float = 0.003
+    random: int = 200  # motions that are drawn
+    starts: int = 6  # of them that are optimised
+    first: int = 30  # iterations of IPOPT from each of them,
+    finalists: int = 2  # how many of them are optimised further,
+    iterations: int = 60  # by so many,
+    again: int = 30  # and iterations from the best, in every round of one with limits a little tighter
+    rounds: int = 1  # of each optimisation, with the constraints that the one before came near
+    excess: float = 0.003  # of its size that a motion may lose to limits that it exceeds; sigma grows as much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        motion: the best.
-        values: criterion that every start reached.
-        random: criterion of the random motions, sorted.
-        iterations: of IPOPT, all together.
-    """
-
-    motion: FourierMotion
-    values: tuple[float, ...]
-    random: tuple[float, ...]
-    iterations: int
+    motion: FourierMotion  # the best
+    values: tuple[float, ...]  # criterion that every start reached
+    random: tuple[float, ...]  # criterion of the random motions, sorted
+    iterations: int  # of IPOPT, all together
 
     def facts(self) -> dict[str, Any]:
         """How it was found, as PLAN.plan.yaml holds it."""

@@ -19,17 +19,11 @@ from truewrench.model.arrays import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeriesBasis:
-    """m functions that span the series, all of one period; with `rest` those that rest at both ends.
+    """m functions that span the series, all of one period; with `rest` those that rest at both ends."""
 
-    Attributes:
-        harmonics: H.
-        period: [s].
-        rest: whether the motion starts and ends at rest.
-    """
-
-    harmonics: int
-    period: float
-    rest: bool
+    harmonics: int  # H
+    period: float  # [s]
+    rest: bool  # whether the motion starts and ends at rest
 
     @property
     def size(self) -> int:
@@ -62,19 +56,12 @@ def _null_space(normal: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FourierMotion:
-    """One series per coordinate, repeated until the motion ends.
+    """One series per coordinate, repeated until the motion ends."""
 
-    Attributes:
-        basis: the functions.
-        start: (n,) coordinates at time 0.
-        coefficients: (m, n).
-        duration: a whole number of periods [s].
-    """
-
-    basis: SeriesBasis
-    start: Array
-    coefficients: Array
-    duration: float
+    basis: SeriesBasis  # the functions
+    start: Array  # (n,) coordinates at time 0
+    coefficients: Array  # (m, n)
+    duration: float  # a whole number of periods [s]
 
     def position(self, time: Array) -> Array:
         """Coordinates (N, n) at the times (N,) [s]."""

@@ -17,21 +17,13 @@ _DIFFERENCE = 1e-4  # [m/s, rad/s] of an initial twist, for the derivative of it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """B wrenches ``f_i = f0_i sin(2 pi k_i t/tau)``, ``n_i = n0_i cos(2 pi k_i t/tau)`` on one body.
+    """B wrenches ``f_i = f0_i sin(2 pi k_i t/tau)``, ``n_i = n0_i cos(2 pi k_i t/tau)`` on one body."""
 
-    Attributes:
-        body: the payload.
-        force: (B, 3) f0 [N].
-        moment: (B, 3) n0 [N m].
-        k: (B, 3) three distinct integers each.
-        tau: their period, and the length of the motion [s].
-    """
-
-    body: Body
-    force: Array
-    moment: Array
-    k: Integers
-    tau: float
+    body: Body  # the payload
+    force: Array  # (B, 3) f0 [N]
+    moment: Array  # (B, 3) n0 [N m]
+    k: Integers  # (B, 3) three distinct integers each
+    tau: float  # their period, and the length of the motion [s]
 
     def scaled(self, factor: float) -> Batch:
         """All amplitudes times a factor."""
@@ -57,21 +49,13 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
-    """What the wrenches do to the body, in S + 1 even steps.
+    """What the wrenches do to the body, in S + 1 even steps."""
 
-    Attributes:
-        time: (S + 1,) [s].
-        twist: (S + 1, B, 6) of the centre of mass.
-        acceleration: (S + 1, B, 6).
-        place: (S + 1, B, 3) of the centre of mass, from where it starts, in the axes at the start [m].
-        rotation: (S + 1, B, 3, 3) from body axes into those.
-    """
-
-    time: Array
-    twist: Array
-    acceleration: Array
-    place: Array
-    rotation: Array
+    time: Array  # (S + 1,) [s]
+    twist: Array  # (S + 1, B, 6) of the centre of mass
+    acceleration: Array  # (S + 1, B, 6)
+    place: Array  # (S + 1, B, 3) of the centre of mass, from where it starts, in the axes at the start [m]
+    rotation: Array  # (S + 1, B, 3, 3) from body axes into those
 
     @property
     def drift(self) -> Array:

@@ -23,23 +23,14 @@ _CLOSE = 0.85  # use of a limit from which on a constraint is looked at
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """A motion.
+    """A motion."""
 
-    Attributes:
-        start: (n,).
-        coefficients: (m, n).
-        value: of what is minimised.
-        criterion: of it, without the price of few frequencies.
-        worst: largest use of a limit at the nodes; above 1 it is violated.
-        iterations: that it took.
-    """
-
-    start: Array
-    coefficients: Array
-    value: float
-    criterion: float
-    worst: float
-    iterations: int = 0
+    start: Array  # (n,)
+    coefficients: Array  # (m, n)
+    value: float  # of what is minimised
+    criterion: float  # of it, without the price of few frequencies
+    worst: float  # largest use of a limit at the nodes; above 1 it is violated
+    iterations: int = 0  # that it took
 
     @property
     def merit(self) -> float:

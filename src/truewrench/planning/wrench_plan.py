@@ -38,21 +38,13 @@ _TRIES = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sinusoids:
-    """A wrench and the initial twist (6,) that keeps its body from drifting.
+    """A wrench and the initial twist (6,) that keeps its body from drifting."""
 
-    Attributes:
-        wrench: as a function of time.
-        body: the payload.
-        initial: twist of the centre of mass at time 0.
-        value: the criterion.
-        feasible: whether the motion is within the limits.
-    """
-
-    wrench: WrenchSinusoids
-    body: Body
-    initial: Array
-    value: float
-    feasible: bool
+    wrench: WrenchSinusoids  # as a function of time
+    body: Body  # the payload
+    initial: Array  # twist of the centre of mass at time 0
+    value: float  # the criterion
+    feasible: bool  # whether the motion is within the limits
 
 
 def design_wrench(rig: Rig, payload: str, progress: Progress) -> Design:

@@ -21,23 +21,14 @@ _NAMES = {"force": "sensor, forces", "moment": "sensor, moments", "channels": "s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Consistency:
-    """Of one stream.
+    """Of one stream."""
 
-    Attributes:
-        name: of the stream.
-        begin: (K,) of the blocks of time that the values belong to, on the common axis [s].
-        end: (K,).
-        value: (K,) mean square; 1 is what the noise stands for.
-        low: (K,) bounds between which chance keeps 99 of 100.
-        high: (K,).
-    """
-
-    name: str
-    begin: Array
-    end: Array
-    value: Array
-    low: Array
-    high: Array
+    name: str  # of the stream
+    begin: Array  # (K,) of the blocks of time that the values belong to, on the common axis [s]
+    end: Array  # (K,)
+    value: Array  # (K,) mean square; 1 is what the noise stands for
+    low: Array  # (K,) bounds between which chance keeps 99 of 100
+    high: Array  # (K,)
 
     @property
     def outside(self) -> int:

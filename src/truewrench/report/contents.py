@@ -40,25 +40,17 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """One question.
+    """One question."""
 
-    Attributes:
-        key: of the page's anchor.
-        title: as heading.
-        words: paragraphs; what to conclude comes first.
-        tables: after them.
-        figures: after these; a figure without a caption belongs to the next one that has.
-        time_axis: end of the time axis [s] that figures over time share, where its buttons stand, else 0.
-        lists: title and lines of lists that can be opened.
-    """
-
-    key: str
-    title: str
-    words: tuple[str, ...] = ()
-    tables: tuple[Table, ...] = ()
+    key: str  # of the page's anchor
+    title: str  # as heading
+    words: tuple[str, ...] = ()  # paragraphs; what to conclude comes first
+    tables: tuple[Table, ...] = ()  # after them
+    # after these; a figure without a caption belongs to the next one that has
     figures: tuple[Figure, ...] = ()
+    # end of the time axis [s] that figures over time share, where its buttons stand, else 0
     time_axis: float = 0.0
-    lists: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    lists: tuple[tuple[str, tuple[str, ...]], ...] = ()  # title and lines of lists that can be opened
 
 
 def sections(calibration: Calibration, evidence: Evidence) -> list[Section]:

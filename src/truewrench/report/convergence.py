@@ -25,23 +25,14 @@ _MOST = 400  # points of an estimator's own history
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Convergence:
-    """RMS over the normalised gains, as shares of full scale.
+    """RMS over the normalised gains, as shares of full scale."""
 
-    Attributes:
-        time: (K,) on the common time axis [s].
-        distance: (K,) of the gain so far from that of all rows.
-        sigma: (K,) of the gain so far, by noise alone.
-        final: stated 1 sigma of the final gain, with all that is uncertain.
-        history_time: (H,) of the estimator's own history, empty where it has none.
-        history: (H,) distance of its gain from its final one.
-    """
-
-    time: Array
-    distance: Array
-    sigma: Array
-    final: float
-    history_time: Array
-    history: Array
+    time: Array  # (K,) on the common time axis [s]
+    distance: Array  # (K,) of the gain so far from that of all rows
+    sigma: Array  # (K,) of the gain so far, by noise alone
+    final: float  # stated 1 sigma of the final gain, with all that is uncertain
+    history_time: Array  # (H,) of the estimator's own history, empty where it has none
+    history: Array  # (H,) distance of its gain from its final one
 
 
 def convergence(calibration: Calibration, evidence: Evidence, record: Record) -> Convergence | None:

@@ -28,39 +28,24 @@ _LEAST_LEFT = 0.3  # of a channel's noise, where a fit is said to follow the res
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """One log; without residuals all arrays over samples are empty.
+    """One log; without residuals all arrays over samples are empty."""
 
-    Attributes:
-        begin: of the log on the common time axis [s].
-        duration: of the log [s].
-        time: (M,) [s from the log's first row].
-        wrench: (M, 6) that the corrected one is held against [N, N m]; NaN where there is none.
-        measured: (M, 6) the corrected wrench, samples that were left out among them.
-        residual: (M, 6) measured minus `wrench`, less `discrepancy`; NaN where there is none or left out.
-        discrepancy: (M, 6) slow disturbance that the fit holds [N, N m]; None where it holds none.
-        channels: (M, n) what a fit leaves of the raw channels, likewise; without a fit empty.
-        sigma: (M, 6) or (6,) of `residual` by the noise, as found where the estimator finds it.
-        noise: (n,) of a sample of a channel, likewise.
-        left: (n,) share of its variance that a fit leaves in the residuals.
-        left_out: (begin, end) of samples left out [s from the log's first row].
-        outside: (begin, end) of samples outside of every stretch that could be estimated from.
-        steps: when the offset stepped.
-    """
-
-    begin: float
-    duration: float
-    time: Array
-    wrench: Array
-    measured: Array
-    residual: Array
-    channels: Array
-    sigma: Array
-    noise: Array
-    left: Array
+    begin: float  # of the log on the common time axis [s]
+    duration: float  # of the log [s]
+    time: Array  # (M,) [s from the log's first row]
+    wrench: Array  # (M, 6) that the corrected one is held against [N, N m]; NaN where there is none
+    measured: Array  # (M, 6) the corrected wrench, samples that were left out among them
+    residual: Array  # (M, 6) measured minus `wrench`, less `discrepancy`; NaN where there is none or left out
+    channels: Array  # (M, n) what a fit leaves of the raw channels, likewise; without a fit empty
+    sigma: Array  # (M, 6) or (6,) of `residual` by the noise, as found where the estimator finds it
+    noise: Array  # (n,) of a sample of a channel, likewise
+    left: Array  # (n,) share of its variance that a fit leaves in the residuals
+    # (M, 6) slow disturbance that the fit holds [N, N m]; None where it holds none
     discrepancy: Array | None = None
-    left_out: tuple[Span, ...] = ()
+    left_out: tuple[Span, ...] = ()  # (begin, end) of samples left out [s from the log's first row]
+    # (begin, end) of samples outside of every stretch that could be estimated from
     outside: tuple[Span, ...] = ()
-    steps: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()  # when the offset stepped
 
     @property
     def normalised(self) -> Array:
@@ -70,20 +55,14 @@ class Series:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """All logs, one after the other.
+    """All logs, one after the other."""
 
-    Attributes:
-        logs: those that have residuals, and those that have none.
-        source: `fit` where the motion was fitted to the sensor, too, `reference` where the wrench is known,
-            `velocities` where these alone give the motion, whose noise is not white then.
-        part: words for the rows that are shown, where these are not all.
-        none_because: why no log has residuals, empty where one has.
-    """
-
-    logs: tuple[Series, ...]
+    logs: tuple[Series, ...]  # those that have residuals, and those that have none
+    # `fit` where the motion was fitted to the sensor, too, `reference` where the wrench is known,
+    # `velocities` where these alone give the motion, whose noise is not white then
     source: Literal["fit", "reference", "velocities"] = "fit"
-    part: str = ""
-    none_because: str = ""
+    part: str = ""  # words for the rows that are shown, where these are not all
+    none_because: str = ""  # why no log has residuals, empty where one has
 
     @property
     def against(self) -> str:

@@ -21,53 +21,32 @@ _IRREGULAR = 1.5  # periods between two samples that end a run
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Envelope:
-    """Curves over the common time axis.
+    """Curves over the common time axis."""
 
-    Attributes:
-        time: (K,) [s]; NaN breaks the lines.
-        values: (K, C): where decimated, smallest and largest in turns.
-        bucket: length of a bucket [s], None where every sample is there.
-    """
-
-    time: Array
-    values: Array
-    bucket: float | None
+    time: Array  # (K,) [s]; NaN breaks the lines
+    values: Array  # (K, C): where decimated, smallest and largest in turns
+    bucket: float | None  # length of a bucket [s], None where every sample is there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """Power density of the residuals over the one expected of their noise.
+    """Power density of the residuals over the one expected of their noise."""
 
-    Attributes:
-        frequency: (K,) [Hz].
-        ratio: (K, 6).
-        low: (K,) bounds between which chance keeps 95 of 100 ratios.
-        high: (K,).
-    """
-
-    frequency: Array
-    ratio: Array
-    low: Array
-    high: Array
+    frequency: Array  # (K,) [Hz]
+    ratio: Array  # (K, 6)
+    low: Array  # (K,) bounds between which chance keeps 95 of 100 ratios
+    high: Array  # (K,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
-    """Of residuals in units of their sigma.
+    """Of residuals in units of their sigma."""
 
-    Attributes:
-        edges: (B + 1,).
-        density: (B, 6) per sigma.
-        within: (6,) share of the samples within 1.96 sigma.
-        outside: (6,) samples beyond the edges.
-        size: (6,) RMS.
-    """
-
-    edges: Array
-    density: Array
-    within: Array
-    outside: Integers
-    size: Array
+    edges: Array  # (B + 1,)
+    density: Array  # (B, 6) per sigma
+    within: Array  # (6,) share of the samples within 1.96 sigma
+    outside: Integers  # (6,) samples beyond the edges
+    size: Array  # (6,) RMS
 
 
 def envelope(record: Record, values_of: Callable[[Series], Array]) -> Envelope:

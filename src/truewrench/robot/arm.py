@@ -23,57 +23,35 @@ from truewrench.motion.trajectory import rotation_matrix
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseMotion:
-    """How the root itself moves, in N rows.
+    """How the root itself moves, in N rows."""
 
-    Attributes:
-        twist: (N, 6) of the root's origin, root axes [m/s, rad/s].
-        acceleration: (N, 6) its component-wise derivative.
-    """
-
-    twist: Array
-    acceleration: Array
+    twist: Array  # (N, 6) of the root's origin, root axes [m/s, rad/s]
+    acceleration: Array  # (N, 6) its component-wise derivative
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmMotion:
-    """How the sensor frame moves, in N rows.
+    """How the sensor frame moves, in N rows."""
 
-    Attributes:
-        twist: (N, 6) of the sensor's origin, sensor axes [m/s, rad/s].
-        acceleration: (N, 6) its component-wise derivative.
-        R_root_sensor: (N, 3, 3) turns sensor coordinates into those of the root.
-        p_root_sensor: (N, 3) position of the sensor's origin in the root [m].
-    """
-
-    twist: Array
-    acceleration: Array
-    R_root_sensor: Array
-    p_root_sensor: Array
+    twist: Array  # (N, 6) of the sensor's origin, sensor axes [m/s, rad/s]
+    acceleration: Array  # (N, 6) its component-wise derivative
+    R_root_sensor: Array  # (N, 3, 3) turns sensor coordinates into those of the root
+    p_root_sensor: Array  # (N, 3) position of the sensor's origin in the root [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """The n joints that move the sensor frame, all others locked at zero.
+    """The n joints that move the sensor frame, all others locked at zero."""
 
-    Attributes:
-        joints: their names in the order of the chain, root first: the order of every per-joint list.
-        lower: (n,) smallest position [rad, m], -inf where there is none.
-        upper: (n,) largest position, inf where there is none.
-        velocity: (n,) largest speed [rad/s, m/s], inf where there is none.
-        effort: (n,) largest torque or force [N m, N], inf where there is none.
-        sensor_frame: its name in the URDF.
-        model: the `pinocchio.Model` of these joints; its nq = nv = n.
-        frame_id: of the sensor frame in the model.
-    """
-
+    # their names in the order of the chain, root first: the order of every per-joint list
     joints: tuple[str, ...]
-    lower: Array
-    upper: Array
-    velocity: Array
-    effort: Array
-    sensor_frame: str
-    model: Any
-    frame_id: int
+    lower: Array  # (n,) smallest position [rad, m], -inf where there is none
+    upper: Array  # (n,) largest position, inf where there is none
+    velocity: Array  # (n,) largest speed [rad/s, m/s], inf where there is none
+    effort: Array  # (n,) largest torque or force [N m, N], inf where there is none
+    sensor_frame: str  # its name in the URDF
+    model: Any  # the `pinocchio.Model` of these joints; its nq = nv = n
+    frame_id: int  # of the sensor frame in the model
 
     @property
     def n(self) -> int:

@@ -17,16 +17,13 @@ from truewrench.robot.arm import rotation_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BasePath:
-    """The motion of the robot's root, exact, between the rows that tell it; at rest where none does.
+    """The motion of the robot's root, exact, between the rows that tell it; at rest where none does."""
 
-    Attributes:
-        twist: of time [s]: (K, 6) of the root's origin, root axes [m/s, rad/s]; None at rest.
-        attitude: of time: (K, 4) quaternions w, x, y, z of any length, root to inertial; None: they agree.
-        pieces: of each stream of the base, [begin, end] of the times at which it is known [s].
-    """
-
+    # of time [s]: (K, 6) of the root's origin, root axes [m/s, rad/s]; None at rest
     twist: CubicSpline | None
+    # of time: (K, 4) quaternions w, x, y, z of any length, root to inertial; None: they agree
     attitude: CubicSpline | None
+    # of each stream of the base, [begin, end] of the times at which it is known [s]
     pieces: tuple[tuple[tuple[float, float], ...], ...]
 
     @classmethod

@@ -16,21 +16,13 @@ _CHUNK = 4096  # rows, whose Jacobians take 8 MB
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorMotion:
-    """How the sensor frame moves, in N rows, sensor axes.
+    """How the sensor frame moves, in N rows, sensor axes."""
 
-    Attributes:
-        twist: (N, 6) of its origin [m/s, rad/s].
-        acceleration: (N, 6) its component-wise derivative.
-        R_sensor_inertial: (N, 3, 3).
-        jacobian: (N, 6, n) J of nu = J qd, the base at rest.
-        jacobian_rate: (N, 6, n) Jdot, its component-wise derivative: a = J qdd + Jdot qd.
-    """
-
-    twist: Array
-    acceleration: Array
-    R_sensor_inertial: Array
-    jacobian: Array
-    jacobian_rate: Array
+    twist: Array  # (N, 6) of its origin [m/s, rad/s]
+    acceleration: Array  # (N, 6) its component-wise derivative
+    R_sensor_inertial: Array  # (N, 3, 3)
+    jacobian: Array  # (N, 6, n) J of nu = J qd, the base at rest
+    jacobian_rate: Array  # (N, 6, n) Jdot, its component-wise derivative: a = J qdd + Jdot qd
 
 
 def chain_of(robot: Robot) -> _core.Chain:

@@ -297,20 +297,13 @@ def _without_gaps(time: Array, values: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedStream:
-    """What joints measured of the sensor's motion.
+    """What joints measured of the sensor's motion."""
 
-    Attributes:
-        order: which derivative of the coordinates: of the twist, or of the displacement from the reference.
-        rows: (M,) of the log.
-        value: (M, 6).
-        covariance: (M, 6, 6).
-        coupling: (M, 6, 6) of the derivative of the order below, which is added; None for zero.
-    """
-
-    order: int
-    rows: Integers
-    value: Array
-    covariance: Array
+    order: int  # which derivative of the coordinates: of the twist, or of the displacement from the reference
+    rows: Integers  # (M,) of the log
+    value: Array  # (M, 6)
+    covariance: Array  # (M, 6, 6)
+    # (M, 6, 6) of the derivative of the order below, which is added; None for zero
     coupling: Array | None = None
 
 

@@ -68,17 +68,12 @@ def products(wrench: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class PoseForce:
-    """A force that follows the pose, every axis of mean 0 and RMS 1 over the record.
+    """A force that follows the pose, every axis of mean 0 and RMS 1 over the record."""
 
-    Attributes:
-        force: (F, 6).
-        linear: (6, d) of it, per standard deviation of each component of the pose; 0 where it does not move.
-        spread: (d,) standard deviation of these components [m, rad].
-    """
-
-    force: Array
+    force: Array  # (F, 6)
+    # (6, d) of it, per standard deviation of each component of the pose; 0 where it does not move
     linear: Array
-    spread: Array
+    spread: Array  # (d,) standard deviation of these components [m, rad]
 
 
 def pose_force(pose: Array, rng: Rng) -> PoseForce | None:

@@ -53,41 +53,25 @@ _CONTINUOUS = {  # kinds that need the truth between the samples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FineMotion:
-    """The ideal run at ``Hardware.fine_time``, F samples.
+    """The ideal run at ``Hardware.fine_time``, F samples."""
 
-    Attributes:
-        wrench: (F, 6) of the payload on the sensor, sensor axes [N, N m].
-        velocity: (F, d) what is logged of the motion: twist or joint velocities.
-        pose: (F, d) what a cable follows: the twist's integral by component, or joint positions.
-    """
-
-    wrench: Array
-    velocity: Array
-    pose: Array
+    wrench: Array  # (F, 6) of the payload on the sensor, sensor axes [N, N m]
+    velocity: Array  # (F, d) what is logged of the motion: twist or joint velocities
+    pose: Array  # (F, d) what a cable follows: the twist's integral by component, or joint positions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readout:
-    """What the hardware makes of ideal signals, at the samples of one log.
+    """What the hardware makes of ideal signals, at the samples of one log."""
 
-    Attributes:
-        departure: (M, n) of the channels at the sensor's samples [raw units].
-        lag: (K, d) of the velocities at the samples of the motion.
-        sensor_filter: that the sensor's noise passes.
-        rate: of the sensor [Hz].
-        seed: of the run.
-        noise: factor on the stated noise.
-        quantisation: steps of the logged motion, in sigmas.
-        told: the imperfections as applied, with all that was drawn, as LOG.truth.yaml holds them.
-    """
-
-    departure: Array | float = 0.0
-    lag: Array | float = 0.0
-    sensor_filter: LowPass | None = None
-    rate: float = 0.0
-    seed: int = 0
-    noise: float = 1.0
-    quantisation: float = 0.0
+    departure: Array | float = 0.0  # (M, n) of the channels at the sensor's samples [raw units]
+    lag: Array | float = 0.0  # (K, d) of the velocities at the samples of the motion
+    sensor_filter: LowPass | None = None  # that the sensor's noise passes
+    rate: float = 0.0  # of the sensor [Hz]
+    seed: int = 0  # of the run
+    noise: float = 1.0  # factor on the stated noise
+    quantisation: float = 0.0  # steps of the logged motion, in sigmas
+    # the imperfections as applied, with all that was drawn, as LOG.truth.yaml holds them
     told: Mapping[str, Any] = field(default_factory=dict)
 
     def channels(self, ideal: Array, noise: Array) -> Array:
@@ -111,17 +95,11 @@ class Readout:
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """The hardware of one simulated run.
+    """The hardware of one simulated run."""
 
-    Attributes:
-        rig: its ``simulate.imperfections`` say what is imperfect.
-        seed: of the run.
-        duration: of the motion [s].
-    """
-
-    rig: Rig
-    seed: int
-    duration: float
+    rig: Rig  # its ``simulate.imperfections`` say what is imperfect
+    seed: int  # of the run
+    duration: float  # of the motion [s]
 
     def __post_init__(self) -> None:
         """Refuse what would begin after the motion ends."""

@@ -89,19 +89,12 @@ def read_truth(path: str | Path) -> Truth:
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """When the streams of a log have their samples.
+    """When the streams of a log have their samples."""
 
-    Attributes:
-        time_ns: (N,) of the rows, both streams together [ns].
-        motion_ns: (K,) of the motion.
-        sensor_ns: (M,) of the sensor.
-        shown: (M,) motion time that the sensor's samples show, ``t_sensor + time_offset`` [s].
-    """
-
-    time_ns: Integers
-    motion_ns: Integers
-    sensor_ns: Integers
-    shown: Array
+    time_ns: Integers  # (N,) of the rows, both streams together [ns]
+    motion_ns: Integers  # (K,) of the motion
+    sensor_ns: Integers  # (M,) of the sensor
+    shown: Array  # (M,) motion time that the sensor's samples show, ``t_sensor + time_offset`` [s]
 
     @property
     def time(self) -> Array:

@@ -22,19 +22,12 @@ _HELD = 0.1  # [s] that positions of joints are carried on by velocities
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionRows:
-    """N rows; NaN where a row does not tell.
+    """N rows; NaN where a row does not tell."""
 
-    Attributes:
-        twist: (N, 6) of the sensor's origin, sensor axes; without v of an IMU [m/s, rad/s].
-        fall: (N, 3) free fall there [m/s^2]; of an IMU less its specific force.
-        turn: (N, 9) R_sensor_root row by row.
-        noise: (N, 36) covariance of the twist where it changes with the pose, else (0, 36).
-    """
-
-    twist: Array
-    fall: Array
-    turn: Array
-    noise: Array
+    twist: Array  # (N, 6) of the sensor's origin, sensor axes; without v of an IMU [m/s, rad/s]
+    fall: Array  # (N, 3) free fall there [m/s^2]; of an IMU less its specific force
+    turn: Array  # (N, 9) R_sensor_root row by row
+    noise: Array  # (N, 36) covariance of the twist where it changes with the pose, else (0, 36)
 
 
 class MotionColumns:

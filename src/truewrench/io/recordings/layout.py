@@ -41,18 +41,13 @@ class Numbers:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Of one message.
+    """Of one message."""
 
-    Attributes:
-        message: the bytes that it was read from.
-        numbers: by the path of their field, `wrench.force.x`; a list of numbers is one entry.
-        texts: likewise.
-        structure: (K,) places of the bytes that say how long texts and lists are, and of the texts.
-    """
-
-    message: npt.NDArray[np.uint8]
+    message: npt.NDArray[np.uint8]  # the bytes that it was read from
+    # by the path of their field, `wrench.force.x`; a list of numbers is one entry
     numbers: Mapping[str, Numbers]
-    texts: Mapping[str, tuple[str, ...]]
+    texts: Mapping[str, tuple[str, ...]]  # likewise
+    # (K,) places of the bytes that say how long texts and lists are, and of the texts
     structure: npt.NDArray[np.intp]
 
     def holds_for(self, messages: npt.NDArray[np.uint8]) -> Mask:

@@ -26,21 +26,13 @@ _BYTES = 8 << 20  # or as many of all topics as these bytes hold
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """Messages of one type on one name.
+    """Messages of one type on one name."""
 
-    Attributes:
-        name: as it was published.
-        type_name: `geometry_msgs/msg/WrenchStamped`.
-        messages: how many, as the recording counts them.
-        publishers: known of ROS 1 only, else 1.
-        definitions: of the type and those in it.
-    """
-
-    name: str
-    type_name: str
-    messages: int
-    publishers: int = 1
-    definitions: Definitions = field(repr=False, default_factory=dict)
+    name: str  # as it was published
+    type_name: str  # `geometry_msgs/msg/WrenchStamped`
+    messages: int  # how many, as the recording counts them
+    publishers: int = 1  # known of ROS 1 only, else 1
+    definitions: Definitions = field(repr=False, default_factory=dict)  # of the type and those in it
 
 
 @dataclass(frozen=True, slots=True)

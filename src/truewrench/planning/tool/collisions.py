@@ -16,17 +16,11 @@ from truewrench.robot.arm import Robot
 
 @dataclass(frozen=True, eq=False)
 class Collisions:
-    """The collision geometry of an arm.
+    """The collision geometry of an arm."""
 
-    Attributes:
-        model: that of the arm.
-        geometry: a `pinocchio.GeometryModel` with the pairs that are looked at.
-        missing: meshes that were not found, and are not looked at.
-    """
-
-    model: Any
-    geometry: Any
-    missing: tuple[str, ...]
+    model: Any  # that of the arm
+    geometry: Any  # a `pinocchio.GeometryModel` with the pairs that are looked at
+    missing: tuple[str, ...]  # meshes that were not found, and are not looked at
 
     @property
     def pairs(self) -> int:

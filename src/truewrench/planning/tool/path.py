@@ -21,23 +21,14 @@ _SHORTEST = 0.5  # [s] of a move
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timed:
-    """A motion in N rows, and when it stands.
+    """A motion in N rows, and when it stands."""
 
-    Attributes:
-        time: (N,) [s].
-        position: (N, n) of the joints; of a twist the angle turned within the move.
-        velocity: (N, n), or the twist (N, 6).
-        acceleration: (N, n), or the derivative of the twist.
-        dwells: (T, 2) begin and end of each pose [s].
-        R_root_sensor: (T, 3, 3) of each pose.
-    """
-
-    time: Array
-    position: Array
-    velocity: Array
-    acceleration: Array
-    dwells: Array
-    R_root_sensor: Array
+    time: Array  # (N,) [s]
+    position: Array  # (N, n) of the joints; of a twist the angle turned within the move
+    velocity: Array  # (N, n), or the twist (N, 6)
+    acceleration: Array  # (N, n), or the derivative of the twist
+    dwells: Array  # (T, 2) begin and end of each pose [s]
+    R_root_sensor: Array  # (T, 3, 3) of each pose
 
 
 def _shape(s: Array) -> tuple[Array, Array, Array]:

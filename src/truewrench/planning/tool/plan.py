@@ -63,27 +63,18 @@ _SIMULATED = 60.0  # [s] of a motion, at most, whose log tells what it promises
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolPlan:
-    """Poses, or a motion, that determine a tool.
+    """Poses, or a motion, that determine a tool."""
 
-    Attributes:
-        rig: it is made for, with the expected tool as its only payload.
-        kind: `poses` or `motion`.
-        design: motion, table and preview.
-        dwells: (T, 2) begin and end of each pose [s].
-        fall: (T, 3) directions of gravity in the sensor, one a pose.
-        half_angle: of the cone about the direction at home whose rim is reached [rad]; 0 where it is no cone.
-        prediction: what an identification with it promises; None where nothing can be done.
-        seconds: that planning took.
-    """
-
-    rig: Rig
-    kind: str
-    design: Design
-    dwells: Array
-    fall: Array
+    rig: Rig  # it is made for, with the expected tool as its only payload
+    kind: str  # `poses` or `motion`
+    design: Design  # motion, table and preview
+    dwells: Array  # (T, 2) begin and end of each pose [s]
+    fall: Array  # (T, 3) directions of gravity in the sensor, one a pose
+    # of the cone about the direction at home whose rim is reached [rad]; 0 where it is no cone
     half_angle: float
+    # what an identification with it promises; None where nothing can be done
     prediction: ToolPrediction | None
-    seconds: float
+    seconds: float  # that planning took
 
     @property
     def usage(self) -> list[Usage]:

@@ -34,23 +34,14 @@ _SPARE = 0.98  # of a limit that a posture may use: its neighbours on the way ar
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stand:
-    """What an arm may do while it stands.
+    """What an arm may do while it stands."""
 
-    Attributes:
-        rig: the rig.
-        robot: its arm.
-        limits: of joints, workspace, clearance and wrench.
-        outputs: what is limited, as a function of the joints.
-        collisions: of its links, None where the URDF states none.
-        home: (n,) where it begins.
-    """
-
-    rig: Rig
-    robot: Robot
-    limits: Limits
-    outputs: ArmOutputs
-    collisions: Collisions | None
-    home: Array
+    rig: Rig  # the rig
+    robot: Robot  # its arm
+    limits: Limits  # of joints, workspace, clearance and wrench
+    outputs: ArmOutputs  # what is limited, as a function of the joints
+    collisions: Collisions | None  # of its links, None where the URDF states none
+    home: Array  # (n,) where it begins
 
     @classmethod
     def of(cls, rig: Rig, payload: str) -> Stand:
@@ -98,21 +89,13 @@ class Stand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach:
-    """What gravity can do in the sensor.
+    """What gravity can do in the sensor."""
 
-    Attributes:
-        stand: the arm.
-        samples: (M, n) postures within the limits.
-        fall: (M, 3) directions of gravity there.
-        axis: (3,) that at home.
-        half_angle: [rad] of the widest cone about it whose rim is reached all around; 0 without any.
-    """
-
-    stand: Stand
-    samples: Array
-    fall: Array
-    axis: Array
-    half_angle: float
+    stand: Stand  # the arm
+    samples: Array  # (M, n) postures within the limits
+    fall: Array  # (M, 3) directions of gravity there
+    axis: Array  # (3,) that at home
+    half_angle: float  # [rad] of the widest cone about it whose rim is reached all around; 0 without any
 
 
 def reach_of(stand: Stand, widest: float, seed: int) -> Reach:

@@ -32,29 +32,18 @@ LATER = 3600.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolPrediction:
-    """1 sigma of what an identification will say.
+    """1 sigma of what an identification will say."""
 
-    Attributes:
-        mass: that is expected [kg].
-        mass_std: [kg].
-        center_of_mass_std: (3,) [m].
-        inertia_std: (6,) in the order of `ELEMENTS` [kg m^2]; None where nothing is accelerated.
-        offset_std: (n,) at the end [raw units].
-        gain_std: (n, 6) [raw units per N or N m].
-        determined: `mass`, `center_of_mass` (3), `inertia` (6), as tool.yaml says it.
-        contact_std: (6,) of a contact wrench at rest, right after the last pose, RMS over the poses [N, N m].
-        contact_std_later: (6,) an hour after it, without a tare.
-    """
-
-    mass: float
-    mass_std: float
-    center_of_mass_std: Array
-    inertia_std: Array | None
-    offset_std: Array
-    gain_std: Array
-    determined: Mapping[str, Any]
+    mass: float  # that is expected [kg]
+    mass_std: float  # [kg]
+    center_of_mass_std: Array  # (3,) [m]
+    inertia_std: Array | None  # (6,) in the order of `ELEMENTS` [kg m^2]; None where nothing is accelerated
+    offset_std: Array  # (n,) at the end [raw units]
+    gain_std: Array  # (n, 6) [raw units per N or N m]
+    determined: Mapping[str, Any]  # `mass`, `center_of_mass` (3), `inertia` (6), as tool.yaml says it
+    # (6,) of a contact wrench at rest, right after the last pose, RMS over the poses [N, N m]
     contact_std: Array
-    contact_std_later: Array
+    contact_std_later: Array  # (6,) an hour after it, without a tare
 
     def to_mapping(self) -> dict[str, Any]:
         """As PLAN.plan.yaml holds it."""

@@ -40,38 +40,23 @@ _STEP = 1.0  # at most, in units of the servos' fastest settling time: far insid
 
 @dataclass(frozen=True, slots=True)
 class Servo:
-    """Torque = gain * (e + integral * (integral of e)), e = planned velocity + position * (error) - velocity.
+    """Torque = gain (e + integral * (its integral)), e = planned velocity + position * (error) - velocity."""
 
-    Attributes:
-        gain: (n,) [N m s/rad].
-        position: of the outer loop [1/s].
-        integral: [1/s].
-        set_points: [Hz] of the plan.
-        fastest: rate at which the stiffest combination of joints settles [1/s].
-    """
-
-    gain: Array
-    position: float
-    integral: float
-    set_points: float
-    fastest: float
+    gain: Array  # (n,) [N m s/rad]
+    position: float  # of the outer loop [1/s]
+    integral: float  # [1/s]
+    set_points: float  # [Hz] of the plan
+    fastest: float  # rate at which the stiffest combination of joints settles [1/s]
 
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """The motion that the servos made, at the times that were asked for.
+    """The motion that the servos made, at the times that were asked for."""
 
-    Attributes:
-        position: (N, n) [rad, m].
-        velocity: (N, n).
-        torque: (N, n) of the drives [N m, N].
-        reading: of ideal sensors.
-    """
-
-    position: Array
-    velocity: Array
-    torque: Array
-    reading: Reading
+    position: Array  # (N, n) [rad, m]
+    velocity: Array  # (N, n)
+    torque: Array  # (N, n) of the drives [N m, N]
+    reading: Reading  # of ideal sensors
 
     def at(self, rows: Integers) -> Driven:
         """Some of the rows."""

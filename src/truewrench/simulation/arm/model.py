@@ -26,23 +26,14 @@ _LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-6  # [kg], [kg m^2]
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What ideal sensors at the sensor's centre measure, N samples in sensor axes.
+    """What ideal sensors at the sensor's centre measure, N samples in sensor axes."""
 
-    Attributes:
-        wrench: (N, 6) of the payload on the sensor [N, N m].
-        twist: (N, 6) of the sensor's origin [m/s, rad/s].
-        specific_force: (N, 3) what an accelerometer reads there, vdot + Omega x v - g [m/s^2].
-        gravity: (N, 3) acceleration of free fall [m/s^2].
-        R_root_sensor: (N, 3, 3) turns sensor coordinates into those of the root.
-        p_root_sensor: (N, 3) position of the sensor's origin in the root [m].
-    """
-
-    wrench: Array
-    twist: Array
-    specific_force: Array
-    gravity: Array
-    R_root_sensor: Array
-    p_root_sensor: Array
+    wrench: Array  # (N, 6) of the payload on the sensor [N, N m]
+    twist: Array  # (N, 6) of the sensor's origin [m/s, rad/s]
+    specific_force: Array  # (N, 3) what an accelerometer reads there, vdot + Omega x v - g [m/s^2]
+    gravity: Array  # (N, 3) acceleration of free fall [m/s^2]
+    R_root_sensor: Array  # (N, 3, 3) turns sensor coordinates into those of the root
+    p_root_sensor: Array  # (N, 3) position of the sensor's origin in the root [m]
 
     def at(self, rows: Integers) -> Reading:
         """Some of the rows."""
@@ -51,15 +42,10 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """An arm with its payload, n joints in the order of the chain; all other joints are locked at zero.
+    """An arm with its payload, n joints in the order of the chain; all other joints are locked at zero."""
 
-    Attributes:
-        joints: their names.
-        model: the compiled `mujoco.MjModel`, nq = nv = n.
-    """
-
-    joints: tuple[str, ...]
-    model: Any
+    joints: tuple[str, ...]  # their names
+    model: Any  # the compiled `mujoco.MjModel`, nq = nv = n
 
     @property
     def n(self) -> int:

@@ -33,23 +33,14 @@ _OVER = 1e-3  # of a joint's range, forgiven to a plan
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """What the arm did: everything of a run that neither gain nor noise decides.
+    """What the arm did: everything of a run that neither gain nor noise decides."""
 
-    Attributes:
-        stamps: of the log.
-        joints: positions, velocities and torques at `read`, with the readings of ideal sensors.
-        wrench: (M, 6) of the payload on the sensor at `shown`, sensor axes.
-        disagreement: largest, relative, of the recorded wrench and Newton-Euler on the recorded twist.
-        hardware: that reads all this; perfect where there is none.
-        fine: the run between the samples, where the hardware needs it.
-    """
-
-    stamps: Stamps
-    joints: Driven
-    wrench: Array
-    disagreement: float
-    hardware: Hardware | None = None
-    fine: FineMotion | None = None
+    stamps: Stamps  # of the log
+    joints: Driven  # positions, velocities and torques at `read`, with the readings of ideal sensors
+    wrench: Array  # (M, 6) of the payload on the sensor at `shown`, sensor axes
+    disagreement: float  # largest, relative, of the recorded wrench and Newton-Euler on the recorded twist
+    hardware: Hardware | None = None  # that reads all this; perfect where there is none
+    fine: FineMotion | None = None  # the run between the samples, where the hardware needs it
 
     @property
     def shown(self) -> Array:
