@@ -37,12 +37,9 @@ class _Plain:
 
 
 def hopeless(rig: Rig, logs: Sequence[Log], known: Sequence[Log]) -> list[str]:
-    """Why these logs cannot calibrate, in words; empty where they may.
+    """Why these logs of motion cannot calibrate, in words; empty where they may.
 
-    Args:
-        rig: what was stated.
-        logs: of motion.
-        known: those of them that carry a known payload.
+    Those that are `known` carry a known payload.
     """
     found = joint_faults(rig, logs)
     if found or not known:

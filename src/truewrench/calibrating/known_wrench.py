@@ -31,9 +31,8 @@ DEVIATE_OF_BLOCKS = 3.0  # of the mean difference of squares between the blocks:
 def wrench_is_known(rig: Rig, logs: Sequence[Log], estimator: str) -> bool:
     """Whether the logs hold reference wrenches, and so need no motion.
 
-    Raises:
-        InputError: for a rig that does not say how noisy they are, or logs some of which lack them.
-        UnsupportedError: for an estimator that does not know them.
+    Refused: a rig that does not say how noisy they are, logs some of which lack them, and estimators that do
+    not know them.
     """
     without = [log for log in logs if log.reference is None]
     if len(without) == len(logs):
@@ -109,11 +108,7 @@ def compare_known_wrench(
 ) -> Comparison:
     """Corrected against reference wrench, by the nominal gain (tared) and by the new one.
 
-    Args:
-        rig: sensor.
-        logs: those of the estimate.
-        estimate: of all rows.
-        held_out: estimate again without a fifth of the rows at a time, and compare on these.
+    If `held_out`, a fifth of the rows at a time is compared with what the others estimate.
     """
     blocks = [_blocks(len(log.raw), rows) for log, rows in zip(logs, estimate.rows, strict=True)]
     why = "not asked for"

@@ -62,17 +62,11 @@ def only_still(rig: Rig, logs: Sequence[Log]) -> bool:
 def estimate_still(
     rig: Rig, logs: Sequence[Log], before: Known | None = None, sizes: dict[str, Array] | None = None
 ) -> StillEstimate:
-    """Gain, offsets, payloads and the direction of gravity from static poses.
+    """Gain, offsets, payloads and the direction of gravity from static poses, the logs those of `only_still`.
 
-    Args:
-        rig: sensor and payloads, those with an uncertainty within it.
-        logs: of `only_still`.
-        before: what other logs told; None: as the rig states it.
-        sizes: `StillEstimate.sizes` that hold; None: found.
-
-    Raises:
-        InputError: for a pose whose direction of gravity nothing tells.
-        UnsupportedError: for one offset that all logs share.
+    `before` is what other logs told, by default what the rig states; `sizes`, `StillEstimate.sizes` that
+    hold, are found unless given. Refused: a pose whose direction of gravity nothing tells, and an offset
+    shared by all.
     """
     if rig.sensor.pool_offsets and (len(logs) > 1 or before is not None):
         raise UnsupportedError.at(

@@ -53,10 +53,6 @@ def with_first_guess(rig: Rig, logs: Sequence[Log]) -> Rig:
     """The rig with unknown bodies near what the logs say, their priors as wide as before.
 
     The logged point of a twist stays where it is: with `motion.of: com`, the centre of mass that is stated.
-
-    Args:
-        rig: as stated.
-        logs: all of the calibration.
     """
     found: dict[str, PayloadSpec] = {}
     for name in dict.fromkeys(log.payload for log in logs):
@@ -68,13 +64,7 @@ def with_first_guess(rig: Rig, logs: Sequence[Log]) -> Rig:
 def notes_on_bodies(
     rig: Rig, logs: Sequence[Log], payloads: Mapping[str, PayloadDeparture]
 ) -> tuple[str, ...]:
-    """What was found of the unknown bodies, and what the data did not tell.
-
-    Args:
-        rig: of `with_first_guess`.
-        logs: of the calibration.
-        payloads: what was found of each.
-    """
+    """What was found of the unknown bodies of `with_first_guess`, and what the data did not tell."""
     notes = []
     for name in dict.fromkeys(log.payload for log in logs if not known_payload(rig, log)):
         if name not in payloads:

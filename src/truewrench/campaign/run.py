@@ -55,21 +55,13 @@ def campaign(
     """Simulate and calibrate a rig many times, and write what came of it into a folder.
 
     The folder holds `campaign.yaml` (what was run), `trials/` (a Parquet data set, one row per trial),
-    `summary.yaml` and pictures. Trials that are already there are not run again.
-
-    Args:
-        rig: with what is drawn, and what is not, in its `simulate`; its first payload is carried.
-        trials: how many; more than the folder has extends it.
-        output: the folder.
-        estimator: as of `calibrate`.
-        seed: of the whole campaign, instead of `rig.simulate.seed`.
-        processes: all cores by default; no effect on the rows.
-        progress: called with a phase and the share of it that is done.
-        trajectory: the motion; that of `simulate` if left out.
-        restart: drop what another campaign left in the folder.
+    `summary.yaml` and pictures. Trials that are already there are not run again: more `trials` extend it.
+    What is drawn, and what is not, is in the rig's `simulate`; its first payload is carried. The number of
+    processes, by default all cores, has no effect on the rows; `progress` is told a phase and the share of it
+    that is done.
 
     Raises:
-        InputError: the folder holds another campaign.
+        InputError: the folder holds another campaign, and `restart` does not say to drop it.
         UnsupportedError: this rig cannot be simulated, or not calibrated by this estimator.
     """
     rig.check_motion("which a simulation needs")

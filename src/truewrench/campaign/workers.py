@@ -47,16 +47,9 @@ def in_processes(
 
     The processes are started anew (spawned) with one thread each for linear algebra, so a result does not
     depend on what this process has done before, nor on how many share the work. A script that calls this
-    needs the usual `if __name__ == "__main__":`.
-
-    Args:
-        function: importable by its name (or a `functools.partial` of such a function).
-        items: can be pickled, as the results.
-        processes: at most; no more than there are items.
-        attempts: at an item before it is given up: another program may have caused the first death.
-
-    Raises:
-        RuntimeError: processes die before they can take any work.
+    needs the usual `if __name__ == "__main__":`. The function is importable by its name (or a
+    `functools.partial` of such); items and results can be pickled. An item is given up after some attempts:
+    another program may have caused the first death. RuntimeError: processes die before they take any work.
     """
     waiting, deaths = deque(range(len(items))), Counter[int | None]()  # None: while starting
     workers = [_start(function) for _ in range(min(processes, len(items)))]

@@ -61,10 +61,8 @@ def check_folder(path: Path) -> None:
 def check_output(output: Path, *inputs: Path | str | None, recording: bool = False) -> None:
     """Refuse to write a file over an input of the same command, before any work is done.
 
-    Args:
-        output: refused where it is a folder, too, or has the name of a recording and becomes a table.
-        inputs: those given; one that does not exist is told by whoever reads it.
-        recording: whether FILE.mcap becomes a recording.
+    Refused is also a folder, and the name of a recording for a table, unless FILE.mcap becomes a `recording`.
+    An input that does not exist is told by whoever reads it.
     """
     exists = os.path.exists  # False, and no error, of a name that no file can have
     if exists(output) and output.is_dir():

@@ -19,11 +19,7 @@ if TYPE_CHECKING:
 
 
 def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool, dict[str, Any]]:
-    """The calibration, if `source` is one and no rig, the tool, and the verdict on using both.
-
-    Raises:
-        InputError: a file is at fault, or the two are of different sensors.
-    """
+    """The calibration, if `source` is one and no rig, the tool, and the verdict on using both."""
     from truewrench.correction.contact.run import check_same_sensor
     from truewrench.model.calibration import load_calibration
     from truewrench.model.files import read_yaml
@@ -40,11 +36,7 @@ def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool,
 
 
 def view_of(at: str | None, axes: Literal["sensor", "base"] | None) -> View:
-    """Where and how to express the wrench.
-
-    Raises:
-        InputError: `at` is not six numbers.
-    """
+    """Where and how to express the wrench; InputError if `at` is not six numbers."""
     from truewrench.correction.contact.run import View
 
     values: list[float] = [0.0] * 6

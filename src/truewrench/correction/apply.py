@@ -46,15 +46,8 @@ def apply(
     columns of the log are kept as they are, from CSV to CSV to the letter; rows in which a raw channel has no
     sample get empty cells. An offset that follows temperature is that of the latest reading in the column
     `temperature`; before the first one no wrench is told, and without the column it is that of the reference.
-
-    Args:
-        calibration: gives the rig's channels, gain, offset and uncertainty.
-        log: CSV, Parquet, or a recording, whose rows are the union of the stamps of its streams.
-        output: CSV, or Parquet where the name ends so; appears whole or not at all.
-        progress: called with the number of rows done so far.
-
-    Raises:
-        InputError: naming file, row and column.
+    The rows of a recording are the union of the stamps of its streams. The output, CSV, or Parquet where its
+    name ends so, appears whole or not at all; `progress` is told the number of rows done so far.
     """
     source = named_payload(log, calibration.rig)[0]
     run = Run(calibration, source, output, progress)
@@ -70,17 +63,7 @@ def apply(
 
 
 class Run:
-    """One pass over a log.
-
-    Args:
-        calibration: gives the rig's channels, gain, offset and uncertainty.
-        source: of the log, without a payload.
-        output: that will be written.
-        progress: called with the number of rows done so far.
-
-    Raises:
-        InputError: the log cannot be read, lacks channels, or is the output.
-    """
+    """One pass over a log, without a payload; refused if it lacks channels or is the output."""
 
     def __init__(
         self,
@@ -188,9 +171,7 @@ def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
     """What turns raw samples into wrenches and their 1 sigma: of noise, gain, offset, u (10.3), d (10.2).
 
     The gain is the tangent at no wrench; what a channel departs from it is part of sigma, and not corrected.
-
-    Raises:
-        InputError: naming the source of the samples, if the gain cannot be inverted.
+    A gain that cannot be inverted is an InputError, which names the source of the samples.
     """
     scale, nothing = calibration.rig.sensor.channel_scale, np.zeros(calibration.n)
     quadratic = discrepancy = nothing

@@ -38,18 +38,9 @@ def apply_to_recording(
     """Write the raw channels, the true wrench, its 1 sigma and the payload's wrench by the motion as MCAP.
 
     Raw channels are wrenches where there are six of them, otherwise arrays. The prediction comes from the
-    motion alone, with the payload as the rig states it; where motion or payload is not known, it is left out,
-    and a note says why.
-
-    Args:
-        calibration: gives the rig's channels, gain, offset and uncertainty, motion and payloads.
-        log: a table or a recording; `LOG@PAYLOAD` where the rig has several payloads.
-        output: appears whole or not at all.
-        predict: without it, memory does not grow with the log.
-        progress: called with the number of rows done so far.
-
-    Raises:
-        InputError: naming file, place and value.
+    motion alone, with the payload as the rig states it (`LOG@PAYLOAD` where there are several); where motion
+    or payload is not known, it is left out, and a note says why. Without it, memory does not grow with the
+    log. The output appears whole or not at all; `progress` is told the number of rows done so far.
     """
     rig = calibration.rig
     run = Run(calibration, named_payload(log, rig)[0], output, progress)

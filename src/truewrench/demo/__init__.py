@@ -102,13 +102,7 @@ class Comparison:
 def run(output: Path, seed: int = 0, progress: Callable[[str], None] | None = None) -> dict[str, Any]:
     """Run the case of the paper and write rig, log, truth, calibration, table and figures into a folder.
 
-    Args:
-        output: folder, made where there is none.
-        seed: of gain and noise.
-        progress: is told what is being done.
-
-    Returns:
-        `outputs`: the files; `figures`: numbers by name; `text`: the table, for a person.
+    Returns `outputs`: the files; `figures`: numbers by name; `text`: the table, for a person.
     """
     tell = progress or (lambda _: None)
     output.mkdir(parents=True, exist_ok=True)

@@ -35,19 +35,9 @@ def run_arm(
 ) -> dict[str, Any]:
     """Plan, simulate, calibrate and validate with an arm, and write every file and picture into a folder.
 
-    Args:
-        arm: name of a packaged arm, or path of a rig.
-        output: folder, made where there is none; rig and URDF are copied into it.
-        seed: of gain, offset and noise; another log of the same sensor validates.
-        progress: is told what is being done, and the share of it that is done.
-
-    Returns:
-        `outputs`: the files; `figures`: numbers by name; `verdict`: of calibration and validation; `text`:
-        for a person.
-
-    Raises:
-        InputError: for an arm that is neither packaged nor a rig.
-        UnsupportedError: for a rig without an arm.
+    The arm is the name of a packaged one, or the path of a rig; rig and URDF are copied into the folder.
+    Another log of the same sensor validates. Returns `outputs`: the files; `figures`: numbers by name;
+    `verdict`: of calibration and validation; `text`: for a person.
     """
     tell = progress or (lambda phase, share: None)
     rig = load_rig(arm if Path(arm).exists() else robots.path(arm))

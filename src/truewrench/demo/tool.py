@@ -69,14 +69,8 @@ def run_tool(
 ) -> dict[str, Any]:
     """Run the whole way of a tool, and write every file, picture and a page into a folder.
 
-    Args:
-        output: folder, made where there is none; rig and URDF are copied into it.
-        seed: of gain, offset, drift and noise.
-        progress: is told what is being done, and the share of it that is done.
-        size: how much is done.
-
-    Returns:
-        `outputs`: the files; `figures`: numbers by name; `verdict`; `text`: for a person.
+    Rig and URDF are copied into it. Returns `outputs`: the files; `figures`: numbers by name; `verdict`;
+    `text`: for a person.
     """
     tell = progress or (lambda phase, share: None)
     output.mkdir(parents=True, exist_ok=True)

@@ -24,11 +24,8 @@ independent is then wrong by a tenth."""
 def noise_at_sensor(noise: Array, point: Array) -> Array | None:
     """1 sigma (6,) of a twist that is taken from a point to the sensor's origin.
 
-    None where Omega's noise would have too large a part in that of v.
-
-    Args:
-        noise: (6,) of [v, Omega].
-        point: (3,) from the sensor's origin [m].
+    `noise` (6,) is that of [v, Omega] at the point, (3,) from the sensor's origin [m]. None where Omega's
+    noise would have too large a part in that of v.
     """
     x, y, z = noise[3:] ** 2
     a, b, c = point**2
@@ -46,9 +43,8 @@ def at_sensor(log: Log, point: Array) -> Log:
 def told_acceleration(log: Log, fall: Array) -> Array:
     """(N, 3) vdot of the sensor's origin in sensor axes [m/s^2], NaN where nothing tells it.
 
-    Args:
-        log: with the twist of that origin and specific force, in rows of their own or the same.
-        fall: (N, 3) acceleration of free fall in sensor axes, NaN where it is not known.
+    The log has the twist of that origin and specific force, in rows of their own or the same; `fall` (N, 3)
+    is the acceleration of free fall in sensor axes, NaN where it is not known.
     """
     assert log.twist is not None
     assert log.specific_force is not None

@@ -102,16 +102,9 @@ def assemble(
     logs: Sequence[LogReport],
     **rest: Any,
 ) -> Calibration:
-    """The calibration that a gain and what is said about it are.
+    """The calibration that a gain and what is said about it are, `rest` further fields of it.
 
-    Args:
-        rig: of the sensor.
-        estimator: by name.
-        gain: (n, 6).
-        covariance: (7n, 7n) of [gain row by row, offset of the last log].
-        verdict: on it.
-        logs: one report each.
-        **rest: further fields of the calibration.
+    The covariance (7n, 7n) is of [gain row by row, offset of the last log].
     """
     n = rig.sensor.n
     std = np.sqrt(np.diag(covariance))

@@ -92,15 +92,8 @@ def information(rig: Rig, logs: Sequence[Log], gain: Array) -> tuple[Information
     """The Schur complement onto all that is shared of the information of (motion, shared), at the truth.
 
     The motion is that of splines fitted to what measured it; the truth is taken to be the estimate, payloads
-    and gravity are as stated, and clocks agree.
-
-    Args:
-        rig: sensor, payloads, motion noise and priors.
-        logs: the logs of the calibration.
-        gain: (n, 6).
-
-    Returns:
-        The information, and the wrench (M, 6) [N, N m] of every log at the samples that count.
+    and gravity are as stated, and clocks agree. The wrench (M, 6) [N, N m] of every log at the samples that
+    count is given back, too.
     """
     sensor, n = rig.sensor, rig.sensor.n
     normalised = gain * sensor.range_array / sensor.channel_scale[:, None]
@@ -129,9 +122,7 @@ def information(rig: Rig, logs: Sequence[Log], gain: Array) -> tuple[Information
 def oracle_rms(rig: Rig, wrenches: Sequence[Array]) -> float:
     """RMS of sigma_i^2 (W^T W)^-1 over the normalised gains: motion known, gain and offset alone unknown.
 
-    Args:
-        rig: sensor noise and priors.
-        wrenches: (M, 6) of every log, at its samples of the sensor; rows with NaN do not count.
+    The wrenches (M, 6) of every log are those at its samples of the sensor; rows with NaN do not count.
     """
     sensor, n = rig.sensor, rig.sensor.n
     offset_prior = sensor.offset_prior_array / sensor.channel_scale

@@ -64,11 +64,8 @@ def _rate(rows: LogRows, gain: Array, least: float) -> float:
 def told_rate(middle: Array, late: Array, weight: Array, least: float) -> float:
     """The slope of a lateness that grows along a straight line, 0 where that is not told.
 
-    Args:
-        middle: (P,) of parts of a record [s].
-        late: (P,) how late the sensor is in them [s].
-        weight: (P,) information on that [1/s^2].
-        least: sigma from which on it is told.
+    The sensor is late by (P,) [s] in the parts of a record with the middles (P,) [s], of which the weights
+    (P,) [1/s^2] are the information; `least` is the sigma from which on it is told.
     """
     apart = middle - weight @ middle / weight.sum()
     late = late - weight @ late / weight.sum()
@@ -94,10 +91,8 @@ def _rates_of(rows: LogRows, felt: Array) -> Array:
 def with_rate(log: Log, rate: float, middle: float | None = None) -> Log:
     """The log with its sensor's stamps as the motion's clock would have them, at rows of their own.
 
-    Args:
-        log: whose sensor's clock runs faster.
-        rate: by that much.
-        middle: where both agree [ns]; by default that of the sensor's samples.
+    The sensor's clock runs faster by `rate`. Both agree at `middle` [ns], by default that of the sensor's
+    samples.
     """
     sensed = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
     if middle is None:

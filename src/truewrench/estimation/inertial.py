@@ -54,13 +54,7 @@ class InertialChunk:
 class InertialMotion:
     """The motion of a log by its measurements: a spline per component and chunk, fitted once for all times.
 
-    Args:
-        rig: sensor, payloads, motion.
-        log: the rows.
-
-    Raises:
-        InputError: for a log without a twist, or without gravity where gravity acts.
-        UnsupportedError: for a rig with an IMU.
+    Refused: a log without a twist, or without gravity where gravity acts, and a rig with an IMU.
     """
 
     def __init__(self, rig: Rig, log: Log) -> None:
@@ -80,11 +74,9 @@ class InertialMotion:
         self._fits: dict[int, list[_Spline]] = {}  # by piece, those that were asked for
 
     def wrench(self, time_offset: float, lags: int) -> list[InertialChunk]:
-        """The wrench at the rows where every raw channel has a sample.
+        """The wrench where every raw channel has a sample, with t_motion = t_sensor + time_offset [s].
 
-        Args:
-            time_offset: t_motion = t_sensor + time_offset [s].
-            lags: H, the longest lag of `covariance`.
+        `lags` is H, the longest of `covariance`.
         """
         found = []
         at = self._time + time_offset

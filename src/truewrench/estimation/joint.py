@@ -15,12 +15,9 @@ _NOTHING = 1e-17  # variance of one that is exact
 
 
 def explained(covariance: Array, gains: int, at: Iterable[int]) -> Array:
-    """What of the variance of the first parameters others account for: K P_vv K^T, K = P_gv P_vv^-1.
+    """What the others at some places account for of the variance of the first `gains` parameters.
 
-    Args:
-        covariance: of all.
-        gains: how many the first are.
-        at: places of the others; those that are exact explain nothing.
+    That is K P_vv K^T, K = P_gv P_vv^-1, of the covariance of all; those that are exact explain nothing.
     """
     known = [k for k in sorted(at) if covariance[k, k] > _NOTHING]
     if not known:
@@ -70,14 +67,9 @@ class Joint:
     ) -> Joint:
         """The same once others have told more of some parts, and of new ones with them.
 
-        The rest is tied to the known parts by y = K x + what does not depend on x, K = P_yx P_xx^-1, which
-        stays; through it the new parts hang together with the rest.
-
-        Args:
-            known: parts of which more is known.
-            mean: of them, then of the new ones.
-            covariance: of the same.
-            new: size of each new part, in their order.
+        Mean and covariance are those of the `known` parts, then of the `new` ones, whose sizes are given. The
+        rest is tied to the known parts by y = K x + what does not depend on x, K = P_yx P_xx^-1, which stays;
+        through it the new parts hang together with the rest.
         """
         at = self.at(known)
         count = at.size

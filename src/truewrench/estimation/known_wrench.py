@@ -72,17 +72,10 @@ def estimate_from_known_wrench(
 ) -> KnownWrenchEstimate:
     """Estimate one gain, an offset per log and its slope with temperature from wrenches known from elsewhere.
 
-    Rows are synchronous: raw channels and reference of a row belong together (`with_reference_on_time`). Rows
-    that contradict all others by more than chance are left out, one mis-noted weight, say.
-
-    Args:
-        rig: sensor with its priors, `reference_noise`; payloads and motion play no part.
-        logs: with reference columns.
-        errors: sizes to estimate with, from an estimate with the same kinds of log; None: they are found.
-        clocks: what was undone at each log's reference, if anything was.
-
-    Raises:
-        InputError: for a log without a row that has both sides.
+    Rows are synchronous: raw channels and reference of a row belong together (`with_reference_on_time`, which
+    made the `clocks`). Rows that contradict all others by more than chance are left out, one mis-noted
+    weight, say. The rig's payloads and motion play no part. Sizes of `errors` may be those of an estimate
+    with the same kinds of log; else they are found. InputError: a log without a row that has both sides.
     """
     problem, complete, log_of = _problem(rig, logs)
     assert rig.reference_noise is not None

@@ -84,14 +84,7 @@ def whitened(chain: Chain, size: ErrorSize, x: Array) -> tuple[Array, float]:
 
 
 def predicted(chain: Chain, size: ErrorSize, x: Array, known: Mask) -> tuple[Array, Array]:
-    """What lasts, at each place of a chain from all other places: mean (M,) and variance (M,).
-
-    Args:
-        chain: the chain.
-        size: of the errors.
-        x: (M,) errors.
-        known: (M,) which of them count.
-    """
+    """What lasts of errors x (M,): mean (M,) and variance (M,) at each place, from all other known places."""
     if size.lasting == 0.0:
         return np.zeros_like(x), np.zeros_like(x)
     a, new = _memory(chain, size.time)
@@ -159,13 +152,10 @@ class _Likelihood:
 def find_sizes(
     chain: Chain, design: Array, residual: Array, within: Array
 ) -> tuple[list[ErrorSize], Array, Array]:
-    """Sizes of the errors of each channel by restricted likelihood.
+    """Sizes of the errors of each of n channels by restricted likelihood.
 
-    Args:
-        chain: M places.
-        design: (M, p) regressors.
-        residual: (M, n) in units of the stated sigma of a row.
-        within: (n,) squares of the rows about the means of which the chain is made, likewise.
+    Of M places: regressors (M, p), and residuals (M, n) in units of the stated sigma of a row; `within` (n,)
+    are the squares of the rows about the means of which the chain is made, likewise.
 
     Returns:
         The sizes; by how much -2 log L falls with them against the stated noise (n,); and how much of this
@@ -228,15 +218,9 @@ def spread_of_sizes(
 ) -> Spread:
     """What not knowing the sizes adds to the covariance of one channel's parameters.
 
-    Parameters and their covariance are averaged over the sizes, weighted by the likelihood.
-
-    Args:
-        chain: M places.
-        design: (M, p) regressors.
-        residual: (M,) of the estimate, in units of the stated sigma of a row.
-        within: squares of the rows about their means.
-        size: where the likelihood is largest.
-        known: (p, p) information on the parameters from elsewhere, in the same units.
+    Parameters and their covariance are averaged over the sizes, weighted by the likelihood, which is largest
+    at `size`. Design, residual and `within` are those of `find_sizes` for this channel; `known` (p, p) is the
+    information on the parameters from elsewhere, in the same units.
     """
     likelihood = _Likelihood(chain, design, residual[:, None], np.array([within]))
     p, freedom = likelihood.p, likelihood.freedom

@@ -43,15 +43,8 @@ def least_squares(
     """Estimate one gain and an offset per log by weighted least squares with an orthogonal factorisation.
 
     Directions of the gain that the motion does not excite keep their nominal value and prior variance.
-
-    Args:
-        rig: sensor and payloads, taken for exact.
-        logs: rows with raw channels and twist together.
-        smooth: None for central differences of the twist, "spline" for splines fitted to it beforehand.
-
-    Raises:
-        UnsupportedError: for streams of different rates.
-        InputError: for a log without enough complete rows.
+    Payloads are taken for exact; rows have raw channels and twist together, and streams of different rates
+    are not supported. The twist is derived by central differences, or by splines fitted to it beforehand.
     """
     sensor = rig.sensor
     parts = [_regressors(rig, log, smooth) for log in logs]

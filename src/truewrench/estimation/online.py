@@ -66,12 +66,9 @@ def _at_clocks(record: Any, clocks: Array) -> Any:
 
 
 def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> OnlineFound:
-    """Run the logs through the core in the order of time.
+    """Run the core's logs, of twists or an IMU, through it in the order of time.
 
-    Args:
-        statement: of the rig.
-        records: the core's logs, of twists or an IMU.
-        discrepancy: as stated; -1 for auto.
+    The discrepancy is as stated; -1 for auto.
     """
     settings = _core.IncrementalSettings()
     settings.discrepancy = discrepancy

@@ -18,16 +18,11 @@ def is_stepped(plateau: Integers) -> bool:
 
 
 def plateaus(time: Array, reference: Array, noise: Array) -> Integers:
-    """Numbers of the plateaus that rows belong to, -1 where the reference moves.
+    """Numbers of the plateaus that rows at times (N,) [s] belong to, -1 where the reference (N, 6) moves.
 
     A window of half a second stands still where no axis scatters more, and no half of it differs more from
-    the other, than noise explains. Rows that windows link are one plateau, as long as its windows do not
-    drift apart: a slow motion stands still in each window, and is no plateau.
-
-    Args:
-        time: (N,) increasing [s].
-        reference: (N, 6).
-        noise: (6,) 1 sigma of it.
+    the other, than noise (6,), 1 sigma, explains. Rows that windows link are one plateau, as long as its
+    windows do not drift apart: a slow motion stands still in each window, and is no plateau.
     """
     size = len(time)
     found = np.full(size, -1, dtype=np.int64)

@@ -56,24 +56,18 @@ class DelayShare:
 
 
 def pose_share(time: Array, twist: Array, wrench: Array, mask: Mask | None = None) -> PoseShare:
-    """A of (10.10) and E w w^T of one gap-free record of a twist.
+    """A of (10.10) and E w w^T of one gap-free record: its twist (N, 6) and normalised wrench (N, 6).
 
-    Args:
-        time: (N,), strictly increasing [s].
-        twist: (N, 6) sensor axes, finite [m/s, rad/s].
-        wrench: (N, 6) normalised.
-        mask: (N,) True where a sample is left out.
+    Samples where the mask (N,) is True are left out.
     """
     used = slice(None) if mask is None else ~mask
     return pooled_pose_share([pose_of_twist(time, twist)[used]], [wrench[used]])
 
 
 def pooled_pose_share(poses: Sequence[Array], wrenches: Sequence[Array]) -> PoseShare:
-    """The same of several records: each has a mean pose and an offset of its own.
+    """The same of several records, poses (N, 6) [m, rad] and normalised wrenches at the same samples.
 
-    Args:
-        poses: (N, 6) of every record [m, rad].
-        wrenches: (N, 6) normalised, at the same samples.
+    Each has a mean pose and an offset of its own.
     """
     w = np.concatenate(wrenches)
     pose = np.concatenate([_centred(x) for x in poses])
@@ -87,13 +81,9 @@ def pooled_pose_share(poses: Sequence[Array], wrenches: Sequence[Array]) -> Pose
 
 
 def pose_of_twist(time: Array, twist: Array) -> Array:
-    """Pose (N, 6) about its mean [m, rad]: the integral of the twist by component.
+    """Pose (N, 6) about its mean [m, rad]: the integral of the twist (N, 6) in sensor axes by component.
 
     A body that turns by more than a radian about its mean has a position and a rotation vector instead.
-
-    Args:
-        time: (N,), strictly increasing [s].
-        twist: (N, 6) sensor axes, finite.
     """
     pose = _centred(cumulative_trapezoid(twist, time, axis=0, initial=0))
     if len(pose) and np.linalg.norm(pose[:, 3:], axis=1).max() > _TURNS:
@@ -106,9 +96,7 @@ def pose_of_twist(time: Array, twist: Array) -> Array:
 def pose_about_mean(position: Array, rotation: Array) -> Array:
     """Position and rotation vector (N, 6) about the mean pose [m, rad].
 
-    Args:
-        position: (N, 3) [m].
-        rotation: (N, 3, 3) from sensor axes to those of the position.
+    The rotation (N, 3, 3) turns sensor axes into those of the position (N, 3) [m].
     """
     turned = Rotation.from_matrix(rotation)
     return np.column_stack([_centred(position), (turned.mean().inv() * turned).as_rotvec()])
@@ -139,11 +127,8 @@ def blind_to(
 ) -> tuple[BlindTo, ...]:
     """What would move some gain and leave no trace.
 
-    Args:
-        pose: of the motion.
-        delay: of the motion; named where the gain hides most of it, elsewhere the data show it.
-        gain: (n, 6) normalised; the identity if left out.
-        ceiling: 1 sigma that is known of a gain beforehand, beyond which nothing moves it.
+    A delay is named where the normalised gain (n, 6), the identity if left out, hides most of it: elsewhere
+    the data show it. Nothing moves a gain beyond `ceiling`, 1 sigma that is known of it beforehand.
     """
     # (10.10): f sqrt( largest diagonal of A / (1 - A) (E w w^T)^-1 / 6 )
     effect = min(FORCE * float(np.sqrt(np.diag(pose.unit_covariance).max())), ceiling)
@@ -175,11 +160,8 @@ def blind_to(
 def with_pose(covariance: Array, pose: PoseShare, size: Array, prior: Array) -> Array:
     """The covariance of the gain with what may follow the pose unseen, (10.10); none rises above its prior.
 
-    Args:
-        covariance: (6n, 6n) of the normalised gain, row by row.
-        pose: of the motion.
-        size: (n,) of the force in every channel, fraction of range, 1 sigma.
-        prior: (6n,) variance of every gain beforehand.
+    Covariance (6n, 6n) and prior variance (6n,) are of the normalised gain, row by row; `size` (n,) is 1
+    sigma of the force in every channel, fraction of range.
     """
     added = np.kron(np.diag(size**2), pose.unit_covariance)
     room = np.maximum(prior - np.diag(covariance), 0.0)

@@ -49,13 +49,9 @@ def recorded_logs(
 ) -> tuple[Assumptions, _core.Statement, list[_core.RecordedLog]]:
     """What is assumed of a rig and its logs, the same for the core, and the logs' streams.
 
-    Args:
-        rig: the user's statement.
-        logs: with a subtracted weight added back (`compensation.uncompensated`).
-        twists: of joints, what the tachometers measure of the sensor's twist, in place of the joints.
-
-    Raises:
-        InputError: for a log without motion, without samples of the sensor, or without gravity where it acts.
+    A subtracted weight is added back already (`compensation.uncompensated`). With `twists`, what the
+    tachometers measure of the sensor's twist stands in place of the joints. InputError: a log without motion,
+    without samples of the sensor, or without gravity where it acts.
     """
     assumptions = Assumptions.of(rig, logs)
     streams = [recorded(rig, assumptions, log, twists=twists).streams for log in logs]
@@ -63,20 +59,11 @@ def recorded_logs(
 
 
 def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = False) -> Recorded:
-    """The streams of one log.
+    """The streams of one log, as of `recorded_logs`.
 
     Samples of the sensor at which the attitude, or the motion of the base, is needed and not known are left
     out. The temperature between two readings is interpolated; before the first and after the last, it holds.
     A log may be too short to tell anything: that is for the estimator to say.
-
-    Args:
-        rig: source and point of the motion, payloads, robot.
-        assumptions: every number.
-        log: with a subtracted weight added back.
-        twists: as for `recorded_logs`.
-
-    Raises:
-        InputError: as for `recorded_logs`.
     """
     spec = rig.payloads[log.payload]
     out = _core.RecordedLog()
@@ -156,14 +143,10 @@ def _measured(log: Log, values: Array | None, expected: str) -> Array:
 def _twist_streams(
     assumptions: Assumptions, log: Log, point: Array, fall: Array, notes: list[str]
 ) -> tuple[list[_core.MotionStream], Array]:
-    """Of the twist, and of its component-wise derivative where its noise is stated; the point of both.
+    """Of the twist of a point (3,) from the sensor's origin [m], and that point.
 
-    Args:
-        assumptions: every number.
-        log: with the twist of a point (3,) from the sensor's origin [m].
-        point: that one.
-        fall: (N, 3) acceleration of free fall in sensor axes.
-        notes: what is said.
+    Of the twist's component-wise derivative, too, where its noise is stated; `fall` (N, 3) is the
+    acceleration of free fall in sensor axes.
     """
     _measured(log, log.twist, "vx vy vz wx wy wz")
     noise, sigma, acceleration = assumptions.motion_noise, assumptions.acceleration_noise, log.acceleration
@@ -258,14 +241,12 @@ def _joint_streams(
 def _from_start(
     rig: Rig, log: Log, velocity: Array, sigma: Array, notes: list[str]
 ) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Velocities alone (N, M), as far as they go without a gap, and one position for each stretch.
+    """Velocities alone (N, M), as far as they go without a gap, and of each stretch a position.
 
     The spline carries a position on. It begins where the sensor does, and anew where that was silent; there
-    the position is the integral of the velocities, which walks away with their noise by sigma sqrt(t dt).
-    Across a gap of the velocities nobody knows where the joints went: what follows is left out.
-
-    Returns:
-        The velocities, and of each stretch positions (N, M) in one row and their 1 sigma (M,).
+    the position, (N, M) in one row, is the integral of the velocities, which walks away with their noise by
+    sigma sqrt(t dt), its 1 sigma (M,). Across a gap of the velocities nobody knows where the joints went:
+    what follows is left out.
     """
     if rig.motion.initial_position is None:
         expected = "joint positions: the log has none"

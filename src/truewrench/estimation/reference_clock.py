@@ -50,10 +50,6 @@ def with_reference_on_time(rig: Rig, log: Log) -> tuple[Log, ReferenceClock | No
 
     A reference with stamps of its own comes to rows with both sides. Tables, short logs and those whose
     sensor is not told to be late come back as they are.
-
-    Args:
-        rig: sensor.
-        log: with reference columns.
     """
     if log.reference is None or rig.reference_noise is None:
         return log, None

@@ -104,13 +104,9 @@ class Shared:
         return np.asarray(share / share.sum(axis=0))
 
     def agreement(self, first: Mask, gains: int) -> float:
-        """How likely the gain moves as far by some of the fits (10.11).
+        """How likely the gain, the first parameters, moves as far by some of the (N,) fits (10.11).
 
         That is P s, with s = sum (V_i^-1 m_i - L_i y) over them, which is N(0, L - L P L).
-
-        Args:
-            first: (N,) which fits.
-            gains: how many of the first parameters are compared.
         """
         if first.all() or not first.any():
             return 1.0
@@ -127,12 +123,10 @@ class Shared:
         return float(chdtrc(int(told.sum()), float(np.sum(along[told] ** 2 / value[told]))))
 
     def with_own(self, fits: Sequence[Told]) -> tuple[Array, Array, list[Integers]]:
-        """The same with what some fits have of their own.
+        """The same with what some fits have of their own, and where that stands.
 
-        That hangs on the shared by x = K y + what does not depend on y, K = P_xy P_yy^-1, as in the fit.
-
-        Returns:
-            Estimate, covariance without (10.9), and where the parameters of each of these fits stand.
+        The covariance is that without (10.9). What is their own hangs on the shared by x = K y + what does
+        not depend on y, K = P_xy P_yy^-1, as in the fit.
         """
         known = len(self.places)
         mean, blocks, rest, places = [self.mean], [np.eye(known)], [], []
@@ -170,12 +164,8 @@ def _inverse(matrix: Array) -> Array:
 def _departure(L: Array, pull: Array, D: Array, u: Integers, unit: Array) -> float:
     """The variance of the channels' departures from linear: (10.6) with R = E, as in the core.
 
-    Args:
-        L: (s, s) information, in `unit`.
-        pull: (s,) likewise.
-        D: (s,) prior variances of all, likewise; those of the departures do not count.
-        u: their places.
-        unit: (s,).
+    Information L (s, s), its pull (s,) and the prior variances D (s,) of all are in `unit` (s,); those of the
+    departures, at the places u, do not count.
     """
     others = np.setdiff1d(np.arange(len(D)), u)
     inner = L[np.ix_(others, others)] + np.diag(1.0 / D[others])

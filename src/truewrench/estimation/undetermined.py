@@ -22,10 +22,8 @@ def undetermined_directions(
 ) -> tuple[Undetermined, ...]:
     """Directions of the normalised gain that are still less certain than half their prior.
 
-    Args:
-        covariance: (6n, 6n) of the normalised gain before (10.10), row by row.
-        prior: (6n,) 1 sigma of every element beforehand; an element of prior 0 is known.
-        channels: n names.
+    The covariance (6n, 6n) is that before (10.10), row by row; an element of prior (6n,), 1 sigma, 0 is
+    known.
 
     Returns:
         An orthonormal basis, as near to single gains as it can be. Where a direction of the wrench was not

@@ -159,14 +159,10 @@ def findings_of(
     spreads: Sequence[Sequence[Spread]],
     outliers: Sequence[Integers],
 ) -> tuple[Assumed, ...]:
-    """What was found of the errors, where it is not as stated, and what was left out.
+    """What was found of the errors per kind of log, where it is not as stated, and the rows left out per log.
 
-    Args:
-        channels: n names.
-        noise: (n, n) stated covariance of a row, normalised.
-        errors: per kind of log.
-        spreads: the same, per channel; empty where the noise is as stated.
-        outliers: per log, rows that were left out.
+    The stated noise (n, n) is the normalised covariance of a row; `spreads`, per kind and channel, are empty
+    where the noise is as stated.
     """
     said = []
     for found, of_kind in zip(errors, spreads, strict=True):

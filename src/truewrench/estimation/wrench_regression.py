@@ -199,12 +199,8 @@ def _sums(parts: Sequence[Part], designs: Sequence[Array], residuals: Sequence[A
 def _without_noise(products: Array, noise: Array, places: float) -> Array:
     """(p, p) what makes regressors of [w, columns]: the scatter of w reduced to the share that is not noise.
 
-    Whitened errors of w have, place by place, the covariance `noise`, whatever they last.
-
-    Args:
-        products: (p, p) of the whitened [w, columns].
-        noise: (6, 6) Q of a row.
-        places: over which they were summed.
+    Whitened errors of w have, place by place, the covariance `noise` (6, 6), Q of a row, whatever they last;
+    `products` (p, p) of the whitened [w, columns] were summed over the places.
     """
     shaped = np.eye(len(products))
     mean = np.linalg.lstsq(products[6:, 6:], products[6:, :6])[0]  # (m, 6) of w on the columns
@@ -237,17 +233,9 @@ def _in_bands(part: Part, design: Array, moved: Array, residual: Array, noise: A
     """Reduce the scatter of w to the share that is not noise band by band, in place.
 
     Whitening lets errors that last weigh less where they are slow. Where the wrench is slow, too, what is
-    left of w at other frequencies is noise, on which the equation for the gain would rest.
-
-    Args:
-        part: of a log or several.
-        design: (M, p) [w, columns]; w is replaced.
-        moved: (M, 6) by what w would be another; likewise.
-        residual: (M, n) in units of the stated sigma.
-        noise: (6, 6) Q of a row.
-
-    Returns:
-        How many places are left.
+    left of w at other frequencies is noise, (6, 6) Q of a row, on which the equation for the gain would rest.
+    In the design (M, p), [w, columns], w is replaced, and so is `moved` (M, 6), by what w would be another;
+    the residual (M, n) is in units of the stated sigma. Returned is how many places are left.
     """
     if len(design) < 2 * _BAND:
         return float(len(design))

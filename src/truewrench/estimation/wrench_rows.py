@@ -86,11 +86,8 @@ def rows_by_kind(
 ) -> list[Rows]:
     """Rows of the logs whose reference moves, and of those where it stands still on most rows.
 
-    Args:
-        time: per log, (N,) of its rows [s].
-        reference: per log, (N, 6), NaN where there is none.
-        complete: per log, which rows are usable.
-        noise: (6,) 1 sigma of the reference.
+    Per log: times (N,) [s], reference (N, 6), NaN where there is none, and which rows are complete; the noise
+    (6,) is 1 sigma of the reference.
     """
     ends = np.cumsum([rows.size for rows in complete])
     found: dict[bool, list[tuple[int, Integers, Integers, Array, Mask]]] = {False: [], True: []}
@@ -137,18 +134,12 @@ def consistent(
     used: Mask,
     robust: bool = False,
 ) -> Mask:
-    """Rows whose residual is within its noise, what lasts known from the other rows.
+    """Which rows (N,) have a residual within its noise, what lasts known from the other rows.
 
     As long as some is far outside, only the worst are not: one gross error bends the fit so that good rows
     lie outside, too, which are taken back once it is gone. A plateau outside as a whole goes with its rows.
-
-    Args:
-        problem: all rows.
-        kinds: which rows belong together; all rows, once.
-        sizes: of the errors, per kind and channel.
-        solution: on the used rows.
-        used: (N,).
-        robust: take noise as stated for as large as the median of the residuals says.
+    Each row belongs to one kind; the sizes of errors are per kind and channel, the solution that of the used
+    rows. `robust` takes noise as stated for as large as the median of the residuals says.
     """
     every = np.hstack([problem.reference, problem.columns])
     v = problem.raw - every @ solution.parameters.T

@@ -78,11 +78,7 @@ class LogContent:
 
 
 def inspect_log(path: str | Path) -> LogContent:
-    """Read a table once and say what is in it; no rig is needed.
-
-    Raises:
-        InputError: naming file, row and column.
-    """
+    """Read a table once and say what is in it; no rig is needed."""
     table = open_table(path)
     groups = {
         name: [column for column in table.names if re.fullmatch(pattern, column)]

@@ -74,11 +74,7 @@ class RecordingContent:
 
 
 def inspect_recording(path: str | Path, progress: Callable[[int], object] | None = None) -> RecordingContent:
-    """Read a recording once and say what is in it; no rig is needed.
-
-    Raises:
-        InputError: it is broken.
-    """
+    """Read a recording once and say what is in it; no rig is needed."""
     path = Path(path)
     with open_recording(path) as recording:
         counters = {(topic.name, topic.type_name): _TopicCounter(topic) for topic in recording.topics}

@@ -40,13 +40,9 @@ class Column:
 
 
 def numbers(column: Column) -> tuple[Array, int]:
-    """Finite numbers, NaN where there is none.
+    """Finite numbers (N,), NaN where there is none, and how many cells held NaN, empty ones not counted.
 
-    Returns:
-        (N,) values and how many cells held NaN (empty cells are not counted).
-
-    Raises:
-        InputError: a cell holds text or an infinity.
+    Text and infinities are an InputError.
     """
     cells = column.cells
     values = _cast_text(column) if _is_text(cells) else _cast_numeric(column)
@@ -96,14 +92,9 @@ def _cast_numeric(column: Column) -> pa.Array:
 
 
 def to_nanoseconds(column: Column, per_second: bool) -> Integers:
-    """Time stamps as integer nanoseconds, rounded to the nearest.
+    """Time stamps as integer nanoseconds, rounded to the nearest, of cells in seconds or nanoseconds.
 
-    Args:
-        column: every cell must hold a time.
-        per_second: the cells are seconds (`time_s`), otherwise nanoseconds (`time_ns`).
-
-    Raises:
-        InputError: a cell is empty, NaN or no time, or does not fit into 64 bits.
+    A cell that is empty, NaN or no time, or does not fit into 64 bits, is an InputError.
     """
     cells = column.cells
     kind = cells.type

@@ -22,17 +22,9 @@ def write_joint_trajectory(
 ) -> None:
     """Write a joint motion as one message, with which `ros2 topic pub` and ROS's own YAML readers start.
 
-    Args:
-        path: of the file, by convention PLAN.trajectory.yaml.
-        joints: names of the n joints.
-        time: (N,) [s], strictly increasing; the first point is at `time_from_start` 0.
-        position: (N, n) [rad, m].
-        velocity: (N, n) [rad/s, m/s].
-        acceleration: (N, n) [rad/s^2, m/s^2].
-
-    Raises:
-        InputError: a number is not finite, time does not increase by at least a nanosecond, or the file
-            cannot be written.
+    By convention the file is PLAN.trajectory.yaml. The first of the times (N,) [s] is at `time_from_start` 0;
+    position, velocity and acceleration are (N, n). Refused: numbers that are not finite, and time that does
+    not increase by at least a nanosecond.
     """
     columns = {"positions": position, "velocities": velocity, "accelerations": acceleration}
     for name, values in columns.items():

@@ -23,10 +23,7 @@ def joint_groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
     """Columns of `position` and `velocity`, in the order of the chain, `base_twist` and `base_attitude`.
 
     A group is there when one of its columns is, though others may be missing. Joints that do not move the
-    sensor (a gripper's) are passed over.
-
-    Raises:
-        InputError: the robot is at fault, or a stream is missing that the rig needs.
+    sensor (a gripper's) are passed over. A stream is missing that the rig needs: InputError.
     """
     joints, motion = robot_of(rig).joints, rig.motion
     present = set(table.names)
@@ -67,11 +64,7 @@ def check_attitude(
     path: str | Path | None,
     time_ns: Integers,
 ) -> None:
-    """Refuse quaternions (N, 4), columns of these names, that are none; rows with NaN are passed over.
-
-    Raises:
-        InputError: naming the first time stamp at which the length is not 1.
-    """
+    """Refuse quaternions (N, 4), columns of these names, that are none; rows with NaN are passed over."""
     length = np.linalg.norm(attitude, axis=1)
     wrong = np.flatnonzero(np.abs(length - 1.0) > _LENGTH)
     if len(wrong):

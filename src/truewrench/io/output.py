@@ -22,8 +22,7 @@ def is_parquet(path: str | Path) -> bool:
 def write_batches(path: str | Path, batches: Iterable[pa.RecordBatch]) -> None:
     """Write one or more batches of one schema; the file appears whole or not at all.
 
-    Raises:
-        InputError: the file cannot be written, or a column is of a type that its format does not hold.
+    InputError: it cannot be written, or a column is of a type that its format does not hold.
     """
     with atomic_output(path) as temporary:
         rest = iter(batches)

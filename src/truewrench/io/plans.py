@@ -20,12 +20,7 @@ _TOLERANCE = 0.02
 
 
 def read_plan(path: str | Path) -> SplineTwist:
-    """Read the planned twist of a PLAN table: vx ... wz and, checked, ax ... alz.
-
-    Raises:
-        InputError: for missing columns or numbers, time that does not increase, or accelerations that are
-            not the derivative of the twist.
-    """
+    """Read the planned twist of a PLAN table: vx ... wz and, checked, ax ... alz, its derivative."""
     stated = any(name in open_table(path).names for name in ACCELERATION)
     time, data = _columns(path, TWIST + ACCELERATION if stated else TWIST)
     trajectory = SplineTwist.through(time, data[:, :6])
@@ -44,15 +39,9 @@ def joint_columns(joints: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ..
 
 
 def read_joint_plan(path: str | Path, joints: Sequence[str]) -> SplineJoints:
-    """Read the planned joints of a PLAN table: q_NAME and, checked, dq_NAME and ddq_NAME.
+    """Read the planned joints of a PLAN table: q_NAME and, checked, dq_NAME and ddq_NAME, the derivatives.
 
-    Args:
-        path: the table.
-        joints: names in the order of the chain; further columns are not looked at.
-
-    Raises:
-        InputError: for missing columns or numbers, time that does not increase, or velocities and
-            accelerations that are not the derivatives of the positions.
+    Names are in the order of the chain; further columns are not looked at.
     """
     positions, velocities, accelerations = joint_columns(joints)
     present = set(open_table(path).names)

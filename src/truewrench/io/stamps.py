@@ -38,13 +38,8 @@ def with_even_stamps(
 ) -> tuple[Integers, dict[str, Array], tuple[str, ...]]:
     """A table in which the samples of each stream that comes in packets are spaced evenly.
 
-    Args:
-        time_ns: (N,) increasing [ns].
-        columns: (N,) by name, NaN where there is no sample; those that share half of their rows are one
-            stream.
-
-    Returns:
-        Stamps, columns and what is said of it; the same ones where no stream comes in packets.
+    Stamps (N,) increase [ns]; columns (N,) are NaN where there is no sample; those that share half of their
+    rows are one stream. The same ones come back, and nothing is said of it, where no stream comes in packets.
     """
     rows, of = _streams(columns.values())
     even = [in_packets(time_ns[at]) for at in rows]

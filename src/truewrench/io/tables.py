@@ -42,13 +42,8 @@ from truewrench.robot.track import track
 def open_table(path: str | Path, rig: Rig | None = None, *, whole: bool = True) -> Table:
     """A table file or a recording, its format recognised by its first bytes.
 
-    Args:
-        path: of the file, or of a folder of rosbag2.
-        rig: which a recording is read by.
-        whole: whether motion that cannot be read from a recording is an error; else it is left out.
-
-    Raises:
-        InputError: there is no such file, it is not a table, or a recording where none is of use.
+    A recording, the file or the folder of rosbag2, is read by the rig; unless `whole`, motion that cannot be
+    read from it is left out, and no error.
     """
     path = Path(path)
     if exists(path) and is_recording(path):
@@ -77,8 +72,7 @@ def named_payload(source: str | Path, rig: Rig) -> tuple[Path, str | None]:
 def split_payload(source: str | Path, rig: Rig) -> tuple[Path, str]:
     """`LOG@PAYLOAD` as path and payload; without a payload, the rig's `default` or only one.
 
-    Raises:
-        InputError: the rig has several payloads, none of them `default`, and none is named.
+    InputError: the rig has several payloads, none of them `default`, and none is named.
     """
     path, named = named_payload(source, rig)
     if named is not None:

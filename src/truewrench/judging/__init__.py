@@ -70,12 +70,6 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
     required gain as accurate as `required`, (10.9) and (10.10) within; no set-up test fails, no channel is
     dead or at a rail; at most 20% masked; the parts of the record agree, and data that were held out do not
     say that the nominal gain is better.
-
-    Args:
-        estimate: what was found.
-        comparisons: `setup_errors` of it, and what data that were held out say.
-        rig: `required`, and what was stated.
-        logs: those of the estimate.
     """
     n = rig.sensor.n
     required = rig.required_array

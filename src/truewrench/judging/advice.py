@@ -28,15 +28,9 @@ def advice(
     """What takes the gains of an estimate to what is required of them, where they are not there yet.
 
     The largest contributions to sigma are cut down to one level at which the worst gain is accurate enough;
-    that they are independent makes of it a good guess and no promise.
-
-    Args:
-        estimate: gain and what its uncertainty is made of.
-        rig: what it states of payload and clocks.
-        required: (6,) sigma of each wrench axis' gains.
-        payload: of the last log.
-        slow: kinds of what disturbs it slowly.
-        by_reference: wrenches that are known from elsewhere, and no motion.
+    that they are independent makes of it a good guess and no promise. `required` (6,) is sigma of each wrench
+    axis' gains; the payload is that of the last log; `slow` names the kinds of what disturbs slowly;
+    `by_reference`: wrenches are known from elsewhere, and no motion.
     """
     n = rig.sensor.n
     std = np.sqrt(np.maximum(np.diag(estimate.normalised_covariance)[: 6 * n], 0.0)).reshape(n, 6)

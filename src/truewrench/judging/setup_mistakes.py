@@ -145,10 +145,9 @@ def drifts(n: int, span: Array, centers_of_mass: Sequence[Array]) -> Iterator[Hy
 
 
 def payload_directions(span: Array, center_of_mass: Array) -> list[Array]:
-    """What an error of a payload turns gains by, C (1 + error * direction), normalised.
+    """What errors of a payload turn gains by, C (1 + error * direction), normalised, (6, 6) each.
 
-    Returns:
-        (6, 6) each: of the mass, relative; of the inertia, relative; of the centre of mass along x, y, z [m].
+    Of the mass, relative; of the inertia, relative; of the centre of mass along x, y, z [m].
     """
     one, zero, lever = np.eye(3), np.zeros((3, 3)), _cross(center_of_mass)
     found = [_blocks(one, lever, zero), _blocks(zero, -lever, one)]
@@ -158,14 +157,9 @@ def payload_directions(span: Array, center_of_mass: Array) -> list[Array]:
 def turns(n: int, transform: Array, span: Array, spread: float) -> Iterator[Hypothesis]:
     """Forces and moments both turned about x, y or z, or about any axis, as comes nearest to a matrix.
 
-    A turn that is nearly a permutation of the axes is left to these, and one that the departures of a sound
-    sensor may well look like accuses nobody.
-
-    Args:
-        n: channels.
-        transform: (6, 6) C_nom^+ C, normalised.
-        span: (6,) range of the wrench axes.
-        spread: 1 sigma of the departures Delta.
+    That is the transform (6, 6) C_nom^+ C of n channels, normalised by the span (6,), the range of the wrench
+    axes. A turn that is nearly a permutation of the axes is left to these, and one that the departures Delta
+    of a sound sensor, 1 sigma `spread`, may well look like accuses nobody.
     """
     si = transform * span[:, None] / span
     M = si[:3, :3] + si[3:, 3:]
@@ -200,12 +194,8 @@ def mixed_axes(
 ) -> list[tuple[Array, float]]:
     """Signed permutations (6, 6) of one family that are most likely, with the logarithm of their prior.
 
-    Args:
-        T: (6, 6) whose row i is compared with sign * factor_ij e_j,
-        variance: (6, 6) of its elements,
-        spread: (6,) and, times factor_ij^2, of the departures, along the row.
-        factor: (6, 6).
-        most: how many.
+    Row i of T (6, 6) is compared with sign * factor_ij e_j; its elements have the variance (6, 6), and the
+    departures one of factor_ij^2 spread (6,) along the row. Of orders, there are at most `most`.
     """
     total = factor[:, :, None] ** 2 * spread + variance[:, None, :]  # (i, j, k)
     meant = np.array([1.0, -1.0])[:, None, None, None] * factor[:, :, None] * np.eye(6)  # (sign, i, j, k)

@@ -88,9 +88,7 @@ class _Seen:
         To first order a gain of zero is one error away, and all others are known as well there as at the
         estimate: masses known to 10 to 30% were grams in 24 of 24 records. A share x of what was found takes
         an error of x / (1 - x), and the 3n gains that it turns are 1 - x as large there, and known so well.
-
-        Args:
-            solved: (r,) misfit by its covariance.
+        What is solved (r,) is the misfit by its covariance.
         """
         share = np.maximum(self.width @ (self.open.T @ solved), 0.0)
         if not (share < 1.0).all():
@@ -108,13 +106,9 @@ def setup_errors(
 ) -> tuple[Suspicion, ...]:
     """Set-up errors that an estimate suggests, most likely first; empty when none does.
 
-    Args:
-        estimate: what was found.
-        rig: what was stated.
-        logs: those of the estimate; they name the payloads.
-        plain: gain (n, 6) and covariance (6n, 6n) by least squares, SI, for an exact payload and without a
-            prior; None where there is none. Asked for where a record in the wrong units leaves the estimate
-            lost: what is a thousand times as large as it may be is noise to it.
+    The logs name the payloads. `plain` is gain (n, 6) and covariance (6n, 6n) by least squares, SI, for an
+    exact payload and without a prior; None where there is none. It is asked for where a record in the wrong
+    units leaves the estimate lost: what is a thousand times as large as it may be is noise to it.
     """
     n = rig.sensor.n
     names = [name for name in dict.fromkeys(log.payload for log in logs) if name in rig.payloads]
@@ -139,11 +133,7 @@ def setup_errors(
 def gross_errors(rig: Rig, logs: Sequence[Log], gain: Array, covariance: Array) -> tuple[Suspicion, ...]:
     """Set-up errors so gross that no sensor is so wrong by itself; empty where there is none.
 
-    Args:
-        rig: what was stated.
-        logs: those of the calibration.
-        gain: (n, 6) that no prior has pulled, SI.
-        covariance: (6n, 6n) of it, for an exact payload.
+    No prior has pulled the gain (n, 6), SI; its covariance (6n, 6n) is for an exact payload.
     """
     sensor, names = rig.sensor, list(dict.fromkeys(log.payload for log in logs))
     unit = sensor.range_array / sensor.channel_scale[:, None]
@@ -273,10 +263,8 @@ def suspected_setup_errors(
 def payload_errors(name: str, departure: Array, stated: Array) -> tuple[Suspicion, ...]:
     """Properties of a payload that the data moved further from what is stated than its uncertainty allows.
 
-    Args:
-        name: of the payload.
-        departure: (10,) posterior less stated, in the units of `stated`.
-        stated: (10,) 1 sigma; 0 for what is exact, which cannot depart.
+    The departure (10,) is posterior less stated, in the units of `stated` (10,), 1 sigma; what is exact, 0,
+    cannot depart.
     """
     found = []
     for what, moved, sigma in zip(PAYLOAD_PARAMETERS, departure, stated, strict=True):

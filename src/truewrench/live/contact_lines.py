@@ -21,11 +21,7 @@ Complain = Callable[[str], None]
 
 
 class LiveContact:
-    """Rows one by one.
-
-    Args:
-        run: that has seen no row yet.
-    """
+    """Rows one by one, of a run that has seen none yet."""
 
     def __init__(self, run: ContactRun) -> None:
         self.run = run
@@ -57,15 +53,8 @@ def contact_lines(
     """Write the contact wrench for every line, until the input ends or `stop`.
 
     A line has raw channels, motion, or both. `{"tare": true}` is answered by a line with `event`; contacts
-    that have ended have such lines, too.
-
-    Args:
-        run: that has seen no row yet.
-        n: raw channels.
-        output: of the answers.
-        stop: ends it.
-        complain: is told of wrong lines.
-        source: file descriptor of the input; standard input by default.
+    that have ended have such lines, too. The run has seen no row yet; `complain` is told of wrong lines; the
+    source is a file descriptor, by default of standard input.
     """
     for note in run.notes:
         complain(note)

@@ -72,9 +72,6 @@ def correct_lines(
     A line that is wrong gives `{"line": ..., "error": ...}` in its place, and never a wrench. One whose
     channels are null, which have no sample, gives nulls; so does one that tells a `temperature` alone, the
     latest of which counts where the offset follows it.
-
-    Raises:
-        InputError: the gain of the calibration cannot be inverted.
     """
     correct = corrector(calibration, INPUT).correct
     withheld = [*calibration.withheld, *calibration.withheld]
@@ -133,10 +130,7 @@ def calibrate_lines(
 ) -> tuple[Lines, Progress]:
     """Feed a calibration until the input ends or `stop`, then finish it in a folder.
 
-    What is known on the way, and the result, go to the output.
-
-    Raises:
-        InputError: no calibration can be made of the lines.
+    What is known on the way, and the result, go to the output. InputError: no calibration can be made of it.
     """
     n = session.rig.sensor.n
     channels = tuple(f"raw_{i}" for i in range(n))

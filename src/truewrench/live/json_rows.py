@@ -37,11 +37,7 @@ class Row:
 
 
 def read_row(line: bytes, n: int) -> Row:
-    """One line as a row of a log with n channels.
-
-    Raises:
-        LineError: it is no such row.
-    """
+    """One line as a row of a log with n channels; LineError if it is none."""
     data = _object(line)
     time_ns, stamp = _time(data)
     return Row(time_ns, stamp, _raw(data, n), data)
@@ -50,8 +46,7 @@ def read_row(line: bytes, n: int) -> Row:
 def motion_of(row: Row) -> dict[str, float]:
     """The columns of a row that a log has besides time and channels; NaN for null, unknown ones left out.
 
-    Raises:
-        LineError: one of them holds no number.
+    LineError: one of them holds no number.
     """
     return {
         key: _number(key, value) for key, value in row.data.items() if key in _COLUMNS or _JOINT.match(key)
@@ -59,20 +54,12 @@ def motion_of(row: Row) -> dict[str, float]:
 
 
 def temperature_of(row: Row) -> float:
-    """The temperature that a row tells [degC]; NaN where it tells none.
-
-    Raises:
-        LineError: it is no number.
-    """
+    """The temperature that a row tells [degC]; NaN where it tells none, LineError if it is no number."""
     return _number("temperature", row.data["temperature"]) if "temperature" in row.data else math.nan
 
 
 def tare_of(line: bytes) -> bool:
-    """Whether a line asks for a tare: `{"tare": true}`.
-
-    Raises:
-        LineError: it says something else of one.
-    """
+    """Whether a line asks for a tare, `{"tare": true}`; LineError if it says something else of one."""
     if b'"tare"' not in line:  # most lines: not worth a second look
         return False
     data = _object(line)

@@ -18,12 +18,8 @@ _BLOCK = 1 << 16
 def batches(source: int, stop: Stop, wait: float | None = None) -> Iterator[list[bytes]]:
     """The lines of a file descriptor, as many as have arrived, until its end or until `stop`.
 
-    A line that does not end within `LONGEST` bytes is cut there, and its rest left out.
-
-    Args:
-        source: a pipe, a terminal or a file.
-        stop: ends the iteration; what has been read by then has been given out.
-        wait: after so long without a line [s] the batch is empty; for ever by default.
+    A line that does not end within `LONGEST` bytes is cut there, and its rest left out. What has been read by
+    then has been given out. After `wait` without a line [s], by default never, the batch is empty.
     """
     rest, skipping = b"", False
     while not stop.requested:

@@ -27,11 +27,7 @@ class Record:
         self._streams: dict[tuple[str, ...], _Stream] = {}
 
     def add(self, names: tuple[str, ...], time_ns: int, values: Iterable[float]) -> None:
-        """One sample, its columns in order; NaN where one has none.
-
-        Raises:
-            InputError: its time does not lie after that of the sample of these columns before.
-        """
+        """One sample, its columns in order, NaN where one has none, after that of the same columns before."""
         stream = self._streams.get(names)
         if stream is None:
             stream = self._streams[names] = _Stream()

@@ -102,11 +102,7 @@ class _Wrenches:
     def write(
         self, correct: _core.Corrector, header: Header, channels: Sequence[float], with_std: bool
     ) -> None:
-        """Publish the wrench of a sample.
-
-        Raises:
-            InputError: there is none.
-        """
+        """Publish the wrench of a sample; InputError if there is none."""
         self._raw[0] = channels
         if self.warmth is not None and self.warmth.follows:
             self._raw -= self.warmth.shift
@@ -136,9 +132,6 @@ def correct_topic(
 
     A message that is wrong (channels that are not finite, no stamp, one that does not lie after the last) is
     counted and told, and nothing is published in its place.
-
-    Raises:
-        InputError: no topic is found, or the gain cannot be inverted.
     """
     correct = corrector(calibration, "ROS 2")  # before a topic is waited for
     warmth = Warmth.of(calibration)
@@ -235,10 +228,7 @@ def calibrate_topics(
     """Feed a calibration from the sensor's topic and the motion's until `stop`, then finish it in a folder.
 
     What is known on the way, and the result, are published as diagnostics. As soon as an estimate may be
-    used, wrenches are published by the latest such.
-
-    Raises:
-        InputError: no topic is found, or no calibration can be made of what arrived.
+    used, wrenches are published by the latest such. InputError: no calibration can be made of what arrived.
     """
     rig, counts = session.rig, Counts()
     sensor, others = SensorSource(rig), motion_sources(rig)

@@ -91,9 +91,6 @@ def contact_topics(
     Messages of all topics are rows in the order of their stamps, as in a recording; a source that begins
     again more than a second back is let through. A message on `/truewrench/tare`, or a call of the service of
     that name where rclpy can be imported, tares.
-
-    Raises:
-        InputError: no topic is found.
     """
     for note in run.notes:
         complain(note)

@@ -31,10 +31,8 @@ class MergedRow:
 class Merger:
     """Rows come out once every topic that is waited for has gone past them, or after some patience.
 
-    What comes from other topics (a temperature) goes with the next row.
-
-    Args:
-        awaited: names of topics that are waited for: sensor, motion and gravity.
+    Awaited are sensor, motion and gravity. What comes from other topics (a temperature) goes with the next
+    row.
     """
 
     def __init__(self, awaited: Sequence[str]) -> None:
@@ -58,8 +56,7 @@ class Merger:
     ) -> bool:
         """A message; whether with it stamps begin again, far back: rows that were not out yet are gone.
 
-        Raises:
-            InputError: rows after it have come out already.
+        InputError: rows after it have come out already.
         """
         if topic not in self._newest:
             self._carried.update(zip(columns, values, strict=True))

@@ -43,11 +43,7 @@ _Message = TypeVar("_Message", bound=IdlStruct)
 
 
 def domain_id() -> int:
-    """What ROS_DOMAIN_ID says.
-
-    Raises:
-        InputError: it is no domain.
-    """
+    """What ROS_DOMAIN_ID says; InputError if it is no domain."""
     text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdecimal() or int(text) > _LARGEST_DOMAIN:
         raise InputError.at(None, "ROS_DOMAIN_ID", f"`{text}`", f"a number from 0 to {_LARGEST_DOMAIN}")
@@ -95,11 +91,7 @@ def _as_ros(dds_type: str) -> str:
 
 
 class Node:
-    """Readers and writers of ROS topics in the domain of ROS_DOMAIN_ID.
-
-    Raises:
-        InputError: the domain cannot be joined.
-    """
+    """Readers and writers of ROS topics in the domain of ROS_DOMAIN_ID; InputError if it cannot be joined."""
 
     def __init__(self) -> None:
         domain, settings = domain_id(), configuration()
@@ -139,16 +131,10 @@ class Node:
         return self._found
 
     def find(self, kind: type[IdlStruct], without: set[str], patience: float, stop: Stop) -> str:
-        """The one topic of a type.
+        """The one topic of a type, `without` those that are not meant.
 
-        Args:
-            kind: of the messages.
-            without: topics that are not meant.
-            patience: how long to wait for a first one [s]; then a little more for others.
-            stop: ends the search.
-
-        Raises:
-            InputError: there is none, or there are several.
+        InputError: there is none, or there are several. It waits with patience for a first one [s], then a
+        little more for others, unless `stop` ends the search.
         """
         wanted, end = ros_type(kind), time.monotonic() + patience
         others = 1.0  # [s] that may pass between the discovery of two

@@ -45,8 +45,7 @@ class Source:
     def read(self, message: Any, info: Any) -> Sample:
         """Columns, time [ns] and values; no columns where the message says nothing of the rig.
 
-        Raises:
-            InputError: the message is not as it should be.
+        InputError: the message is not as it should be.
         """
         names, values = self._values(message)
         return names, self._time(message.header, info), values
@@ -155,8 +154,7 @@ _VECTORS: dict[str, tuple[type[IdlStruct], tuple[str, ...]]] = {
 def motion_sources(rig: Rig) -> list[Source]:
     """Everything that a calibration needs beside the sensor, the motion first.
 
-    Raises:
-        UnsupportedError: gravity matters, and nothing tells its direction.
+    UnsupportedError: gravity matters, and nothing tells its direction.
     """
     roles = roles_of(rig)[1:]
     source, weighed = rig.motion.source, rig.sensor.subtracted is not None

@@ -43,11 +43,7 @@ RECORD = "record.parquet"
 
 
 def payload_of(rig: Rig, named: str | None) -> str:
-    """The payload that the arm carries: the one named, else the rig's `default` or only one.
-
-    Raises:
-        InputError: there is no such payload, or none is named of several.
-    """
+    """The payload that the arm carries: the one named, else the rig's `default` or only one."""
     rig.check_motion("which a live calibration needs")
     known = ", ".join(rig.payloads)
     if named is not None and named not in rig.payloads:
@@ -105,12 +101,8 @@ class LiveCalibration:
     def finish(self, folder: Path | None) -> Progress:
         """The calibration from the whole record, as `calibrate` makes it of a log.
 
-        Args:
-            folder: gets the record, which the result names as its log, and `calibration.yaml`; without one
-                neither is kept.
-
-        Raises:
-            InputError: no calibration can be made from the record; then nothing is written.
+        A folder gets the record, which the result names as its log, and `calibration.yaml`; without one
+        neither is kept. After an InputError, no calibration can be made from the record, nothing is written.
         """
         if self._running is not None:
             self._running.cancel()

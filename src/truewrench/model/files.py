@@ -83,13 +83,9 @@ _StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.construct_d
 
 
 def read_yaml(path: str | Path) -> tuple[Any, Locate]:
-    """Read one YAML document.
+    """Read one YAML document; returned with it is a function that gives the line of a key path in it.
 
-    Returns:
-        The document and a function that gives the line of a key path in it.
-
-    Raises:
-        InputError: the file cannot be read, or is not one YAML document without duplicate keys.
+    InputError: the file cannot be read, or is not one YAML document without duplicate keys.
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
@@ -174,9 +170,7 @@ def atomic_output(path: str | Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place when the block ends without an error.
 
     Until then nothing that stood at `path` is touched; after an error nothing of the attempt is left.
-
-    Raises:
-        InputError: `path` is a folder, lies in none that can be written, or there is no room for it.
+    InputError: it is a folder, lies in none that can be written, or there is no room for it.
     """
     target = Path(path)
     try:

@@ -17,12 +17,8 @@ def core_payload(spec: PayloadSpec) -> _core.Payload:
 def payload_wrench(rig: Rig, payload: str, twist: Array, acceleration: Array, gravity: Array) -> Array:
     """Wrench (N, 6) as the sensor feels it, at its origin and with the sign of `sensor.feels`.
 
-    Args:
-        rig: the rig.
-        payload: name of the payload that is carried.
-        twist: twist (N, 6) of the logged point (`motion.of`), sensor axes.
-        acceleration: its component-wise derivative (N, 6).
-        gravity: acceleration of free fall in sensor axes (N, 3).
+    The twist (N, 6) and its component-wise derivative are of the logged point (`motion.of`), and like gravity
+    (N, 3), the acceleration of free fall, along the sensor axes.
     """
     spec = rig.payloads[payload]
     at_mass = [twist, acceleration]

@@ -15,18 +15,11 @@ SHORTEST = 100  # rows of a piece of a held-out log
 
 
 def held_out(logs: Sequence[Log], fraction: float = 0.2, blocks: int = 4) -> tuple[list[Log], list[Log]]:
-    """Split logs into a part to calibrate with and a part to validate by.
+    """Split logs into a part to calibrate with and, one per log that was split, a part to validate by.
 
     Blocks of time are held out, not single rows: neighbours know too much of each other. They are spread over
-    every log, so that what moves late is in both parts. A log too short to be split is calibrated with whole.
-
-    Args:
-        logs: at least one.
-        fraction: of every log that is held out, between 0 and 1.
-        blocks: how many stretches, fewer in logs where they would become shorter than 2 s or 200 rows.
-
-    Returns:
-        Calibration logs, as many as there are logs, and held-out logs, one per log that was split.
+    every log, so that what moves late is in both parts. A log too short to be split is calibrated with whole;
+    there are fewer blocks where they would become shorter than 2 s or 200 rows.
     """
     if not 0.0 < fraction < 1.0:
         raise InputError.at(None, "fraction", f"{fraction:g}", "a number between 0 and 1")

@@ -26,10 +26,8 @@ def temperature_at(log: Log, time_ns: Integers) -> Array | None:
 def at_reference_temperature(slope: Array | None, rig: Rig, log: Log) -> Log:
     """The log with channels that read what they would at the rig's reference temperature.
 
-    Args:
-        slope: (n,) of the offset per K, as a calibration holds it; None: nothing follows.
-        rig: whose temperature the offset is given at.
-        log: without a temperature nothing is known to follow.
+    The slope (n,) of the offset per K is None where nothing follows; a log without a temperature stays as it
+    is.
     """
     at = None if slope is None else temperature_at(log, log.time_ns)
     if slope is None or at is None:

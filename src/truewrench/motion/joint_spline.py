@@ -46,16 +46,12 @@ def fit_joints(
     sigma_velocity: Array,
     wider: float = 1.0,
 ) -> JointSpline:
-    """Fit positions and velocities, each at its own times and over its sigma.
+    """Fit positions and velocities, each at its own times and over its sigma (n,).
 
-    Args:
-        positions: times (N,), values (N, n), weights (N,) of 1 over their share of sigma; N may be 0, and the
-            spline is then known but for a constant, and starts at zero.
-        velocities: times (M,), values (M, n); M may be 0.
-        sigma_position: (n,) 1 sigma of a position.
-        sigma_velocity: (n,) 1 sigma of a velocity.
-        wider: knots of the result, in units of the coarsest whose residuals the noise explains: that which is
-            stated, or where no knots make it so, that of the finest knots' residuals.
+    Positions are times (N,), values (N, n) and weights (N,) of 1 over their share of sigma, velocities times
+    (M,) and values (M, n). N or M may be 0; without positions the spline is known but for a constant, and
+    starts at zero. Its knots are `wider` than the coarsest whose residuals the noise explains: that which is
+    stated, or where no knots make it so, that of the finest knots' residuals.
     """
     time_q, _, _ = positions
     time_qd, _ = velocities

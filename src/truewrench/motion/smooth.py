@@ -37,15 +37,11 @@ def segments(time: Array) -> list[slice]:
 
 
 def smooth_twist(time: Array, twist: Array, noise: Array) -> SmoothTwist:
-    """Fit each component by the coarsest quintic spline whose residuals its noise explains.
+    """Fit each component by the coarsest quintic spline whose residuals its noise (6,), 1 sigma, explains.
 
     The number of knot intervals grows by a third from one to about three samples per coefficient; the first
     whose chi-square per degree of freedom is within three standard deviations of 1 is taken, else the last.
-
-    Args:
-        time: sample times (N,), N >= 8, strictly increasing, without gaps [s].
-        twist: measured twist (N, 6).
-        noise: 1 sigma per component (6,).
+    Times (N,), N >= 8, are strictly increasing, without gaps [s].
     """
     fits = [_fit(time, y, sigma) for y, sigma in zip(twist.T, noise, strict=True)]
     return SmoothTwist(

@@ -174,12 +174,8 @@ def integrate_wrench(
 ) -> WrenchMotion:
     """Integrate the motion that a wrench trajectory asks of a free body, pose included ([A00] 15-17).
 
-    Args:
-        wrench: the wrench of the payload on the sensor as a function of time.
-        body: the payload.
-        duration: length of the motion [s].
-        initial_twist: twist of the centre of mass at time 0 (6,); at rest if left out. The attitude starts as
-            the identity and the position at the origin.
+    The centre of mass has the initial twist (6,), by default 0; the attitude starts as the identity and the
+    position at the origin.
     """
     inverse_inertia = np.linalg.inv(body.inertia)
     mass, lever, inertia = body.mass, body.center_of_mass, body.inertia

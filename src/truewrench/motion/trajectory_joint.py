@@ -61,14 +61,10 @@ class SplineJoints(JointCurves):
     def through(
         cls, time: Array, position: Array, velocity: Array | None = None, acceleration: Array | None = None
     ) -> SplineJoints:
-        """Interpolate positions at strictly increasing times; time 0 is the first.
+        """Interpolate positions (N, n) at N >= 6 strictly increasing times [s]; time 0 is the first.
 
-        Args:
-            time: (N,), N >= 6 [s].
-            position: (N, n).
-            velocity: (N, n), of which the first and the last row hold at the ends: a motion that ends at
-                rest does so to the last bit. Left to the spline when either derivative is left out.
-            acceleration: (N, n), likewise.
+        The first and the last row of velocity and acceleration (N, n) hold at the ends: a motion that ends at
+        rest does so to the last bit. That is left to the spline when either is left out.
         """
         t = np.asarray(time, dtype=np.float64)
         ends: Any = None

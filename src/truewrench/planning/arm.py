@@ -34,15 +34,9 @@ def has_link_inertias(robot: Robot) -> bool:
 def arm_expressions(
     robot: Robot, q: Any, qd: Any, qdd: Any, gravity: Array, payload: tuple[float, Array, Array]
 ) -> ArmExpressions:
-    """Recursion along the chain, every link in its own axes.
+    """Recursion along the chain, every link in its own axes; gravity (3,) is in the root.
 
-    Args:
-        robot: the arm.
-        q: joint positions (n,).
-        qd: joint velocities.
-        qdd: joint accelerations.
-        gravity: in the root (3,).
-        payload: mass, centre of mass from the sensor, inertia about it.
+    The payload is mass, centre of mass from the sensor, inertia about it.
     """
     model, axes = robot.model, _axes(robot)
     rotation, place = ca.DM.eye(3), ca.DM.zeros(3)  # of the link in the root

@@ -41,15 +41,10 @@ def check_times(duration: float) -> Array:
 def check_twist(
     rig: Rig, payload: str, limits: Limits, motion: SplineTwist, until: float, *, placed: bool = True
 ) -> Preview:
-    """Look at a twist of the rig's point. In gravity the sensor starts aligned with the root.
+    """Look at a twist of the rig's point until some time [s].
 
-    Args:
-        rig: the rig.
-        payload: name of the payload that is carried.
-        limits: what is kept to.
-        motion: the twist.
-        until: end of what is looked at [s].
-        placed: whether the pose is looked at, too; without it the sensor does not leave the root.
+    In gravity the sensor starts aligned with the root. Where it is not `placed`, the pose is not looked at,
+    and the sensor does not leave the root.
     """
     time = check_times(until)
     nu, a = motion.twist(time), motion.acceleration(time)

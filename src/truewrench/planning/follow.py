@@ -45,12 +45,9 @@ class FollowedPlan:
         )
 
     def write(self, output: str | Path) -> tuple[Path, Path]:
-        """Write the joints as a PLAN table (CSV or Parquet by its name) and as a message for ROS beside it.
+        """Write the joints as a PLAN table, CSV or Parquet by its name, and for ROS FILE.trajectory.yaml.
 
         The table is the smooth motion through the positions that the commands lead to.
-
-        Returns:
-            The table, and FILE.trajectory.yaml.
         """
         path, time = Path(output), self.motion.time
         joints = SplineJoints.through(time, self.motion.position)
@@ -72,18 +69,11 @@ def follow_plan(
     payload: str | None = None,
     rate: float = 100.0,
 ) -> FollowedPlan:
-    """Let the rig's arm follow a planned twist, from the rig's `motion.initial_position`.
+    """Let the rig's arm follow a planned twist, from the rig's `motion.initial_position`, at a rate [Hz].
 
-    Args:
-        rig: with `motion.source: joints`.
-        plan: a PLAN table of `vx ... wz`.
-        of: the point whose twist it is: the payload's centre of mass, or the sensor's origin.
-        payload: which one; by default the rig's first.
-        rate: commands a second [Hz].
-
-    Raises:
-        InputError: for the robot, the plan, an unknown payload, or a start that is missing or outside its
-            limits.
+    The PLAN table of `vx ... wz` is that of the payload's centre of mass, by default the rig's first payload,
+    or of the sensor's origin. InputError: for the robot, the plan, an unknown payload, or a start that is
+    missing or outside its limits.
     """
     robot = robot_of(rig)
     if rig.motion.initial_position is None:

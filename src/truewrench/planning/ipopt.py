@@ -53,16 +53,9 @@ class _Call(ca.Callback):
 def minimise(
     problem: Problem, rows: Rows, x: Array, lower: Array, upper: Array, *, iterations: int, warm: bool
 ) -> tuple[Array, int]:
-    """A local minimum, and the iterations it took.
+    """A local minimum within constraints (G,), and the iterations it took, from x (size,).
 
-    Args:
-        problem: value, constraints and derivatives.
-        rows: the constraints that are kept to.
-        x: where to begin (size,).
-        lower: of the constraints (G,).
-        upper: (G,).
-        iterations: at most.
-        warm: whether x is nearly optimal already.
+    `warm`: x is nearly optimal already. Kept to are the constraints of the rows.
     """
     size = problem.size
     dense = np.ones((len(lower) - len(rows.linear), size), dtype=bool)

@@ -20,16 +20,7 @@ from truewrench.robot.arm import Robot
 def check_joints(
     rig: Rig, payload: str, robot: Robot, limits: Limits, motion: SplineJoints, until: float
 ) -> Preview:
-    """Look at a joint motion.
-
-    Args:
-        rig: the rig.
-        payload: name of the payload that is carried.
-        robot: its arm.
-        limits: what is kept to.
-        motion: of the joints.
-        until: end of what is looked at [s].
-    """
+    """Look at a joint motion until some time [s], against the limits."""
     time = check_times(until)
     q, qd, qdd = motion.position(time), motion.velocity(time), motion.acceleration(time)
     moved = robot.motion(q, qd, qdd)

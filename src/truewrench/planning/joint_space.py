@@ -34,11 +34,7 @@ class ArmOutputs:
 
 
 def joint_limits(rig: Rig, robot: Robot) -> Limits:
-    """The stricter of the limits of the rig and those of the URDF.
-
-    Raises:
-        InputError: they leave a joint no range.
-    """
+    """The stricter of the limits of the rig and of the URDF; InputError if they leave a joint no range."""
     limits = Limits.of(rig, robot.n)
     lower, upper = np.maximum(limits.lower, robot.lower), np.minimum(limits.upper, robot.upper)
     for k in np.flatnonzero(lower >= upper)[:1]:
@@ -80,8 +76,7 @@ def arm_outputs(rig: Rig, payload: str, robot: Robot) -> ArmOutputs:
 def near_pairs(robot: Robot) -> list[tuple[str, str, int, float]]:
     """What is kept apart: sensor and payload from points on the links up to the elbow.
 
-    Returns:
-        Names of both, the joint at whose origin the link begins, and where on it the point is, from 0 to 1.
+    Names of both, the joint at whose origin the link begins, and where on it the point is, from 0 to 1.
     """
     found = []
     for link in range(max(0, robot.n - 4)):
@@ -104,15 +99,10 @@ def _distances(robot: Robot, arm: ArmExpressions, mass_at: Any) -> tuple[tuple[s
 def joint_space(
     rig: Rig, outputs: ArmOutputs, limits: Limits, scale: Array, start: Array | None, kinds: Set[str]
 ) -> Space:
-    """Coordinates are the positions of n joints.
+    """Coordinates are the positions of n joints, whose typical velocities are the scale (n,).
 
-    Args:
-        rig: the rig.
-        outputs: of its arm.
-        limits: what is kept to.
-        scale: (n,) typical velocities.
-        start: (n,) where the motion begins, None where that is free.
-        kinds: of limits that are kept to: `workspace`, `torque`, `clearance`; the others are left out.
+    The start (n,) is None where it is free. Of `workspace`, `torque` and `clearance`, the kinds of limits
+    that are not named are left out.
     """
     n = scale.size
 

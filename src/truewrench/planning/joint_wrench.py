@@ -30,9 +30,7 @@ _SIZES = 0.7 ** np.arange(8)  # of the wrench that these limits suggest
 def design_joint_wrench(rig: Rig, payload: str, progress: Progress) -> Design:
     """The largest sinusoidal wrenches that the joints can follow within their limits, where there are any.
 
-    Raises:
-        UnsupportedError: in gravity, which the paper's motions do not know.
-        InputError: without a posture to start from.
+    Not in gravity, which the paper's motions do not know, and not without a posture to start from.
     """
     if rig.in_gravity:
         expected = "`optimal`: sinusoidal wrenches are those of a free body"

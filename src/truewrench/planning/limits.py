@@ -133,15 +133,9 @@ class Usage:
 def usage_of(
     limit: Kind, axes: Sequence[str], time: Array, values: Array, lower: Array, upper: Array
 ) -> list[Usage]:
-    """Use of the limits of several axes.
+    """Use of the limits of n axes by values (N, n) at times (N,) [s].
 
-    Args:
-        limit: what is limited.
-        axes: their names, n.
-        time: (N,) [s].
-        values: (N, n).
-        lower: (n,) smallest values allowed.
-        upper: (n,) largest values allowed; an axis without both of them is left out.
+    An axis without both a smallest and a largest value allowed is left out.
     """
     found = []
     for k, (axis, x, low, high) in enumerate(zip(axes, values.T, lower, upper, strict=True)):

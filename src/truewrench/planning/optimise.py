@@ -77,6 +77,8 @@ class _Derivatives:
 class Problem:
     """One period of a motion, at K nodes, as IPOPT sees it.
 
+    What is minimised is the criterion, and `spread` times what one frequency a coordinate costs (spread.py).
+
     Attributes:
         space: coordinates, and what depends on them.
         basis: functions of the series.
@@ -84,8 +86,6 @@ class Problem:
         size: number of unknowns.
         bounded: quantities at every node, besides the wrench, that are limited.
         summed: of the quantities that vanish on average, those whose integral is limited.
-
-    What is minimised is the criterion, and `spread` times what one frequency a coordinate costs (spread.py).
     """
 
     def __init__(

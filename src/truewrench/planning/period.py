@@ -15,11 +15,7 @@ ROWS = 20.0  # of the table per period of the highest harmonic: a quintic spline
 
 
 def check_harmonics(rig: Rig) -> None:
-    """Refuse series that cannot rest at both ends, and tables too coarse for them.
-
-    Raises:
-        InputError: naming the key.
-    """
+    """Refuse series that cannot rest at both ends, and tables too coarse for them."""
     plan = rig.plan
     if plan.rest_to_rest and plan.harmonics < 2:
         raise InputError.at(rig.path, "plan.harmonics", "1", "at least 2, to start and end at rest")

@@ -70,9 +70,6 @@ def check_limits(rig: Rig) -> None:
     """Refuse a twist that nothing bounds: the sensor's range alone would let it go through any wall.
 
     A URDF states the range and speed of its joints.
-
-    Raises:
-        InputError: naming the keys.
     """
     if rig.motion.source == "twist" and not any(getattr(rig.limits, key) for key in _BOUNDS):
         expected = (

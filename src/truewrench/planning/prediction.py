@@ -107,13 +107,8 @@ def predict(
 ) -> Prediction:
     """The bound on a log simulated without faults, and what no log of this motion could show.
 
-    Args:
-        rig: the rig.
-        payload: that is carried.
-        motion: as planned.
-        preview: of it.
-        simulated: log of an ideal rig that moves as planned.
-        share: of the whole motion that the log holds; the rest repeats it.
+    `simulated` gives the log of an ideal rig that moves as planned; a log holds a share of the whole motion,
+    and the rest repeats it.
     """
     nominal, sensor = ideal(rig), rig.sensor
     pose, delay = hidden(rig, motion, preview)

@@ -71,17 +71,10 @@ def follow_twist(
 ) -> FollowedTwist:
     """Joint velocities by which an arm follows a planned twist.
 
-    Args:
-        robot: the arm.
-        plan: twist of a point fixed to the sensor, sensor axes.
-        start: (n,) joint positions at time 0.
-        limits: of the joints; by default those of the URDF.
-        rate: commands a second [Hz].
-        lever: (3,) the plan's point seen from the sensor's origin [m]: the centre of mass for a plan of it;
-            by default the origin itself.
-
-    Raises:
-        InputError: the start lies outside the limits.
+    It is that of a point fixed to the sensor, in sensor axes. The start is (n,) joint positions at time 0,
+    within the limits, by default those of the URDF; the rate is of commands [Hz]. The lever (3,) is the
+    plan's point seen from the sensor's origin [m]: the centre of mass for a plan of it; by default the origin
+    itself.
     """
     import pinocchio as pin
     from pink import Configuration, solve_ik

@@ -71,17 +71,10 @@ def search(
     effort: Effort = Effort(),
     near: Sequence[float] | None = None,
 ) -> Found:
-    """The best motion found.
+    """The best motion found, of a duration that is a whole number of periods [s].
 
-    Args:
-        problem_of: what is minimised, keeping to some kinds of limits besides those of series and wrench.
-        limits: what is kept to.
-        duration: of the motion, a whole number of periods [s].
-        check: use of all limits by a motion at 1 kHz.
-        seed: of the random motions.
-        progress: is told what is being done, and the share of it that is done.
-        effort: what it may take.
-        near: (n,) a start to look at.
+    `problem_of` keeps to some kinds of limits besides those of series and wrench; `check` gives the use of
+    all limits by a motion at 1 kHz; `near` (n,) is a start to look at.
     """
     progress("random motions", None)
     problem = problem_of(frozenset(_KINDS))

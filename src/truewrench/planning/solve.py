@@ -43,12 +43,8 @@ def candidates(
 ) -> list[Solution]:
     """Random motions as large as the limits allow at the nodes, the best first.
 
-    Args:
-        problem: where they are measured.
-        limits: what is kept to; where no motion does, those that violate least come back.
-        seed: of what is drawn.
-        count: of what is drawn; starts that violate a limit are left out.
-        near: (n,) a start that every second one is near.
+    Of the `count` drawn, starts that violate a limit are left out; where no motion keeps to the limits, those
+    that violate least come back. Every second one starts near `near` (n,).
     """
     bounds = problem.space.bounds(limits)
     lower, upper = problem.limits(bounds)
@@ -96,15 +92,10 @@ def solve(
     warm: bool = False,
     rounds: int = 5,
 ) -> Solution:
-    """A local optimum within limits, from a motion.
+    """A local optimum within limits, from a motion, which if `warm` is nearly optimal already.
 
-    Args:
-        problem: what is minimised.
-        motion: to begin with.
-        limits: no wider than those that the problem was made with.
-        iterations: at most, in each round.
-        warm: whether the motion is nearly optimal already.
-        rounds: at most, each with the constraints that the one before came near.
+    The limits are no wider than those that the problem was made with. In each of some rounds, of so many
+    iterations at most, the constraints count that the one before came near.
     """
     lower, upper = problem.limits(problem.space.bounds(limits))
     every = problem.rows(np.ones(problem.count, dtype=bool))

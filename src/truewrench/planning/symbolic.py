@@ -13,12 +13,7 @@ from truewrench.model.rig import Rig
 def wrench_over_range(rig: Rig, payload: str, twist: Any, acceleration: Any, gravity: Any) -> Any:
     """Wrench (6,) as the sensor feels it, over its range, from the motion of the centre of mass.
 
-    Args:
-        rig: the rig.
-        payload: name of the payload that is carried.
-        twist: of the centre of mass (6,), sensor axes.
-        acceleration: its component-wise derivative (6,).
-        gravity: in sensor axes (3,).
+    Twist (6,), its component-wise derivative and gravity (3,) are along the sensor axes.
     """
     body = rig.payloads[payload]
     reaction = -force_to_move(
@@ -32,13 +27,8 @@ def force_to_move(
 ) -> Any:
     """Wrench (6,) at a frame's origin that moves a body, from the motion of its centre of mass.
 
-    Args:
-        mass: [kg].
-        center: of mass, from the origin (3,) [m].
-        inertia: about the centre of mass (3, 3) [kg m^2].
-        twist: of the centre of mass (6,), all in the frame's axes.
-        acceleration: its component-wise derivative (6,).
-        gravity: (3,).
+    The centre (3,) [m] is from the origin, the inertia (3, 3) [kg m^2] about the centre of mass; twist (6,),
+    its component-wise derivative and gravity (3,) are along the frame's axes.
     """
     v, omega = twist[:3], twist[3:]
     tensor = ca.DM(inertia)

@@ -48,11 +48,7 @@ class Sinusoids:
 
 
 def design_wrench(rig: Rig, payload: str, progress: Progress) -> Design:
-    """Sinusoidal wrenches whose motion stays within the limits where that is possible.
-
-    Raises:
-        UnsupportedError: in gravity, which the paper's motions do not know.
-    """
+    """Sinusoidal wrenches whose motion stays within the limits where that is possible; not in gravity."""
     if rig.in_gravity:
         found, expected = "a rig in gravity", "`optimal`: sinusoidal wrenches are those of a free body"
         raise UnsupportedError.at(rig.path, "--method wrench", found, expected)

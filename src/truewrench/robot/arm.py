@@ -59,13 +59,9 @@ class Robot:
         return len(self.joints)
 
     def pose(self, q: Array) -> tuple[Array, Array]:
-        """Pose of the sensor frame in the root.
+        """Pose of the sensor frame in the root at joint positions (N, n) [rad, m].
 
-        Args:
-            q: (N, n) joint positions [rad, m].
-
-        Returns:
-            R_root_sensor (N, 3, 3) and p_root_sensor (N, 3) [m].
+        R_root_sensor (N, 3, 3) and p_root_sensor (N, 3) [m].
         """
         import pinocchio as pin
 
@@ -90,11 +86,7 @@ class Robot:
     def motion(self, q: Array, qd: Array, qdd: Array, base: BaseMotion | None = None) -> ArmMotion:
         """Motion of the sensor frame, relative to {O} where the base moves and to the root otherwise.
 
-        Args:
-            q: (N, n) joint positions [rad, m].
-            qd: (N, n) joint velocities.
-            qdd: (N, n) joint accelerations.
-            base: motion of the root, None where it stands still.
+        Joint positions [rad, m], velocities and accelerations are (N, n).
         """
         import pinocchio as pin
 
@@ -128,15 +120,10 @@ def rotation_of(attitude: Array) -> Array:
 
 
 def load_robot(urdf: str | Path, sensor_frame: str) -> Robot:
-    """The chain of a URDF from its root to a frame.
+    """The chain of a URDF from its root to a link (or joint) at the sensor's centre, with the sensor's axes.
 
-    Args:
-        urdf: the file; meshes that it names are not looked for.
-        sensor_frame: name of a link (or joint) at the sensor's centre, with the sensor's axes.
-
-    Raises:
-        InputError: the file cannot be read, the frame is missing, or no joint moves it.
-        UnsupportedError: a joint of the chain is neither revolute, continuous nor prismatic.
+    Meshes that it names are not looked for. InputError: the file cannot be read, the frame is missing, or no
+    joint moves it. UnsupportedError: a joint of the chain is neither revolute, continuous nor prismatic.
     """
     import pinocchio as pin
 
@@ -172,11 +159,7 @@ def load_robot(urdf: str | Path, sensor_frame: str) -> Robot:
 
 
 def robot_of(rig: Rig) -> Robot:
-    """The robot of a rig with `motion.source: joints`.
-
-    Raises:
-        InputError: as for `load_robot`, and when a list of the rig has not one entry per joint.
-    """
+    """The robot of a rig with `motion.source: joints`, every list of which has one entry per joint."""
     path, motion = rig.urdf_path, rig.motion
     if path is None or motion.robot is None:
         raise InputError.at(

@@ -28,11 +28,7 @@ class BasePath:
 
     @classmethod
     def of(cls, rig: Rig, log: Log) -> BasePath:
-        """The base of a log.
-
-        Raises:
-            InputError: for a base that moves in gravity without an attitude, or of fewer than 4 rows.
-        """
+        """The base of a log: of 4 rows or more, and with an attitude if it moves in gravity."""
         if log.base_twist is not None and log.base_attitude is None and rig.in_gravity:
             expected = "`base_qw` ... `base_qz` too: without them gravity has no direction"
             raise InputError.at(log.path, "", "`base_vx` ... `base_wz`, a base that moves", expected)

@@ -26,14 +26,9 @@ def uncompensated(rig: Rig, logs: Sequence[Log]) -> list[Log]:
 
     with g in sensor axes at the sensor's stamp, interpolated between the rows that tell it. How late the
     driver was with its own g is not known. Samples at which g is not known (before its first row, after its
-    last, in a gap) become NaN, and a note says how many. Logs that are given stay as they are; call it once.
-
-    Args:
-        rig: without `sensor.compensated` the logs come back as they are.
-        logs: of joints, with their tracking.
-
-    Raises:
-        InputError: for a log that nowhere tells the direction of gravity where the sensor has samples.
+    last, in a gap) become NaN, and a note says how many; that nothing tells it anywhere is an InputError.
+    Logs that are given stay as they are, and come back without `sensor.compensated`; those of joints have
+    their tracking. Call it once.
     """
     if rig.sensor.subtracted is None:
         return list(logs)

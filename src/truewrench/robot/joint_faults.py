@@ -30,11 +30,8 @@ def joint_faults(rig: Rig, logs: Sequence[Log]) -> list[str]:
 
     A position that jumps and stays away, where velocities say that the joint has not moved so far; velocities
     that tell another motion than the positions, its opposite, or one in another unit. Of 192 sound joint logs
-    of benchmarks/imperfect.py and 120 of six arms, quantised up to 0.01 rad, none is suspected.
-
-    Args:
-        rig: whose motion comes from joints.
-        logs: positions without turns that begin anew (`robot.parts.unwrapped`).
+    of benchmarks/imperfect.py and 120 of six arms, quantised up to 0.01 rad, none is suspected. Positions are
+    without turns that begin anew (`robot.parts.unwrapped`).
     """
     if rig.motion.source != "joints":
         return []

@@ -72,18 +72,12 @@ def together(
 
 
 def on_common_rows(time: Array, joints: Array) -> tuple[Array, list[list[int]]]:
-    """Joints on the rows of the slowest part, where most rows have samples of a part of the arm alone.
+    """Joints (N, n) on the rows of the slowest part, where most rows have samples of a part of the arm alone.
 
     The others are interpolated by a cubic through the four samples around each row, in no gap of them. Its
     noise is at most that of a sample, and rows of a slower part never share what one sample of a faster one
-    says: no information is made up.
-
-    Args:
-        time: (N,) [s].
-        joints: (N, n) positions or velocities, NaN where there is no sample.
-
-    Returns:
-        The joints (N, n), and the columns of each part, the slowest first; one part where nothing was done.
+    says: no information is made up. Given back, too, are the columns of each part, the slowest first; one
+    part where nothing was done.
     """
     finite = np.isfinite(joints)
     complete = int(finite.all(axis=1).sum())

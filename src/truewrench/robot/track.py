@@ -38,11 +38,7 @@ _APART = 4  # rows at least: these samples have no noise that could be judged
 
 
 def tracked(rig: Rig, logs: Sequence[Log]) -> list[Log]:
-    """Logs with their tracking, where the rig has joints and a log has none yet.
-
-    Raises:
-        InputError: as for `track`, and for a log of joints with a rig of twists.
-    """
+    """Logs with their tracking, where the rig has joints and a log has none yet, and is no log of twists."""
     if rig.motion.source == "joints":
         return [track(rig, log) if log.tracking is None else log for log in logs]
     for log in logs:
@@ -54,17 +50,10 @@ def tracked(rig: Rig, logs: Sequence[Log]) -> list[Log]:
 def track(rig: Rig, log: Log, *, exact_positions: bool = False) -> Log:
     """The log of a joint rig with the twist, the gravity and the tracking of its sensor.
 
-    With `motion.position_noise` encoders and tachometers are followed together; without it logged positions
-    are exact, and velocities alone are measurements; without logged positions these are integrated. A log
-    with a wrench known from elsewhere needs no joints.
-
-    Args:
-        rig: of joints.
-        log: its joints may be missing in some rows.
-        exact_positions: whatever noise of them is stated.
-
-    Raises:
-        InputError: for streams that leave the motion undetermined.
+    With `motion.position_noise` encoders and tachometers are followed together; without it, or if they are
+    `exact_positions`, logged positions are exact, and velocities alone are measurements; without logged
+    positions these are integrated. A log with a wrench known from elsewhere needs no joints. InputError:
+    streams leave the motion undetermined.
     """
     if log.position is None and log.velocity is None:
         if log.reference is not None:
@@ -94,10 +83,8 @@ def track(rig: Rig, log: Log, *, exact_positions: bool = False) -> Log:
 def measured_twists(rig: Rig, log: Log) -> Log:
     """The log of a joint rig with the twist that its tachometers measure, through the manipulator Jacobian.
 
-    Encoders tell pose and gravity only: a twist of theirs would be a difference of samples.
-
-    Raises:
-        InputError: for a log without joint velocities, or without positions and `motion.initial_position`.
+    Encoders tell pose and gravity only: a twist of theirs would be a difference of samples. InputError: there
+    are no joint velocities, or neither positions nor `motion.initial_position`.
     """
     if log.velocity is None or rig.motion.noise is None:
         found = "no column dq_*" if log.velocity is None else "no `motion.noise`"

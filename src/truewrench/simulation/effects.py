@@ -49,9 +49,7 @@ def dahl(load: Array, size: float) -> Array:
 def nonlinearity(own_axis: Integers, rng: Rng) -> Array:
     """Coefficients (n, 21) of the products w_j w_l, j <= l, in n channels: 1 for the square of the own axis.
 
-    Args:
-        own_axis: (n,) the wrench axis that each channel feels most.
-        rng: draws the others.
+    That is the wrench axis that each channel feels most (n,); the others are drawn.
     """
     j, k = np.triu_indices(6)
     coefficients = _CROSS * rng.standard_normal((own_axis.size, j.size))

@@ -117,14 +117,8 @@ def wrench_on_sensor(body: Body, point: Array, twist: Array, acceleration: Array
 
     A rigid body moves like any set of material points with its mass, centre of mass and second moments. Each
     point P is accelerated by a force from the sensor and by gravity, ``f_P = m_P (a_P - g)``, and the sensor
-    feels the reaction of them all.
-
-    Args:
-        body: the payload.
-        point: body-fixed point that the twist belongs to, from the sensor origin (3,).
-        twist: its twist (N, 6).
-        acceleration: component-wise derivative of the twist (N, 6).
-        gravity: acceleration of free fall in sensor axes (N, 3).
+    feels the reaction of them all. Twist (N, 6) and its component-wise derivative belong to a body-fixed
+    point, (3,) from the sensor origin; gravity (N, 3) is the acceleration of free fall in sensor axes.
     """
     velocity, omega = twist[:, :3], twist[:, 3:]
     rotation_rate = acceleration[:, 3:]
@@ -144,11 +138,8 @@ def default_trajectory(rig: Rig) -> HarmonicTwist:
 
     0.15 to 1.2 Hz, no frequency twice; 0.4 m/s and 0.4 rad/s at most where the rig does not limit the
     velocity. Where every axis moves at one frequency, its pose is minus its acceleration: what follows the
-    pose, a cable say, would pass for gain (docs/method.md, "What follows the pose").
-
-    Raises:
-        UnsupportedError: for a workspace, which only a planned motion can keep to.
-        InputError: if the payload at rest already exceeds ``limits.wrench_fraction``.
+    pose, a cable say, would pass for gain (docs/method.md, "What follows the pose"). A workspace is
+    unsupported: only a planned motion can keep to it.
     """
     limits = rig.limits
     if limits.workspace is not None:

@@ -159,16 +159,10 @@ class Hardware:
         return np.clip(time + off, 0.0, self.duration)
 
     def readout(self, gain: Array, fine: FineMotion, shown: Array, read: Array) -> Readout:
-        """What becomes of the signals of a run.
+        """What becomes of the signals of a run with the true gain (n, 6).
 
-        Args:
-            gain: (n, 6) the true one.
-            fine: the ideal run at `fine_time`.
-            shown: (M,) times that the sensor's samples show [s].
-            read: (K,) times that the samples of the motion show [s].
-
-        Raises:
-            InputError: for a cable where nothing moves.
+        The ideal run is that at `fine_time`. The samples of the sensor show the times (M,), and those of the
+        motion are read at (K,) [s]. InputError: a cable where nothing moves.
         """
         spec, time = self.spec, self.fine_time
         told: dict[str, Any] = {}

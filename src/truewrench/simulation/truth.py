@@ -116,9 +116,7 @@ class Stamps:
 def begin(rig: Rig, payload: str | None, seed: int | None) -> tuple[str, Truth]:
     """The payload that is carried, the rig's first if none is named, and the truth of the run.
 
-    Raises:
-        UnsupportedError: for a sensor with a filter of its own that is not simulated.
-        InputError: for a payload that the rig does not have.
+    UnsupportedError: the sensor has a filter of its own that is not simulated.
     """
     imperfect = rig.simulate.imperfections
     if rig.sensor.lowpass_hz is not None and (imperfect is None or imperfect.sensor_filter is None):
@@ -139,9 +137,8 @@ def begin(rig: Rig, payload: str | None, seed: int | None) -> tuple[str, Truth]:
 def stamps_of(rig: Rig, duration: float, time_offset: float) -> Stamps:
     """The stamps of a motion that begins at time 0, at the rates of ``rig.simulate``.
 
-    Raises:
-        InputError: for a time offset that leaves the sensor nothing of the motion, and for more rows than
-            anybody can hold.
+    InputError: the time offset leaves the sensor nothing of the motion, or there are more rows than anybody
+    can hold.
     """
     rows = duration * max(rig.simulate.rate, rig.simulate.sensor_rate)
     if rows > _MOST_ROWS:
@@ -172,16 +169,9 @@ def readings(
 
 
 def write_run(path: str | Path, log: Log, truth: Truth, joints: Sequence[str] = ()) -> tuple[Path, Path]:
-    """Write a log (CSV, or Parquet by its suffix) and PATH.truth.yaml beside it.
+    """Write a log (CSV, or Parquet by its suffix) and PATH.truth.yaml beside it: both paths.
 
-    Args:
-        path: of the log.
-        log: what was simulated.
-        truth: what it was made with.
-        joints: their names, where the log has joints.
-
-    Returns:
-        Both paths.
+    Joints are named where the log has any.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)

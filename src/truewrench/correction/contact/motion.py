@@ -31,18 +31,11 @@ class MotionRows:
 
 
 class MotionColumns:
-    """What the rig's source of motion needs of a table, and what it makes of it.
+    """What the source of motion of a tool's rig needs of a table, and what it makes of it.
 
     Joints tell twist and gravity of each row by itself: no spline is fitted. Velocities at rows without
-    positions are taken at the last ones, carried on by the velocities.
-
-    Args:
-        rig: of the tool.
-        names: columns that there are; None where rows come one by one, and any may come.
-        place: of the table, for messages.
-
-    Raises:
-        InputError: columns are missing, or the robot is at fault.
+    positions are taken at the last ones, carried on by the velocities. Without `names` of columns rows come
+    one by one, and any may come; `place` is that of the table, for messages.
     """
 
     def __init__(self, rig: Rig, names: Collection[str] | None, place: Path | None = None) -> None:
@@ -99,15 +92,7 @@ class MotionColumns:
             self._q[:] = np.nan
 
     def read(self, time_ns: Integers, columns: Columns) -> MotionRows:
-        """N rows, after those that were read before.
-
-        Args:
-            time_ns: (N,) stamps.
-            columns: (N,) each; those that are absent hold no sample.
-
-        Raises:
-            InputError: an attitude is none.
-        """
+        """N rows, after those that were read before; columns (N,) that are absent hold no sample."""
         count = len(time_ns)
         if self._source == "joints":
             return self._of_joints(time_ns, columns)

@@ -264,11 +264,7 @@ class ContactRun:
 def contact_settings(
     tool: Tool, calibration: Calibration | None, motion: MotionColumns
 ) -> _core.ContactSettings:
-    """What the core needs to know.
-
-    Raises:
-        InputError: tool and calibration are of two sensors.
-    """
+    """What the core needs to know; InputError if tool and calibration are of two sensors."""
     sensor = tool.rig.sensor
     slope = tool.offset_temperature
     settings = _core.ContactSettings()
@@ -296,11 +292,7 @@ def contact_settings(
 
 
 def check_same_sensor(tool: Tool, rig: Rig) -> None:
-    """Refuse a tool that was identified on another sensor.
-
-    Raises:
-        InputError: channels or sign differ.
-    """
+    """Refuse a tool that was identified on another sensor: channels or sign differ."""
     for key in ("channels", "feels"):
         of_tool, given = getattr(tool.rig.sensor, key), getattr(rig.sensor, key)
         if of_tool != given:

@@ -30,14 +30,8 @@ def arm_figure(
 ) -> None:
     """Draw an arm in space: some postures, and the paths of sensor and payload.
 
-    Args:
-        path: of the picture.
-        postures: (K, m, 3) points along the arm, root first, the earliest posture first [m].
-        time: (N,) of the paths [s].
-        sensor: (N, 3) positions of the sensor [m].
-        payload: (N, 3) positions of the payload's centre of mass [m].
-        caption: what it shows.
-        name: of what the postures are.
+    Postures (K, m, 3), of what `name` says, are points along the arm, root first, the earliest posture first
+    [m]. At times (N,) [s], the sensor and the payload's centre of mass are at (N, 3) [m].
     """
     figure = Figure(figsize=(8.2, 8.0))
     ax = figure.add_axes((0.0, 0.14, 0.84, 0.86), projection="3d")

@@ -43,13 +43,8 @@ class BagReader(Reader):
     ) -> Generator[tuple[Connection, int, bytes], None, None]:
         """Connection, time of receipt [ns] and bytes of messages, in order of time.
 
-        Args:
-            connections: those of interest; all, if none.
-            start: time of the first [ns].
-            stop: time before which the last was received [ns].
-
-        Raises:
-            ReaderError: the bag is broken.
+        From `start` to before `stop`. Those of all connections, if none is given. A broken bag raises
+        ReaderError.
         """
         wanted = {c.id: c for c in connections or self.connections}
         chunks = [chunk for chunk in self.chunk_infos if wanted.keys() & chunk.connection_counts.keys()]

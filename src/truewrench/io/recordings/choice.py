@@ -43,11 +43,7 @@ def commanded(topic: str) -> bool:
 
 
 def named_topic(path: Path, topics: Sequence[Topic], name: str, role: str) -> Topic:
-    """The topic of this name.
-
-    Raises:
-        InputError: there is none, or it holds something else.
-    """
+    """The topic of this name; InputError if there is none, or it holds something else."""
     roles = ("wrench", "array") if role == "wrench" else (role,)
     place = f"recording.{KEYS[role]}"
     same = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
@@ -63,11 +59,7 @@ def named_topic(path: Path, topics: Sequence[Topic], name: str, role: str) -> To
 
 
 def one_topic(path: Path, streams: Sequence[Stream], role: str, what: str) -> Stream | None:
-    """The only stream, None where there is none.
-
-    Raises:
-        InputError: there are several; the text lists them.
-    """
+    """The only stream, None where there is none; several are an InputError, whose text lists them."""
     if len(streams) > 1:
         found = f"{len(streams)} topics that could hold {what}: {_listed(streams)}"
         expected = f"the choice of one in the rig: `recording: {{{KEYS[role]}: {streams[0].topic.name}}}`"

@@ -132,11 +132,7 @@ class _Walk:
 
 
 def read_layout(data: bytes, type_name: str, definitions: Definitions, ros1: bool) -> Layout:
-    """The layout of one message, in CDR or the serialisation of ROS 1.
-
-    Raises:
-        ValueError: the bytes are no such message; the text says why.
-    """
+    """The layout of one message, in CDR or the serialisation of ROS 1; ValueError if it is none."""
     if ros1:
         walk = _Walk(data, definitions, "<", 0, False, 0)
     else:
@@ -159,21 +155,10 @@ def read_layout(data: bytes, type_name: str, definitions: Definitions, ros1: boo
 def layouts_of(
     messages: Sequence[bytes], known: list[Layout], type_name: str, definitions: Definitions, ros1: bool
 ) -> list[tuple[npt.NDArray[np.intp], Layout, npt.NDArray[np.uint8]]]:
-    """Messages grouped by layout.
+    """Messages of one type grouped by layout; new layouts are added to the known ones.
 
-    Args:
-        messages: of one type.
-        known: layouts found before, the latest last; new ones are added.
-        type_name: of the messages.
-        definitions: of their types.
-        ros1: whether the serialisation is that of ROS 1.
-
-    Returns:
-        Per group: the places of its messages in the sequence, their layout, and they themselves
-        (N, length).
-
-    Raises:
-        ValueError: a message is not of this type; the text says which and why.
+    Per group: the places of its messages in the sequence, their layout, and they themselves (N, length). A
+    ValueError says which message is not of this type, and why.
     """
     groups = []
     lengths = np.fromiter(map(len, messages), dtype=np.intp, count=len(messages))

@@ -89,8 +89,7 @@ class Recording:
     ) -> Iterator[Batch]:
         """Messages of some topics in one pass, in the order of their receive stamps per topic.
 
-        Raises:
-            InputError: the file is broken, or holds other than it says.
+        InputError: the file is broken, or holds other than it says.
         """
         chosen = {f"{topic.name}\n{topic.type_name}": topic for topic in topics}
         connections = [c for key in chosen for c in self._connections[key]]
@@ -167,11 +166,7 @@ def _suffix_by_content(path: Path) -> str | None:
 
 @contextmanager
 def open_recording(path: Path) -> Iterator[Recording]:
-    """Open a recording: a folder of rosbag2, or a file .mcap, .db3 or .bag.
-
-    Raises:
-        InputError: it is none, or broken.
-    """
+    """Open a recording: a folder of rosbag2, or a file .mcap, .db3 or .bag."""
     _check(path)
     ros1 = path.suffix.lower() == ".bag" and path.is_file()
     with _faults_of(path):

@@ -30,16 +30,10 @@ class Selection:
 def select(
     recording: Recording, rig: Rig, whole: bool, progress: Callable[[int], object] | None = None
 ) -> Selection:
-    """Read what the rig needs.
+    """Read what the rig needs, which names topics where there is a choice.
 
-    Args:
-        recording: open.
-        rig: with the names of topics where there is a choice.
-        whole: whether motion that cannot be read is an error, or left out.
-        progress: called with the number of messages read so far.
-
-    Raises:
-        InputError: the recording is broken, or does not tell which topics are meant.
+    Unless `whole`, motion that cannot be read is left out, and no error; `progress` is told the number of
+    messages read so far. InputError: the recording is broken, or does not tell which topics are meant.
     """
     topics = _topics(recording, rig)
     joints = robot_of(rig).joints if whole and rig.motion.source == "joints" else None

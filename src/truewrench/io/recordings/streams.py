@@ -74,16 +74,9 @@ _Part = tuple[npt.NDArray[np.intp], Integers | None, Array]
 
 
 def samples_of(batch: Batch, known: list[Layout], recording: Recording, first: int) -> Iterator[Samples]:
-    """Decode a batch.
+    """Decode a batch of a topic with a role, of which `first` messages came before.
 
-    Args:
-        batch: messages of a type that has a role.
-        known: layouts of this topic so far; new ones are added.
-        recording: that they are from.
-        first: how many messages of the topic came before.
-
-    Raises:
-        InputError: a message is not what its type says.
+    New layouts are added to the known ones of the topic. InputError: a message is not what its type says.
     """
     topic = batch.topic
     try:
@@ -218,17 +211,11 @@ def gather(
     wanted: Callable[[Topic, tuple[str, ...]], Sequence[int]] | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[Stream]:
-    """All streams of some topics, in one pass over the recording, their samples in order of time.
+    """All streams of topics with a role, in one pass over the recording, their samples in order of time.
 
-    Args:
-        recording: open.
-        topics: each with a role.
-        stamps: `header` or `receive`; messages without a header have the latter in any case.
-        wanted: which columns of a topic are of interest; all, unless given.
-        progress: called with the number of messages read so far.
-
-    Raises:
-        InputError: a message is broken, or there is no room for the samples.
+    Stamps are those of `header` or `receive`; messages without a header have the latter in any case. `wanted`
+    says which columns of a topic are of interest, by default all; `progress` is told the number of messages
+    read so far. InputError: a message is broken, or there is no room for the samples.
     """
     streams: dict[tuple[str, str, tuple[str, ...]], Stream] = {}
     layouts: dict[tuple[str, str], list[Layout]] = {}

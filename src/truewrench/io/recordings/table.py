@@ -42,21 +42,14 @@ class _RecordingChunk(Chunk):
 
 
 class RecordingTable(Table):
-    """What a rig needs of a recording.
+    """What a rig needs of a recording: its sensor, motion and `recording` say which topics are read.
 
-    Reading it costs a batch of messages of each topic; their numbers wait in temporary files.
-
-    Args:
-        path: a folder of rosbag2, or a file .mcap, .db3 or .bag.
-        rig: its sensor, motion and `recording` say which topics are read.
-        whole: whether motion that cannot be read is an error; else it is left out, and a note says so.
-        progress: called with the number of messages read so far.
+    Reading it costs a batch of messages of each topic; their numbers wait in temporary files. Unless `whole`,
+    motion that cannot be read is left out, and a note says so. InputError: the recording is broken, or does
+    not tell which topics are meant.
 
     Attributes:
         places: of the columns: number of the stream, and position in it.
-
-    Raises:
-        InputError: the recording is broken, or does not tell which topics are meant.
     """
 
     def __init__(

@@ -75,12 +75,7 @@ class McapWriter:
 
 @contextmanager
 def mcap_output(path: str | Path, frame: str) -> Iterator[McapWriter]:
-    """A writer of an MCAP file that appears whole or not at all.
-
-    Args:
-        path: of the file.
-        frame: in which wrenches are expressed.
-    """
+    """A writer of an MCAP file that appears whole or not at all, of wrenches expressed in a frame."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     with atomic_output(path) as temporary, tempfile.TemporaryDirectory(dir=temporary.parent) as folder:

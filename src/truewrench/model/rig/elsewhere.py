@@ -10,12 +10,9 @@ from truewrench.model.rig import Rig
 
 
 def within(mapping: dict[str, Any], rig: Rig, path: str | Path) -> dict[str, Any]:
-    """The mapping of a rig as a file at `path` may hold it: its URDF is named from there.
+    """The mapping of a rig, or part of it, as a file at `path` may hold it: its URDF is named from there.
 
-    Args:
-        mapping: of the rig, or part of it; left as it is.
-        rig: of a file of its own; without one paths stay as they are.
-        path: of the file that will hold the mapping.
+    It is left as it is; without a file of the rig's own paths stay as they are.
     """
     robot, urdf = rig.motion.robot, rig.urdf_path
     if robot is None or urdf is None or rig.path is None or Path(robot.urdf).is_absolute():

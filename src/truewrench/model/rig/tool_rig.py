@@ -30,13 +30,7 @@ def tool_rig(data: Any, path: str | Path | None = None) -> Rig:
     """Validate settings for an unknown tool: one payload, a placeholder named `UNKNOWN`.
 
     A twist is that of the sensor's origin: the point at an unknown centre of mass could not have been logged.
-
-    Args:
-        data: a rig's mapping; `payloads`, `required` and `motion` may be absent.
-        path: of its file.
-
-    Raises:
-        InputError: as for `Rig.from_mapping`.
+    `payloads`, `required` and `motion` may be absent.
     """
     if not isinstance(data, Mapping):
         raise InputError.at(path, "", shown(data), "a mapping with a sensor")
@@ -44,11 +38,7 @@ def tool_rig(data: Any, path: str | Path | None = None) -> Rig:
 
 
 def load_tool_rig(path: str | Path) -> Rig:
-    """Read and validate a rig file for an unknown tool.
-
-    Raises:
-        InputError: as for `load_rig`.
-    """
+    """Read and validate a rig file for an unknown tool."""
     data, _ = read_yaml(path)
     return tool_rig(data, path)
 

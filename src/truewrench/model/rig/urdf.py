@@ -29,10 +29,7 @@ def read_urdf(path: str | Path) -> Element:
 
     Its links and joints have names of their own and form one tree; their numbers are finite, masses and
     largest speeds not negative. Continuous joints become revolute ones without limits: Pinocchio would give
-    them two coordinates each.
-
-    Raises:
-        InputError: the file cannot be read, or is no such robot.
+    them two coordinates each. InputError: the file cannot be read, or is no such robot.
     """
     try:
         robot = fromstring(Path(path).read_bytes())
@@ -174,11 +171,7 @@ def link_at(joint: Element, end: str) -> str:
 
 
 def model_of(path: str | Path) -> Any:
-    """The whole robot of a URDF as a `pinocchio.Model`, on a fixed base; limits that are missing are inf.
-
-    Raises:
-        InputError: as for `read_urdf`, and when Pinocchio does not accept the robot.
-    """
+    """The whole robot of a URDF as a `pinocchio.Model`, on a fixed base; limits that are missing are inf."""
     import pinocchio as pin
 
     text = tostring(read_urdf(path), encoding="unicode")

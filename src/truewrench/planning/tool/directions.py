@@ -24,10 +24,7 @@ def axes_of(direction: Array) -> Array:
 def spread(count: int, axis: Array, half_angle: float) -> Array:
     """Unit vectors (count, 3) evenly spread: on the rim of a cone, or over what is more than half a sphere.
 
-    Args:
-        count: how many.
-        axis: (3,) unit vector, middle of the cone.
-        half_angle: of the cone [rad]; pi: all directions.
+    The axis (3,) is the middle of the cone; a half angle of pi [rad] is all directions.
     """
     if half_angle <= 0.5 * np.pi:
         return rim(axis, half_angle, count)

@@ -68,11 +68,7 @@ def _way(stand: Stand, a: Array, b: Array) -> tuple[float, list[Array]]:
 
 
 def route(stand: Stand, options: list[Array]) -> tuple[list[list[Array]], list[int]]:
-    """The quickest way from home through one posture of each of T sets, and home again.
-
-    Args:
-        stand: the arm.
-        options: (K, n) postures of each pose, in the order of the poses.
+    """The quickest way from home through one posture of each of T options (K, n), in order, and home again.
 
     Returns:
         Postures of every move, the last one of each being the pose and that of the last move home; and which
@@ -101,14 +97,9 @@ def route(stand: Stand, options: list[Array]) -> tuple[list[list[Array]], list[i
 
 
 def joint_path(stand: Stand, moves: list[list[Array]], poses: int, dwell: float, rate: float) -> Timed:
-    """Rows of the joints that visit postures.
+    """Rows of the joints at a rate [Hz] that visit postures, by the moves of `route`.
 
-    Args:
-        stand: the arm, which begins at home.
-        moves: of `route`.
-        poses: how many of them, the first ones, end in a pose.
-        dwell: at every pose [s].
-        rate: of the rows [Hz].
+    The first moves end in poses, so many as there are, at each of which they dwell [s].
     """
     step, at = 1.0 / rate, stand.home
     blocks: list[tuple[Array, Array, Array]] = [(at[None], 0.0 * at[None], 0.0 * at[None])]
@@ -139,12 +130,8 @@ def _times(rows: int, step: float) -> Array:
 def twist_path(falls: Array, down: Array, limits: Limits, dwell: float, rate: float) -> Timed:
     """Rows of the twist of a sensor that turns on the spot, its axes at first those of the root.
 
-    Args:
-        falls: (T, 3) directions of gravity in the sensor, one a pose.
-        down: (3,) that in the root.
-        limits: of the twist.
-        dwell: at every pose [s].
-        rate: of the rows [Hz].
+    At a rate [Hz]. Gravity is along `falls` (T, 3) in the sensor, one a pose, where it dwells [s], and `down`
+    (3,) in the root.
     """
     step, at = 1.0 / rate, Rotation.identity()
     turns = [_least_turn(down, fall) for fall in falls]

@@ -189,9 +189,6 @@ def plan_tool(
         cone: largest angle of gravity, in the sensor, to where it points at first [rad].
         payload: name of the one that is expected; the first of the rig if left out.
         progress: is told what is being done, and the share of it that is done.
-
-    Raises:
-        InputError: for a rig that cannot be planned for, or bad numbers.
     """
     started, tell = time.perf_counter(), progress or (lambda phase, share: None)
     rig, notes = _with_expected(source, payload)

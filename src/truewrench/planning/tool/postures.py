@@ -99,15 +99,10 @@ class Reach:
 
 
 def reach_of(stand: Stand, widest: float, seed: int) -> Reach:
-    """The directions of gravity that an arm reaches.
+    """The directions of gravity that an arm reaches, within a cone about that at home.
 
-    Args:
-        stand: the arm.
-        widest: half angle of the cone about the direction at home that must not be left [rad].
-        seed: of the postures that are tried.
-
-    Raises:
-        InputError: the posture where the rig begins is not allowed.
+    `widest` is its half angle [rad]. The seed is of the postures that are tried. InputError: where the rig
+    begins is not allowed.
     """
     rng, home, n = np.random.default_rng(seed), stand.home, stand.robot.n
     if not stand.allowed(home[None])[0]:

@@ -68,13 +68,8 @@ def pose_problem(
 ) -> Problem:
     """The problem that `identify_tool` will solve of T poses, its readings all zero.
 
-    Args:
-        rig: of `settings_of`.
-        prior: what is believed beforehand.
-        dwells: (T, 2) begin and end of each [s].
-        R_sensor_root: (T, 3, 3).
-        end: of the log [s].
-        samples: of the sensor a second [Hz].
+    The rig is that of `settings_of`. Dwells (T, 2) are begin and end of each, `end` that of the log [s];
+    there are `samples` of the sensor a second.
     """
     count, n = len(dwells), rig.sensor.n
     read = np.maximum(1.0, np.round((dwells[:, 1] - dwells[:, 0] - SETTLE) * samples))

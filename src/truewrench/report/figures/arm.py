@@ -38,14 +38,8 @@ def driven_figure(
 ) -> None:
     """Draw joint velocities and how far they are from the plan, and the wrench in percent of range.
 
-    Args:
-        path: of the picture.
-        joints: n names.
-        time: (N,) of the joints [s].
-        velocity: (N, n) [rad/s, m/s].
-        error: (N, n) velocity minus plan.
-        wrench: times (M,) [s] and wrench over range (M, 6).
-        caption: what it shows.
+    At times (N,) [s], velocity (N, n) [rad/s, m/s] and its error, less the plan; the wrench is times (M,) [s]
+    and wrench over range (M, 6).
     """
     figure = Figure(figsize=(10.4, 8.6))
     axes = figure.subplots(2, 2, sharex=True)
@@ -86,12 +80,7 @@ def gain_figure(
 ) -> None:
     """Draw sigma of every gain, one heat map per prediction, and the errors in units of the last of them.
 
-    Args:
-        path: of the picture.
-        channels: n names.
-        sigma: titles and normalised sigma (n, 6).
-        error: (n, 6) normalised.
-        caption: what it shows.
+    Sigma, with its titles, and error are (n, 6) normalised.
     """
     n, count = len(channels), len(sigma) + 1
     height = 3.1 + 0.45 * n

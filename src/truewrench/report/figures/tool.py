@@ -17,13 +17,8 @@ def body_figure(
 ) -> None:
     """Errors of a body's figures and their sigma, each in percent of what stands in its name.
 
-    Args:
-        path: of the picture.
-        names: of the K figures, with what they are shares of.
-        errors: (K,) found less true.
-        found: (K,) sigma that the identification states.
-        promised: (K,) sigma that the plan promised, NaN where it promised none.
-        caption: what it shows.
+    Of K figures: errors, found less true, the sigma that the identification states, and that which the plan
+    promised, NaN where it promised none.
     """
     figure = Figure(figsize=(9.2, 5.6))
     axes = figure.subplots()
@@ -54,14 +49,8 @@ def contact_figure(
 ) -> None:
     """The contact wrench in time: force and moment, and beside them the wrench that was only tared.
 
-    Args:
-        path: of the picture.
-        time: (N,) [s].
-        contact: (N, 6) found [N, N m].
-        std: (N, 6) its 1 sigma.
-        true: (N, 6) with which the tool was pressed.
-        tared: (N, 6) the raw wrench less that of the first row.
-        caption: what it shows.
+    At times (N,) [s]: the wrench found (N, 6) [N, N m], its 1 sigma, that with which the tool was pressed,
+    and the raw one less that of the first row.
     """
     figure = Figure(figsize=(10.4, 7.6))
     grid = figure.subplots(2, 2, sharex=True)

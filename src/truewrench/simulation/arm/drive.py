@@ -93,11 +93,7 @@ def _frequency(trajectory: JointTrajectory) -> float:
 def drive(arm: Arm, servo: Servo, trajectory: JointTrajectory, time: Array) -> Driven:
     """Follow a motion from its first position and velocity on, the integrators holding the arm's weight.
 
-    Args:
-        arm: with the payload that it carries.
-        servo: of its joints.
-        trajectory: what is commanded.
-        time: (N,) increasing, within [0, duration] [s].
+    Times (N,) are increasing, within [0, duration] [s].
     """
     n, data = arm.n, mujoco.MjData(arm.model)
     q0 = trajectory.position(np.zeros(1))[0]

@@ -107,19 +107,10 @@ class Arm:
 def arm_of(urdf: Path, sensor_frame: str, joints: Sequence[str], payload: Body, gravity: Array) -> Arm:
     """The arm of a URDF with a payload welded to its sensor frame.
 
-    Links beyond the sensor frame are left out: a payload is everything beyond the sensing element. Meshes are
-    not looked for and nothing collides. Joints have the damping of the URDF and no dry friction.
-
-    Args:
-        urdf: the file.
-        sensor_frame: name of the link at the sensor's centre, with the sensor's axes.
-        joints: names of the joints that move it, in the order of the chain.
-        payload: mass, centre of mass and inertia of what the sensor carries.
-        gravity: acceleration of free fall (3,) in the root link's axes.
-
-    Raises:
-        InputError: MuJoCo does not accept the robot.
-        UnsupportedError: the sensor frame is no link of the URDF.
+    That is a link at the sensor's centre, with its axes. Links beyond the sensor frame are left out: a
+    payload is everything beyond the sensing element. Meshes are not looked for and nothing collides. Joints,
+    named in the order of the chain, have the damping of the URDF and no dry friction. Gravity (3,) is the
+    acceleration of free fall in the root link's axes.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(urdf))

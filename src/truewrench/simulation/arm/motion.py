@@ -26,13 +26,8 @@ _BEND = 0.35  # [rad] off the middle, every other joint to the other side: stret
 def default_motion(rig: Rig, robot: Robot, arms: Mapping[str, Arm]) -> SplineJoints:
     """Four sines per joint, of distinct frequencies, for ``rig.plan.duration`` and within the limits.
 
-    Args:
-        rig: its ``limits``, those of the URDF and the sensor's range are kept to.
-        robot: limits of the joints.
-        arms: the arm with each of the rig's payloads.
-
-    Raises:
-        InputError: if a payload overloads the sensor at rest, or begins outside the workspace.
+    These are the rig's, those of the URDF and the sensor's range, with the arm that holds each of the
+    payloads. InputError: a payload overloads the sensor at rest, or begins outside the workspace.
     """
     time = np.linspace(0.0, rig.plan.duration, max(64, 1 + round(_RATE * rig.plan.duration)))
     center = _posture(rig, robot)

@@ -142,13 +142,7 @@ def move(
 ) -> Moved:
     """Let the arm follow a plan with a payload, and check what it reports before anyone calls it truth.
 
-    Args:
-        rig: noise and gain play no part.
-        robot: limits of the joints.
-        trajectory: what is commanded.
-        payload: the true one.
-        time_offset: of the clocks [s].
-        seed: of the rig's imperfections.
+    Noise and gain play no part; the time offset is that of the clocks [s], the seed that of imperfections.
     """
     _check_range(rig, robot, trajectory)
     hardware = Hardware(rig, seed, trajectory.duration)
@@ -173,14 +167,8 @@ def move(
 def disagreement(rig: Rig, payload: Body, reading: Reading, stencils: Integers) -> float:
     """Largest departure of recorded wrenches from Newton and Euler on the derivative of recorded twists.
 
-    Args:
-        rig: its range says what is a small wrench.
-        payload: the true one.
-        reading: the record.
-        stencils: (K, 7) rows of it, spaced evenly by `_SPACING`, the wrench being checked in the middle.
-
-    Returns:
-        Relative to the largest force, or moment, of these.
+    It is relative to the largest force, or moment, at the stencils: (K, 7) rows of the record, spaced evenly
+    by `_SPACING`, the wrench being checked in the middle. The rig's range says what is a small wrench.
     """
     if not len(stencils):
         return 0.0
