@@ -37,6 +37,7 @@ from truewrench.model.rig import Rig
 if TYPE_CHECKING:  # all that an estimate needs takes a second to import
     from cyclonedds.sub import DataReader
 
+    from truewrench.live.ros2_types import Message
     from truewrench.live.session import LiveCalibration
 
 OUTPUT = "/truewrench/wrench"
@@ -178,7 +179,7 @@ def _sensor_topic(node: Node, sensor: SensorSource, topics: Topics, stop: Stop) 
     return name
 
 
-def _thermometer(node: Node, rig: Rig, complain: Complain) -> DataReader[Temperature] | None:
+def _thermometer(node: Node, rig: Rig, complain: Complain) -> DataReader[Message] | None:
     """The topic that the rig names, else the only one of its type, else none: then the reference stands."""
     kind = ros_type(Temperature)
     name = getattr(rig.recording, KEYS["temperature"])
@@ -283,7 +284,7 @@ def calibrate_topics(
     return counts, final
 
 
-def _diagnostics(rig: Rig, progress: Progress) -> DiagnosticArray:
+def _diagnostics(rig: Rig, progress: Progress) -> Message:
     name = "" if rig.path is None else rig.path.stem
     level, message = (_OK, "usable") if progress.usable else (_WARNING, "; ".join(progress.reasons))
     values = [

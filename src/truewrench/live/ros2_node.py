@@ -27,7 +27,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from truewrench.live.ros2_types import TYPE_HASHES
+from truewrench.live.ros2_types import type_hash
 from truewrench.live.stop import Stop
 from truewrench.model.errors import InputError
 
@@ -197,7 +197,7 @@ def _reliable() -> Any:
 def _common(kind: type[IdlStruct]) -> list[Any]:
     return [
         Policy.Durability.Volatile,
-        Policy.Userdata(f"typehash=RIHS01_{TYPE_HASHES[kind]};".encode()),
+        Policy.Userdata(f"typehash={type_hash(ros_type(kind))};".encode()),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     ]
 

@@ -108,7 +108,7 @@ class _Imu(Source):
         whole = ANGULAR_VELOCITY + SPECIFIC_FORCE
         self._names = whole if rig.motion.source == "imu" else SPECIFIC_FORCE
 
-    def _values(self, message: Imu) -> tuple[tuple[str, ...], Sequence[float]]:
+    def _values(self, message: Any) -> tuple[tuple[str, ...], Sequence[float]]:
         return self._names, _without_infinity(message.values[-len(self._names) :])
 
 
@@ -121,7 +121,7 @@ class _Joints(Source):
         super().__init__(rig, "joints")
         self._joints = robot_of(rig).joints
 
-    def _values(self, message: JointState) -> tuple[tuple[str, ...], Sequence[float]]:
+    def _values(self, message: Any) -> tuple[tuple[str, ...], Sequence[float]]:
         places = {name: k for k, name in enumerate(message.name)}
         if len(places) < len(message.name):
             raise InputError("found a joint a second time, expected every name once")

@@ -1,25 +1,32 @@
-"""Messages of ROS 2 as DDS types: names, fields and type hashes as every ROS 2 has them on the wire.
+"""Messages of ROS 2 as DDS types: names and fields as every ROS 2 has them on the wire.
 
-A type hash (RIHS01, REP 2016) tells one version of a message from another; ROS 2 carries it in the user data
-of an endpoint, since Iron.
+rosbags knows the definitions; only what every sample goes through is written out.
 """
 
 import struct
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
+from types import new_class
 from typing import TYPE_CHECKING, Any, Self
 
-from cyclonedds.idl import IdlStruct
+from cyclonedds.idl import IdlStruct, types
 from cyclonedds.idl import annotations as annotate
-from cyclonedds.idl.types import array, byte, float64, int32, uint8, uint32
+from cyclonedds.idl.types import byte, float64, int32, uint8, uint32
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
 
 if TYPE_CHECKING:
-    from builtins import list as sequence
 
-    Nine = list[float]
-else:
-    from cyclonedds.idl.types import sequence
+    class Message(IdlStruct):
+        """Any message, whose fields are those of its definition."""
 
-    Nine = array[float64, 9]
+        def __init__(self, *values: Any, **named: Any) -> None: ...
+        def __getattr__(self, name: str) -> Any: ...
+
+
+_STORE = get_typestore(Stores.LATEST)
+_OF: Any = types  # its hints know no `sequence[...]`
 
 
 @dataclass
@@ -114,190 +121,70 @@ class WrenchStamped(IdlStruct, typename="geometry_msgs.msg.dds_.WrenchStamped_")
         return cls.of(Header(Time(sec, nanosec), frame), six.unpack_from(data, numbers))
 
 
-@dataclass
-@annotate.final
-class Twist(IdlStruct, typename="geometry_msgs.msg.dds_.Twist_"):
-    """Linear [m/s] and angular velocity [rad/s]."""
-
-    linear: Vector3 = field(default_factory=Vector3)
-    angular: Vector3 = field(default_factory=Vector3)
-
-
-@dataclass
-@annotate.final
-class TwistStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TwistStamped_"):
-    """A twist."""
-
-    header: Header = field(default_factory=Header)
-    twist: Twist = field(default_factory=Twist)
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """All six, the linear velocity first."""
-        v, w = self.twist.linear, self.twist.angular
-        return (v.x, v.y, v.z, w.x, w.y, w.z)
-
-
-@dataclass
-@annotate.final
-class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    """An orientation."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-    w: float64 = 1.0
-
-
-def _unknown() -> list[float]:
-    return [0.0] * 9
-
-
-@dataclass
-@annotate.final
-class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
-    """Angular velocity [rad/s] and specific force [m/s^2], and what is not used here."""
-
-    header: Header = field(default_factory=Header)
-    orientation: Quaternion = field(default_factory=Quaternion)
-    orientation_covariance: Nine = field(default_factory=_unknown)
-    angular_velocity: Vector3 = field(default_factory=Vector3)
-    angular_velocity_covariance: Nine = field(default_factory=_unknown)
-    linear_acceleration: Vector3 = field(default_factory=Vector3)
-    linear_acceleration_covariance: Nine = field(default_factory=_unknown)
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """Angular velocity, then specific force."""
-        w, a = self.angular_velocity, self.linear_acceleration
-        return (w.x, w.y, w.z, a.x, a.y, a.z)
-
-
-@dataclass
-@annotate.final
-class Temperature(IdlStruct, typename="sensor_msgs.msg.dds_.Temperature_"):
-    """A temperature [degrees Celsius]."""
-
-    header: Header = field(default_factory=Header)
-    temperature: float64 = 0.0
-    variance: float64 = 0.0
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """It alone."""
-        return (self.temperature,)
-
-
-@dataclass
-@annotate.final
-class Vector3Stamped(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3Stamped_"):
-    """Three numbers and their time."""
-
-    header: Header = field(default_factory=Header)
-    vector: Vector3 = field(default_factory=Vector3)
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """All three."""
-        return (self.vector.x, self.vector.y, self.vector.z)
-
-
-@dataclass
-@annotate.final
-class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
-    """Joints by name; each of the other sequences has an entry per name, or none at all."""
-
-    header: Header = field(default_factory=Header)
-    name: sequence[str] = field(default_factory=list)
-    position: sequence[float64] = field(default_factory=list)
-    velocity: sequence[float64] = field(default_factory=list)
-    effort: sequence[float64] = field(default_factory=list)
-
-
-@dataclass
-@annotate.final
-class MultiArrayDimension(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayDimension_"):
-    """One dimension of an array."""
-
-    label: str = ""
-    size: uint32 = 0
-    stride: uint32 = 0
-
-
-@dataclass
-@annotate.final
-class MultiArrayLayout(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayLayout_"):
-    """How an array lies in memory."""
-
-    dim: sequence[MultiArrayDimension] = field(default_factory=list)
-    data_offset: uint32 = 0
-
-
-@dataclass
-@annotate.final
-class Float64MultiArray(IdlStruct, typename="std_msgs.msg.dds_.Float64MultiArray_"):
-    """Numbers without a stamp."""
-
-    layout: MultiArrayLayout = field(default_factory=MultiArrayLayout)
-    data: sequence[float64] = field(default_factory=list)
-
-
-@dataclass
-@annotate.final
-class KeyValue(IdlStruct, typename="diagnostic_msgs.msg.dds_.KeyValue_"):
-    """A figure by its name, as text."""
-
-    key: str = ""
-    value: str = ""
-
-
-@dataclass
-@annotate.final
-class DiagnosticStatus(IdlStruct, typename="diagnostic_msgs.msg.dds_.DiagnosticStatus_"):
-    """How a component does: 0 OK, 1 warning, 2 error."""
-
-    level: byte = 0
-    name: str = ""
-    message: str = ""
-    hardware_id: str = ""
-    values: sequence[KeyValue] = field(default_factory=list)
-
-
-@dataclass
-@annotate.final
-class DiagnosticArray(IdlStruct, typename="diagnostic_msgs.msg.dds_.DiagnosticArray_"):
-    """How components do."""
-
-    header: Header = field(default_factory=Header)
-    status: sequence[DiagnosticStatus] = field(default_factory=list)
-
-
-@dataclass
-@annotate.final
-class Bool(IdlStruct, typename="std_msgs.msg.dds_.Bool_"):
-    """Yes or no."""
-
-    data: bool = False
-
-
-@dataclass
-@annotate.final
-class Empty(IdlStruct, typename="std_msgs.msg.dds_.Empty_"):
-    """That something happens; IDL knows no message without a member."""
-
-    structure_needs_at_least_one_member: uint8 = 0
-
-
-TYPE_HASHES: dict[type[IdlStruct], str] = {
-    WrenchStamped: "8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77",
-    TwistStamped: "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
-    JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
-    Imu: "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b",
-    Temperature: "72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
-    Vector3Stamped: "d4829622288cbb443886e7ea94ea5671a3b1be6bab4ad04224432a65f7d7887a",
-    Float64MultiArray: "1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f",
-    Bool: "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
-    Empty: "20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312",
-    DiagnosticArray: "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
+_BASIC: Mapping[str, tuple[Any, Callable[[], Any]]] = {
+    "bool": (bool, bool),
+    "byte": (byte, int),
+    "float64": (float64, float),
+    "string": (str, str),
+    "uint8": (uint8, int),
+    "uint32": (uint32, int),
 }
-"""Of the messages that are topics."""
+_KNOWN: dict[str, Any] = {
+    "builtin_interfaces/msg/Time": Time,
+    "geometry_msgs/msg/Vector3": Vector3,
+    "std_msgs/msg/Header": Header,
+}
+
+
+def _field(kind: Nodetype, of: Any) -> tuple[Any, Callable[[], Any]]:
+    """The type of a field in IDL, and what makes a value where none is given."""
+    if kind is Nodetype.BASE:
+        return _BASIC[of[0]]
+    if kind is Nodetype.NAME:
+        known = _KNOWN.get(of) or _message(of)
+        return known, known
+    element, make = _field(*of[0])
+    if kind is Nodetype.SEQUENCE:
+        return _OF.sequence[element], list
+    return _OF.array[element, of[1]], lambda: [make() for _ in range(of[1])]
+
+
+def _message(name: str, values: Callable[[Any], tuple[float, ...]] | None = None) -> "type[Message]":
+    """A message by its definition; `values` are the numbers of it that are used here."""
+    package, _, kind = name.split("/")
+    fields = {key: _field(*of) for key, of in _STORE.fielddefs[name][1]}
+
+    def define(body: dict[str, Any]) -> None:
+        body["__annotations__"].update((key, of) for key, (of, _) in fields.items())
+        body.update((key, field(default_factory=make)) for key, (_, make) in fields.items())
+        if values is not None:
+            body["values"] = property(values)
+
+    made = new_class(kind, (IdlStruct,), {"typename": f"{package}.msg.dds_.{kind}_"}, define)
+    _KNOWN[name] = annotate.final(dataclass(made))
+    return _KNOWN[name]  # type: ignore[no-any-return]
+
+
+def _xyz(*vectors: str) -> Callable[[Any], tuple[float, ...]]:
+    return attrgetter(*(f"{vector}.{axis}" for vector in vectors for axis in "xyz"))
+
+
+Twist = _message("geometry_msgs/msg/Twist")
+TwistStamped = _message("geometry_msgs/msg/TwistStamped", _xyz("twist.linear", "twist.angular"))
+Vector3Stamped = _message("geometry_msgs/msg/Vector3Stamped", _xyz("vector"))
+Imu = _message("sensor_msgs/msg/Imu", _xyz("angular_velocity", "linear_acceleration"))
+Temperature = _message("sensor_msgs/msg/Temperature", lambda message: (message.temperature,))
+JointState = _message("sensor_msgs/msg/JointState")
+MultiArrayDimension = _message("std_msgs/msg/MultiArrayDimension")
+MultiArrayLayout = _message("std_msgs/msg/MultiArrayLayout")
+Float64MultiArray = _message("std_msgs/msg/Float64MultiArray")
+KeyValue = _message("diagnostic_msgs/msg/KeyValue")
+DiagnosticStatus = _message("diagnostic_msgs/msg/DiagnosticStatus")
+DiagnosticArray = _message("diagnostic_msgs/msg/DiagnosticArray")
+Bool = _message("std_msgs/msg/Bool")
+Empty = _message("std_msgs/msg/Empty")
+
+
+def type_hash(name: str) -> str:
+    """Of a message (RIHS01, REP 2016): ROS 2 carries it in the user data of an endpoint, since Iron."""
+    return _STORE.hash_rihs01(name)
