@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.calibrating.from_motion import Progress, Show, calibrate_from_motion
 from truewrench.calibrating.known_wrench import (
@@ -47,7 +46,6 @@ from truewrench.robot.compensation import uncompensated
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
 
-Array = NDArray[np.float64]
 EstimatorName = Literal["map", "online", "ekf", "ls"]
 
 

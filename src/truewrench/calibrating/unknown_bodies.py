@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.accelerometer import at_sensor
@@ -22,8 +21,6 @@ from truewrench.model.rig import InertiaSpec, PayloadSpec, Rig
 from truewrench.model.rig.sections import ELEMENTS, UNKNOWN_GYRATION, UNKNOWN_UNCERTAINTY
 from truewrench.robot.track import tracked
 from truewrench.tool.motion import body_start
-
-Array = NDArray[np.float64]
 
 BENDS = 0.05  # 1 sigma of the gains beyond which gain times mass is no longer linear (docs/tool.md)
 

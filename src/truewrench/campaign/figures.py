@@ -8,14 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.stats import binom, chi2, norm
 
 from truewrench.campaign.statistics import Campaign, wilson_interval
 from truewrench.io.pictures import BLUE, GREY, VERMILION, finish
 from truewrench.model.calibration import AXES
-
-Array = NDArray[np.float64]
 
 _FEWEST = 2  # trials that make a picture
 _LIMITS = (0.025, 0.975)

@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from truewrench.calibrating.pipeline import EstimatorName, calibrate
@@ -23,7 +22,6 @@ from truewrench.simulation.truth import Truth, nees
 
 STREAMS = {"force": "force", "moment": "moment", "v": "velocities v", "Omega": "velocities Omega"}
 
-Array = NDArray[np.float64]
 Outcome = Literal["calibrated", "refused", "fault"]
 Row = dict[str, Any]
 

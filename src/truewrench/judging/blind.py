@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation import pose
 from truewrench.estimation.estimate import Estimate
 from truewrench.model.calibration_parts import BlindTo
 from truewrench.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 STILL = 1e-9  # fraction of range: a wrench that moves by less shows nothing, and hides nothing: tolerance
 FEWEST = 12  # samples of a stretch, of which a rate is formed: tolerance

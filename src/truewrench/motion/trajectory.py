@@ -15,9 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import OdeSolution, solve_ivp
 from scipy.interpolate import BSpline, make_interp_spline
 
-from truewrench.motion.spatial import cross, rotated, turns_between
-
-Array = NDArray[np.float64]
+from truewrench.motion.spatial import Array, cross, rotated, turns_between
 
 _ATTITUDE_STEP = 2e-3  # [s] at most: to 1e-11 [rad] in a second at 40 rad/s and 10 Hz, by its sixth power
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.io.joint_trajectory import write_joint_trajectory
 from truewrench.io.plans import joint_columns, read_plan
@@ -17,8 +16,6 @@ from truewrench.model.rig import Rig
 from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.resolved_rate import FollowedTwist, follow_twist, limits_of
 from truewrench.robot.arm import Robot, robot_of
-
-Array = NDArray[np.float64]
 
 _CLOSE = (
     0.01  # of the plan's largest linear and angular speed: what may be missing from a motion that follows

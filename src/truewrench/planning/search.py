@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.planning.limits import Limits, Usage
 from truewrench.planning.optimise import Problem
 from truewrench.planning.series import FourierMotion
 from truewrench.planning.solve import Solution, candidates, solve
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
 
 _ROUNDS = 6  # of tightening
