@@ -14,10 +14,9 @@ from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.judging.advice import advice
 from truewrench.judging.blind import blind_to
 from truewrench.judging.channels import channel_faults, still_motion
-from truewrench.judging.comparisons import Comparisons
-from truewrench.judging.departure import largest_departure
 from truewrench.judging.setup_odds import Suspicion, gross_errors, setup_errors
 from truewrench.judging.words import (
+    CHANNELS,
     MOST,
     findings,
     kinds_of_disagreement,
@@ -49,6 +48,18 @@ __all__ = [
 CONDITION = 100.0  # of the normalised gain, beyond which it is told: words only
 SURE = 20.0  # nats of the odds of a set-up error: the order of words only
 SINGULAR = 1e12  # that only rounding keeps from infinity: tolerance
+LOUD = 2.0  # times the stated noise, from which on a motion stream is the one that departs: words only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparisons:
+    """Held-out comparison, or why there is none, and suspected set-up errors."""
+
+    worse: tuple[str, ...] = ()  # why, by that, the new gain should not replace the nominal one, in words
+    # why nothing was held out, in words; empty where something was. It is always told.
+    not_held_out: str = ""
+    setup: tuple[Suspicion, ...] = ()  # `setup_errors` of the estimate
+    hopeless: tuple[str, ...] = ()  # why nothing was estimated, in words: `joint_faults`, `gross_errors`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,9 +155,36 @@ def _unexplained(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]
         f"the raw output of {log_name(logs, int(k))} does not follow its motion: "
         f"{100 * estimate.unexplained[k]:.0f}% of what it does is explained by no motion of the payload (is "
         "the motion that of another run? are the clocks far apart? does something else push?); "
-        f"{largest_departure(estimate, rig, logs)}"
+        f"{_largest_departure(estimate, rig, logs)}"
         for k in np.flatnonzero(estimate.unexplained > _core.MOST_LOST)
     ]
+
+
+def _largest_departure(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> str:
+    """Of a channel at its worst sample, or of a motion stream that is noisier than the sensor is."""
+    sensor = rig.sensor
+    noise = sensor.noise_array / sensor.channel_scale
+    worst, words = 0.0, "no departure stands out"
+    for k, rows in enumerate(estimate.rows):
+        y = np.abs(np.nan_to_num(rows.residual + rows.discrepancy, nan=0.0, posinf=0.0, neginf=0.0))
+        if y.size == 0:
+            continue
+        row, i = np.unravel_index(int(np.argmax(y / noise)), y.shape)
+        if y[row, i] / noise[i] > worst:
+            worst = float(y[row, i] / noise[i])
+            words = (
+                f"largest departure: channel {sensor.channels[i]}, {100 * y[row, i]:.2g}% of range at"
+                f" {rows.time[row]:.4g} s of {log_name(logs, k)}, {worst:.2g} x its sigma"
+            )
+    factors = [(found.factor, found.what, k) for k, of in enumerate(estimate.noise) for found in of]
+    sensed = max((f for f, what, _ in factors if what in CHANNELS and np.isfinite(f)), default=1.0)
+    moved = max(((f, w, k) for f, w, k in factors if w not in CHANNELS and np.isfinite(f)), default=None)
+    if moved is not None and moved[0] > max(LOUD, sensed):
+        words = (
+            f"largest departure: the motion, {moved[1]} of {log_name(logs, moved[2])} scatter "
+            f"{moved[0]:.2g} times as stated all along"
+        )
+    return words
 
 
 def _suspicions(
@@ -176,14 +214,14 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
     for k in np.flatnonzero(estimate.unresolved):
         reasons.append(
             f"the motion of {log_name(logs, int(k))} is not resolved: a knot a sample still fits better "
-            f"({_named(looks_fast(estimate, rig, logs), named)}); {largest_departure(estimate, rig, logs)}"
+            f"({_named(looks_fast(estimate, rig, logs), named)}); {_largest_departure(estimate, rig, logs)}"
         )
     share = estimate.masked_share()
     if share > _core.MOST_LOST:
         kinds = _named(kinds_of_disturbances(estimate, rig, logs), named)
         reasons.append(
             f"{100 * share:.0f}% of the sensor's samples were left out as {kinds}: too many to trust it;"
-            f" {largest_departure(estimate, rig, logs)}"
+            f" {_largest_departure(estimate, rig, logs)}"
         )
     p = {"halves": estimate.p_halves, "quarters 1 + 3 and 2 + 4": estimate.p_quarters}
     parts = [
@@ -193,7 +231,7 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
         reasons.append(
             f"parts of the record disagree on the gain ({'; '.join(parts)}): something does not fit the "
             f"model ({_named(kinds_of_disagreement(estimate, rig, logs), named)}); "
-            f"{largest_departure(estimate, rig, logs)}"
+            f"{_largest_departure(estimate, rig, logs)}"
         )
     if not _condition(estimate, rig) < SINGULAR:
         reasons.append("the gain is singular: some wrench leaves no trace in the channels")

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from array import array
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,13 +17,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
+import numpy as np
 import numpy.typing as npt
 
 from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.evidence import Evidence
 from truewrench.io.tables import read_log, write_table
 from truewrench.live.progress import Progress
-from truewrench.live.record import Record
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.files import atomic_output
@@ -51,6 +52,57 @@ def payload_of(rig: Rig, named: str | None) -> str:
     if named is None and "default" not in rig.payloads and len(rig.payloads) > 1:
         raise InputError.at(rig.path, "--payload", "nothing", f"what the arm carries, one of: {known}")
     return named or ("default" if "default" in rig.payloads else next(iter(rig.payloads)))
+
+
+class _Stream:
+    """Samples of the same columns."""
+
+    def __init__(self) -> None:
+        self.time = array("q")
+        self.values = array("d")
+
+
+class Record:
+    """A log that grows: samples of several streams, each at its own times, and one table of them all."""
+
+    def __init__(self) -> None:
+        self._streams: dict[tuple[str, ...], _Stream] = {}
+
+    def add(self, names: tuple[str, ...], time_ns: int, values: Iterable[float]) -> None:
+        """One sample, its columns in order, NaN where one has none, after that of the same columns before."""
+        stream = self._streams.get(names)
+        if stream is None:
+            stream = self._streams[names] = _Stream()
+        if stream.time and time_ns <= stream.time[-1]:
+            raise InputError(f"time: {time_ns} ns after {stream.time[-1]} ns, expected time that increases")
+        stream.time.append(time_ns)
+        stream.values.extend(values)
+
+    @property
+    def samples(self) -> int:
+        """Of all streams together."""
+        return sum(len(stream.time) for stream in self._streams.values())
+
+    @property
+    def seconds(self) -> float:
+        """From the first sample to the last."""
+        times = [stream.time for stream in self._streams.values()]
+        return 1e-9 * (max(t[-1] for t in times) - min(t[0] for t in times)) if times else 0.0
+
+    def columns(self) -> Columns:
+        """A table by time, `time_ns` first; NaN where a stream has no sample."""
+        streams = {
+            names: (np.array(stream.time), np.array(stream.values).reshape(-1, len(names)))
+            for names, stream in self._streams.items()
+        }
+        time = np.unique(np.concatenate([np.zeros(0, np.int64), *(time for time, _ in streams.values())]))
+        table: dict[str, npt.NDArray[Any]] = {"time_ns": time}
+        for names, (at, values) in streams.items():
+            rows = np.searchsorted(time, at)
+            for name, column in zip(names, values.T, strict=True):
+                whole = table.setdefault(name, np.full(len(time), np.nan))
+                whole[rows] = np.where(np.isnan(column), whole[rows], column)
+        return table
 
 
 class LiveCalibration:
