@@ -1,7 +1,5 @@
 """A calibration from motion: estimate, compare, judge, and put together what is said about it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace

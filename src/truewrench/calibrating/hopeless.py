@@ -1,7 +1,5 @@
 """What needs no estimate to be refused: the joints themselves, or least squares on a few seconds, tell it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

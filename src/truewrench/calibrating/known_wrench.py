@@ -1,7 +1,5 @@
 """A calibration from reference wrenches: its verdict, and nominal against new gain on rows held out."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """From rig and logs to a calibration: estimate, judge, and put together what is said about it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -9,8 +9,6 @@ next. At rest the moment is c x force: one payload tells the gains of force as f
 known, several tell both (METHOD 6).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,8 +5,6 @@ mass where no body is known, keeps its variance. A body is estimated about a fir
 bends: least squares on differentiated velocities with the nominal gain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figures of a campaign: NEES, realised against stated sigma, and coverage, each with its caption."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ Every trial draws a truth, simulates a log and calibrates from it; its row does 
 processes share the work. Rows are kept in shards, so that an interrupted campaign goes on where it stood.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

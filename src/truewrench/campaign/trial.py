@@ -1,7 +1,5 @@
 """One trial of a campaign: draw a truth, simulate, calibrate, and say in one row how far off it is."""
 
-from __future__ import annotations
-
 import time
 import traceback
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Work spread over processes that may die: only the item that a dead process held is lost, by name."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -4,8 +4,6 @@
 3 a result is written but is not to be used as it stands.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

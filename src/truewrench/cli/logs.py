@@ -1,7 +1,5 @@
 """Commands about logs as they are."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Annotated

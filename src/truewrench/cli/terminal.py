@@ -1,7 +1,5 @@
 """What a command leaves on the terminal: words, or one JSON object, and why it failed."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Commands that try out everything at once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """The true wrench beside the raw channels of a log, in one pass and constant memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path

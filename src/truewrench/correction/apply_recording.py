@@ -1,7 +1,5 @@
 """The true wrench of a log as a recording, beside what the sensor said and what the motion predicts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

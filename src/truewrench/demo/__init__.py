@@ -4,8 +4,6 @@ The paper gives no noise, rates, wrench amplitudes or frequencies, and not its g
 and every figure says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product

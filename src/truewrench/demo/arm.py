@@ -1,7 +1,5 @@
 """A whole arm from plan to verdict: plan -> MuJoCo -> calibrate -> validate, with pictures."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path

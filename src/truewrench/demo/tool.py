@@ -1,7 +1,5 @@
 """An unknown gripper on an arm: plan poses, record, identify, export, and feel a press in motion."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace

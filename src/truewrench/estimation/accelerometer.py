@@ -4,8 +4,6 @@ It reads f = vdot + Omega x v - g (METHOD 10.6, as of an IMU). Beside a measured
 better than f, so that vdot = f - Omega x v + g is a measurement of the motion's derivative.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A calibration put together from what was estimated and judged."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """What a log allows at best: the Cramer-Rao bound on the gain (docs/method.md, "The bound")."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -5,8 +5,6 @@ of a record, beside what gain, offset and s can follow, is a straight line then,
 set; the variance is that of shorter parts, as residuals last. The rate is undone at the sensor's stamps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any

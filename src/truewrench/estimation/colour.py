@@ -7,8 +7,6 @@ they do; or an autoregressive model A(z), whose inverse A(z) / A(1) leaves white
 undoes the delay (docs/method.md, M12a).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -4,8 +4,6 @@ It takes one row at a time into a gain that it still has to learn, together with
 sensor it locks onto a wrong gain (docs/method.md): its result is to be compared with, not used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a calibration rests on, kept for those who want to look into it; a calibration alone is small."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from truewrench.estimation.ekf import EkfEstimate

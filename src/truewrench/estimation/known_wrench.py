@@ -5,8 +5,6 @@ are, and how long they last, is found (`wrench_errors`); the regression holds no
 (`wrench_regression`); its covariance contains what is not known of the sizes. docs/method.md, section 12.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ E = L^-1 B x, in O(rows) for any stamps; these are the innovations of the Kalman
 A time of 0 makes an effect of each mean by itself: a random effect per plateau.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

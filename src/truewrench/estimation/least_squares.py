@@ -5,8 +5,6 @@ the twist enters w through the differentiation, and noise in a regressor shrinks
 removes most of that noise beforehand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

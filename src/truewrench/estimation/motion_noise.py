@@ -1,7 +1,5 @@
 """The noise of a log's twist, whatever it was measured with."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from truewrench.model.arrays import Array

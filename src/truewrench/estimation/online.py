@@ -1,7 +1,5 @@
 """The estimate as samples arrive (METHOD 10.6), in the terms of the one that looks at the whole record."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

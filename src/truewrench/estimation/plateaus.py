@@ -1,7 +1,5 @@
 """Where a reference stands still (METHOD 10.5): weights that hang for a while, poses that are held."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from truewrench.model.arrays import Array, Integers

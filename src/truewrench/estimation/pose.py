@@ -5,8 +5,6 @@ pull follows the pose; where every axis moves at one frequency the pose is minus
 cable's stiffness IS a gain. Wrenches are normalised throughout: over the range of their axis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Times are seconds since the log's first stamp; channels are fractions of R_i; the motion is in SI units.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

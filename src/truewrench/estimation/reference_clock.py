@@ -9,8 +9,6 @@ of the sensor, 0 for one of the reference (docs/method.md, M22a). Residuals last
 s, k and r is that of the scores of parts of the log; what it makes uncertain of the gain is kept.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

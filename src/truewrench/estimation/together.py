@@ -7,8 +7,6 @@ Of y, what they share less its prior mean, with N(0, D) beforehand and N(m_i, V_
 D and D_i differ in the size of the channels' departure from linear alone, which each fit finds anew (10.6).
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 

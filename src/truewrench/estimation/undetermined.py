@@ -1,7 +1,5 @@
 """Directions of the gain that the data leave as uncertain as they were: words, no verdict (METHOD 6)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ found channel by channel: one of each for a group of channels is too sure of its
 (docs/results.md). Where the stated white noise explains the rows as well, it stands.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -16,8 +16,6 @@ regressor is w_k times the share of its scatter that is not noise, and the covar
 from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What is in a log or a recording, in tables that a person reads in a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from rich import box

@@ -4,8 +4,6 @@ Three things a cell can be: a number; empty (text without characters, or null), 
 stream has no sample; NaN, which is left out and counted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation

@@ -1,7 +1,5 @@
 """A joint motion as ROS takes it: `trajectory_msgs/msg/JointTrajectory`, in YAML (docs/formats.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

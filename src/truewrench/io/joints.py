@@ -1,7 +1,5 @@
 """Which columns of a log tell how an arm moved: joints by name, and its base (docs/formats.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

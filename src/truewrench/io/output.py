@@ -1,7 +1,5 @@
 """Tables written batch by batch, CSV or Parquet by their name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path

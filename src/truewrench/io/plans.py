@@ -1,7 +1,5 @@
 """Planned motions as tables, CSV or Parquet (docs/formats.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -5,8 +5,6 @@ evenly all the same, the last of a packet when it left; what the transport takes
 the estimate finds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What CSV and Parquet have in common: a table that is read in chunks of rows."""
 
-from __future__ import annotations
-
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Logs as tables, CSV or Parquet (docs/formats.md)."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence

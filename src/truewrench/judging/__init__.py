@@ -1,7 +1,5 @@
 """Judgement, apart from the estimate (METHOD 10.7): one function decides whether it may be used."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What would make a calibration accurate enough, in numbers a person can act on."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ and what is fast. All are projected off (w, 1), which gain and offset have taken
 how much chi-square falls beyond what as many regressors take of chance. It changes no estimate, no verdict.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial

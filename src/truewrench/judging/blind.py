@@ -1,7 +1,5 @@
 """What a record could not have shown: a force that follows the pose, a delay (METHOD 10.1, 10.4)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from truewrench.estimation import pose

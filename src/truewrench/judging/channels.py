@@ -1,7 +1,5 @@
 """Streams that say nothing: channels that are constant, missing or at a rail, motions that stand still."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

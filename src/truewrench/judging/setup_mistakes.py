@@ -1,7 +1,5 @@
 """What somebody could have set up wrongly: matrices between the nominal gain and the true one (METHOD 8)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

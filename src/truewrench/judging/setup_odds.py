@@ -11,8 +11,6 @@ Under a correct set-up these are of whatever size up to `gain_prior` explains th
 prior never brings a suspicion; a rig that was set up wrongly has a sensor as good as others are.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ named by one of `KINDS`, or by at most three of them, the likeliest first: they 
 colon.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """JSON lines with the contact wrench: an answer a line, the numbers of `apply`; tares and events between."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -1,7 +1,5 @@
 """JSON lines with the columns of a log, read strictly: an object a line, every number finite."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Lines of a pipe as they arrive, and lines into one."""
 
-from __future__ import annotations
-
 import os
 import select
 import sys

@@ -1,7 +1,5 @@
 """What a live calibration knows by now."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

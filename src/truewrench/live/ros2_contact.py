@@ -1,7 +1,5 @@
 """ROS 2 topics: the contact wrench of sensor and motion, with covariance, contact test and tare."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

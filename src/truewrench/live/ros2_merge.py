@@ -1,7 +1,5 @@
 """Messages of several topics as rows of one table, in the order of their stamps."""
 
-from __future__ import annotations
-
 import heapq
 import math
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """A participant in ROS 2 without ROS: the environment that ROS programs obey, endpoints, discovery."""
 
-from __future__ import annotations
-
 import os
 import re
 import time

@@ -4,8 +4,6 @@ Topics of different middlewares talk to each other, services do not: whoever cal
 the rclpy that is installed here. The topic of the same name does without.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import queue

@@ -1,7 +1,5 @@
 """Topics as streams of a log: columns, time and numbers of every message."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ On the way `online` (of joints: `map`) is run on the record so far, anew wheneve
 so that all runs together cost a few times the last; what is written at the end is `map` on the whole record.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from array import array

@@ -1,7 +1,5 @@
 """A clean end: SIGINT and SIGTERM are asked about between samples and never interrupt one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """What a calibration knows: gain and offset with their uncertainty, and the verdict on using them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

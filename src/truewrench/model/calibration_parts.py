@@ -1,7 +1,5 @@
 """What a calibration is made of besides its numbers: verdict, reports, and what the estimate assumed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

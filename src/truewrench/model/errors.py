@@ -1,7 +1,5 @@
 """Errors of the package: each says where the fault is, what was found and what was expected."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Self

@@ -1,7 +1,5 @@
 """LOG: what was recorded, as arrays on the log's own time stamps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The wrench of a rig's payload for whole records, by the core's Newton-Euler equations ([A00] 5-8)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from truewrench import _core

@@ -5,8 +5,6 @@ several times. Of a coarse reading channels repeat one by one; of a held one all
 hung goes on with a jump.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

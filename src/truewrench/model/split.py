@@ -1,7 +1,5 @@
 """A part of the record held out of a calibration, to judge it by."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

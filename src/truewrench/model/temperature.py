@@ -1,7 +1,5 @@
 """What of a sensor's offset follows its temperature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

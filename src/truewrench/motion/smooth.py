@@ -1,7 +1,5 @@
 """The motion behind a logged twist, from the twist alone: where it breaks, and splines through each piece."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Cross products, brackets of twists as matrices and products of rotations, for whole records."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

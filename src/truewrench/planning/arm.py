@@ -1,7 +1,5 @@
 """An arm's kinematics and dynamics as CasADi expressions, from the joints of its Pinocchio model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

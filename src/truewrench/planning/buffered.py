@@ -1,7 +1,5 @@
 """CasADi on NumPy's memory: copies element by element took two fifths of the time of a plan."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """What a motion does between its nodes: everything that is limited, 1000 times a second."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

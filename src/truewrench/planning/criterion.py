@@ -1,7 +1,5 @@
 """What a motion tells of the gain when it is known: what is minimised (docs/method.md, (M16))."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """A planned twist as files for an arm in velocity mode, with a verdict on how closely it can follow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

@@ -1,7 +1,5 @@
 """IPOPT, through CasADi, on derivatives that are computed outside of CasADi's expressions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

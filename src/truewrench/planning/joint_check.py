@@ -1,7 +1,5 @@
 """What a joint motion does between its nodes, by Pinocchio: independent of what it was planned with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

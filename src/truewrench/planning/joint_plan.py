@@ -1,7 +1,5 @@
 """Optimal motions of arms, and the log that a calibration would have of them."""
 
-from __future__ import annotations
-
 from collections.abc import Set
 from typing import Literal
 

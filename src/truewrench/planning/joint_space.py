@@ -1,7 +1,5 @@
 """Joint positions as the coordinates of a motion."""
 
-from __future__ import annotations
-
 from collections.abc import Set
 from dataclasses import dataclass, replace
 from itertools import pairwise

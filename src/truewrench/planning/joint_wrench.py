@@ -1,7 +1,5 @@
 """The paper's motions for an arm: the payload's twist under sinusoidal wrenches, followed by its joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

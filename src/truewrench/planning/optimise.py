@@ -6,8 +6,6 @@ and sums over the nodes with the basis give gradient, Jacobian and Hessian, at a
 algebra exceeds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

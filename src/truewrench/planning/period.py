@@ -1,7 +1,5 @@
 """How long one period of a planned motion is, and how fast it typically gets."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from truewrench.model.arrays import Array

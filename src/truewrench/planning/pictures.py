@@ -1,7 +1,5 @@
 """Pictures of a plan: the motion and what the sensor will feel, the limits, the promise, and the path."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

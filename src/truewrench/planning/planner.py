@@ -1,7 +1,5 @@
 """From a rig to a planned motion: design it, look at it 1000 times a second, say what it promises."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from typing import Literal

@@ -6,8 +6,6 @@ says. What follows the pose is added at the `discrepancy` that the rig states (1
 found, nothing is, and how much of it the motion can hide is said instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ no joint leaves its range or exceeds its speed. Where the arm has more joints th
 leave the work to the others; what is left over keeps the arm near the posture that it starts from.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

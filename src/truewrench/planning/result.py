@@ -1,7 +1,5 @@
 """A planned motion with its verdict and its promise, and the files that hold them (docs/formats.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

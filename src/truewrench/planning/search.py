@@ -1,7 +1,5 @@
 """From random motions within the limits to the best of several optima that keep to them at all times."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any

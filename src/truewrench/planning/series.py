@@ -8,8 +8,6 @@ so that a_k and b_k are amplitudes of the velocity. The motion is closed; it sta
 neither velocity nor acceleration, when sum a_k = 0 and sum k b_k = 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

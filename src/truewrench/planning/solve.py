@@ -1,7 +1,5 @@
 """Optima of a problem: random motions to begin with, and IPOPT on the constraints that matter."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ position on its own acceleration is
 one in some coordinates, for a fraction of a percent of sigma.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from truewrench.model.arrays import Array

@@ -1,7 +1,5 @@
 """Newton-Euler as CasADi expressions, so that IPOPT gets exact derivatives ([A00] 5-8)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Optimal motions of rigs that log a twist."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Coordinates for rigs whose motion is a twist: its integral by component, or the pose of the body."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 

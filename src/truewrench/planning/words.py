@@ -1,7 +1,5 @@
 """A plan in words, for the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The paper's motions: sinusoidal forces and moments, and what becomes of the body ([A00] 13-17)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

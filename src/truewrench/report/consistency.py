@@ -1,7 +1,5 @@
 """Normalised squares over time: residuals over their noise, beside what chance alone allows (NIS)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

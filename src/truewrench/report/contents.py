@@ -1,7 +1,5 @@
 """What a report shows of a calibration, section by section; what cannot be shown is replaced by why."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

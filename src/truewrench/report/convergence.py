@@ -5,8 +5,6 @@ sums over the rows in the order of time, solved again and again. That costs almo
 estimate, and leaves out what payload and clock add to the uncertainty, which no longer record takes away.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

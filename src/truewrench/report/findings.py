@@ -1,7 +1,5 @@
 """What a report says in words: the verdict, what would help, and what each figure shows."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """What an estimate found beside the gain, and what it assumed beside the rig as stated: two tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ No script of Bokeh is part of this package: that of the installed one is written
 policy allows the two scripts by their hashes and nothing from outside.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -4,8 +4,6 @@ Text, axes and grids take their colours from the page's CSS variables, which fol
 curves have colours of Okabe and Ito that stand out on both, and differ in their dashes as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Residuals of a calibration over time: corrected wrench minus what it is held against, log by log."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """What is drawn of residuals: envelope over time, density over frequency, histogram."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Results in words and tables that a person reads in a terminal."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence

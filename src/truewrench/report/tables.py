@@ -1,7 +1,5 @@
 """The tables of a report: plain text in cells, with a class for shading and a mark for those who see none."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ Everything is told at the origin of the sensor frame, along its axes ({S} of doc
 the root link of the URDF: the base, where the base moves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The arm as the core moves it: a product of exponentials (include/truewrench/model/chain.hpp)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 import numpy as np

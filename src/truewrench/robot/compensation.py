@@ -1,7 +1,5 @@
 """The weight that a driver has subtracted from the channels, added back (`sensor.compensated`)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

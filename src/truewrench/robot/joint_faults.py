@@ -1,7 +1,5 @@
 """Joints whose streams contradict each other or themselves: no motion of the arm is all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Joints of one arm as logs have them: parts sampled at times of their own, turns that begin anew."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

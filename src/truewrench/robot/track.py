@@ -5,8 +5,6 @@ reference is fitted to encoders and tachometers, and the estimators find the dis
 it, together with the gain (docs/method.md, "Joints").
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

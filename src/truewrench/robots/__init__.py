@@ -1,7 +1,5 @@
 """Arms that come with the package: URDF files without meshes, and a rig for each (docs/robots.md)."""
 
-from __future__ import annotations
-
 import difflib
 from pathlib import Path
 

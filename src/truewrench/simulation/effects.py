@@ -3,8 +3,6 @@
 The definitions are those of docs/imperfections.md. Nothing here knows of rigs, logs or estimators.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -4,8 +4,6 @@ The wrench is Newton's second law summed over material points of the payload, wr
 estimation uses the core's Newton-Euler equations, so a mistake in either shows as a disagreement.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -10,8 +10,6 @@ stay exact: without imperfections a log has the bits that it always had. Every k
 its own, so that one kind changes nothing that another draws.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """What every simulated log shares: the truth behind it, its stamps, what the sensor reads, its files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The contact wrench beside the columns of a log, in one pass and constant memory."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The contact wrench of a whole log."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

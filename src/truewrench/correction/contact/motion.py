@@ -1,7 +1,5 @@
 """Columns of a log, row by row, as motion and gravity of the sensor's origin."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows of a log, all at once or as they come, to contact wrenches with their covariance."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path

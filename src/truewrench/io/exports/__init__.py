@@ -3,8 +3,6 @@
 One module per format. What a format cannot hold is left out with a reason; what it loses is said in the file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@
 itself. The file has no place for an offset: ATI's users take the bias from an unloaded sensor.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from xml.etree import ElementTree

@@ -5,8 +5,6 @@ It publishes (value + offset) * multiplier of every axis by itself (`apply_senso
 least error over the sensor's range.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

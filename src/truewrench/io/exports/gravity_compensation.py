@@ -5,8 +5,6 @@ force, com x m g in the torque. It knows no gain. Up to its release 1.2.0, g was
 reads, upward; since then (May 2021) it is the opposite: each suits one of the two signs of `feels`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is lost where one factor per axis stands for the whole gain."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The matrix that a driver multiplies raw samples with, as plain text (`numpy.loadtxt` reads it)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Everything numeric of a calibration as NumPy arrays (`numpy.load` reads it without pickle)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What every export says of itself, where its format has room for words."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ Colours are those of Okabe and Ito, which people with colour-blind vision can te
 line style as well.
 """
 
-from __future__ import annotations
-
 import textwrap
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """An arm in space, and gains as a heat map: pictures that plans and calibrations have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

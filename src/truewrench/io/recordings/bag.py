@@ -1,7 +1,5 @@
 """ROS 1 bags of any size: chunk by chunk, without an index of their messages."""
 
-from __future__ import annotations
-
 import struct
 from bisect import bisect_left
 from collections import Counter

@@ -1,7 +1,5 @@
 """Which topics of a recording hold sensor and motion: found where there is one answer, else asked for."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Messages of one topic differ in their numbers alone, as long as their texts and 
 stay the same: the layout of the first then holds for all, and thousands are decoded at once.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

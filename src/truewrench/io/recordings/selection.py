@@ -1,7 +1,5 @@
 """What of a recording a rig needs: streams chosen, checked against one another, and named as columns."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

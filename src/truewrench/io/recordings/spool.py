@@ -1,7 +1,5 @@
 """Samples of one stream in order of time, on disk while they are many."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What the messages of a recording say, as streams of numbers with their own time stamps."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """A recording that is written: MCAP, profile ros2."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import tempfile

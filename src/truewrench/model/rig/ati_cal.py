@@ -4,8 +4,6 @@ An `Axis` row over its `scale` gives a wrench component at the transducer's own 
 gauge; `BasicTransform` moves it to the origin that the user sees, where `UserAxis` rows already are.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

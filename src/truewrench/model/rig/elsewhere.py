@@ -1,7 +1,5 @@
 """A rig inside another file, whose folder its relative paths are then relative to."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

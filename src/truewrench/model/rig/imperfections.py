@@ -4,8 +4,6 @@ Sizes are fractions of range: forces of the sensor's range, effects inside the s
 ``|nominal_gain| @ range``. 0 is nothing. What is left open (None) is drawn from the seed.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

@@ -3,8 +3,6 @@
 SI units; six-vectors [linear; angular]; sensor axes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal, Self
 

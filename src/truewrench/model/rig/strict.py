@@ -1,7 +1,5 @@
 """Field types of the settings, and error messages that say where, what was found and what was expected."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import sys

@@ -1,7 +1,5 @@
 """A rig as the identification of an unknown tool reads it: payloads and `required` passed over."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A robot description (URDF) as a Pinocchio model, without meshes, with errors that name file and place."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re

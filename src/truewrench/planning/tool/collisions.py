@@ -1,7 +1,5 @@
 """Whether links of an arm touch each other, as far as its URDF says what they look like."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Their order is one in which a drifting offset cancels.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from truewrench.model.arrays import Array, Integers

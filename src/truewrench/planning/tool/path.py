@@ -1,7 +1,5 @@
 """Poses as a timed motion: dwell, move from rest to rest, dwell."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

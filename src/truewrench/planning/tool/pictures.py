@@ -1,7 +1,5 @@
 """The picture of poses that determine a tool: where gravity points, and when, and what that promises."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From a rig to poses, or a motion, that determine a tool, and the files that hold them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

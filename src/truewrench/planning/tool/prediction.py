@@ -4,8 +4,6 @@ By the model of the identification itself (`truewrench.tool`): the information o
 body and the rates of drift that are believed beforehand; of a motion, that of a log simulated without faults.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

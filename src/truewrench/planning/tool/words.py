@@ -1,7 +1,5 @@
 """A plan for a tool in words, for the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

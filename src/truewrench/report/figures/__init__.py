@@ -1,7 +1,5 @@
 """The figures of the demo: path, gain error and reading error (after [A00] 2-4)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

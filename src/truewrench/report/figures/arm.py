@@ -1,7 +1,5 @@
 """Pictures of a calibration with an arm: what the arm did, and how far off the gain is, with its sigma."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

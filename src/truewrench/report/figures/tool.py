@@ -1,7 +1,5 @@
 """Pictures of a tool: what was found beside the truth, and the contact wrench in time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

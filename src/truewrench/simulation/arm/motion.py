@@ -1,7 +1,5 @@
 """A joint motion for rigs without a plan: sines about a posture in the middle, from rest to rest."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A log with known truth from an arm that MuJoCo moves: plan -> servos -> sensors -> columns."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
