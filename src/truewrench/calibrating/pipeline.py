@@ -45,6 +45,7 @@ from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
 
 EstimatorName = Literal["map", "online", "ekf", "ls"]
+_REFERENCES = ("ekf", "ls")
 
 
 def calibrate(
@@ -84,9 +85,9 @@ def calibrate(
     records = [logs] if isinstance(logs, Log) else list(logs)
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
-    if estimator in ("map", "online"):  # `tracked` unwraps those of the others
+    if estimator not in _REFERENCES:  # `tracked` unwraps those of the others
         records = [without_repeats(unwrapped(rig, log)) for log in records]
-    _check_supported(rig, estimator)
+    _check_sensor(rig, estimator)
     _check_options(
         estimator,
         published=published,
@@ -96,14 +97,13 @@ def calibrate(
     report = progress or (lambda phase, share: None)
     show = evidence or (lambda found: None)
     started = time.perf_counter()
-    if estimator in ("ekf", "ls") or rig.sensor.subtracted is not None:
+    if estimator in _REFERENCES or rig.sensor.subtracted is not None:
         records = tracked(rig, records)
     records = uncompensated(rig, records)
     if wrench_is_known(rig, records, estimator):
         return _from_known_wrench(rig, records, held_out, report, show)
     rig.check_motion("or reference wrenches in the log")
-    _check_motion(rig, estimator)
-    _check_bodies(rig, records, estimator)
+    _check_motion(rig, records, estimator)
     if estimator == "map" and only_still(rig, records):
         return _from_still_poses(rig, records, held_out, report, show)
     report(f"estimating ({estimator})", None)
@@ -243,29 +243,21 @@ def _log_notes(logs: Sequence[Log]) -> list[str]:
     return [f"{log.path}: {note}" for log in logs for note in log.notes]
 
 
-def _check_supported(rig: Rig, estimator: EstimatorName) -> None:
-    def refuse(key: str, found: str, expected: str) -> InputError:
-        return UnsupportedError.at(rig.path, key, found, expected)
+def _check_sensor(rig: Rig, estimator: EstimatorName) -> None:
+    """Refuse sensors that a reference does not know."""
+    lowpass = rig.sensor.lowpass_hz
+    if estimator in _REFERENCES and lowpass is not None:
+        expected = f"null: `{estimator}` knows no filtered sensor"
+        raise UnsupportedError.at(rig.path, "sensor.lowpass_hz", f"{lowpass:g}", expected)
 
-    if estimator == "map" or estimator == "online":
+
+def _check_motion(rig: Rig, logs: Sequence[Log], estimator: EstimatorName) -> None:
+    """Refuse motions that a reference does not know, and bodies that it cannot find."""
+    if estimator not in _REFERENCES:
         return
-    sensor = rig.sensor
-    if sensor.lowpass_hz is not None:
-        found = f"{sensor.lowpass_hz:g}"
-        raise refuse("sensor.lowpass_hz", found, f"null: `{estimator}` knows no filtered sensor")
-
-
-def _check_motion(rig: Rig, estimator: EstimatorName) -> None:
-    """Refuse motions that an estimator does not know."""
-    if rig.motion.source == "imu" and estimator in ("ekf", "ls"):
+    if rig.motion.source == "imu":
         expected = f"`twist` or `joints`: `{estimator}` knows no motion of an IMU"
         raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
-
-
-def _check_bodies(rig: Rig, logs: Sequence[Log], estimator: EstimatorName) -> None:
-    """Refuse bodies that an estimator cannot find."""
-    if estimator == "map" or estimator == "online":
-        return
     for log in logs:
         if not known_payload(rig, log):
             expected = f"a known payload: `{estimator}` takes it as exact"
@@ -273,16 +265,8 @@ def _check_bodies(rig: Rig, logs: Sequence[Log], estimator: EstimatorName) -> No
 
 
 def _check_options(estimator: EstimatorName, **options: Any) -> None:
-    belongs = {
-        "published": ("ekf",),
-        "process_density": ("ekf",),
-        "smooth": ("ls",),
-    }
+    belongs = {"published": "ekf", "process_density": "ekf", "smooth": "ls"}
     for name, value in options.items():
-        if value and estimator not in belongs[name]:
-            raise UnsupportedError.at(
-                None,
-                name,
-                f"with estimator `{estimator}`",
-                f"this option with `{'` or `'.join(belongs[name])}` only",
-            )
+        if value and estimator != belongs[name]:
+            expected = f"this option with `{belongs[name]}` only"
+            raise UnsupportedError.at(None, name, f"with estimator `{estimator}`", expected)

@@ -111,31 +111,57 @@ def _read(table: Table, groups: dict[str, list[str]]) -> tuple[Integers, dict[st
         time = reader.read(chunk)
         times.append(time)
         for counter in counters.values():
-            cells = [numbers(chunk.column(name)) for name in counter.names]
+            cells = [numbers(chunk.column(name)) for name in counter.ranges.names]
             counter.add(time, np.column_stack([c[0] for c in cells]), [c[1] for c in cells])
     return np.concatenate(times), counters
+
+
+class Ranges:
+    """What one pass over the rows of some columns gathers of their numbers."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        self._rows = 0
+        self._smallest = np.full(len(names), np.inf)
+        self._largest = np.full(len(names), -np.inf)
+        self._numbers = np.zeros(len(names), dtype=np.int64)
+        self._nan = np.zeros(len(names), dtype=np.int64)
+
+    def add(self, values: Array, nan_counts: Sequence[int] | None = None) -> None:
+        """Some rows (N, columns); without a count of the cells that held NaN, none is empty."""
+        numbers = (~np.isnan(values)).sum(axis=0)
+        self._rows += len(values)
+        self._smallest = np.fmin(self._smallest, np.fmin.reduce(values, axis=0, initial=np.inf))
+        self._largest = np.fmax(self._largest, np.fmax.reduce(values, axis=0, initial=-np.inf))
+        self._numbers += numbers
+        self._nan += len(values) - numbers if nan_counts is None else np.asarray(nan_counts)
+
+    def columns(self) -> tuple[ColumnContent, ...]:
+        """What is said of each."""
+        found = zip(self.names, self._smallest, self._largest, self._numbers, self._nan, strict=True)
+        return tuple(
+            ColumnContent(
+                name=name,
+                smallest=float(smallest) if count else np.nan,
+                largest=float(largest) if count else np.nan,
+                numbers=int(count),
+                empty=self._rows - int(count + nan),
+                nan=int(nan),
+            )
+            for name, smallest, largest, count, nan in found
+        )
 
 
 class _StreamCounter:
     """What one pass over the chunks gathers of a stream."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        self.names = tuple(names)
-        self._rows = 0
+        self.ranges = Ranges(names)
         self._times: list[Integers] = []
-        self._smallest = np.full(len(names), np.inf)
-        self._largest = np.full(len(names), -np.inf)
-        self._numbers = np.zeros(len(names), dtype=np.int64)
-        self._nan = np.zeros(len(names), dtype=np.int64)
 
     def add(self, time: Integers, values: Array, nan_counts: Sequence[int]) -> None:
-        present = ~np.isnan(values)
-        self._rows += len(time)
-        self._times.append(time[present.any(axis=1)])
-        self._smallest = np.fmin(self._smallest, np.fmin.reduce(values, axis=0, initial=np.inf))
-        self._largest = np.fmax(self._largest, np.fmax.reduce(values, axis=0, initial=-np.inf))
-        self._numbers += present.sum(axis=0)
-        self._nan += np.asarray(nan_counts)
+        self._times.append(time[~np.isnan(values).all(axis=1)])
+        self.ranges.add(values, nan_counts)
 
     def stream(self, name: str, start_ns: int) -> Stream:
         time = np.concatenate(self._times)
@@ -145,20 +171,9 @@ class _StreamCounter:
         steady = period[period <= GAP_PERIODS * median]
         return Stream(
             name=name,
-            columns=tuple(self._column(j) for j in range(len(self.names))),
+            columns=self.ranges.columns(),
             samples=len(time),
             rate=1e9 / median if median else 0.0,
             jitter=float(steady.std()) / median if median else 0.0,
             gaps=tuple(Gap(float(time[i] - start_ns) * 1e-9, float(period[i]) * 1e-9) for i in pauses),
-        )
-
-    def _column(self, j: int) -> ColumnContent:
-        count, nan = int(self._numbers[j]), int(self._nan[j])
-        return ColumnContent(
-            name=self.names[j],
-            smallest=float(self._smallest[j]) if count else np.nan,
-            largest=float(self._largest[j]) if count else np.nan,
-            numbers=count,
-            empty=self._rows - count - nan,
-            nan=nan,
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from truewrench.inspection.log import GAP_PERIODS, ColumnContent, Gap
+from truewrench.inspection.log import GAP_PERIODS, ColumnContent, Gap, Ranges
 from truewrench.io.recordings.choice import KEYS, commanded
 from truewrench.io.recordings.layout import Layout
 from truewrench.io.recordings.reader import Batch, Recording, Topic, open_recording
@@ -201,35 +201,19 @@ class _Stamps:
 
 
 class _StreamCounter:
-    def __init__(self, width: int) -> None:
+    def __init__(self, names: Sequence[str]) -> None:
         self.stamps = _Stamps()
-        self._smallest = np.full(width, np.inf)
-        self._largest = np.full(width, -np.inf)
-        self._numbers = np.zeros(width, dtype=np.int64)
+        self._ranges = Ranges(names)
 
     def add(self, stamps: Integers, values: Array) -> None:
         self.stamps.add(stamps)
-        self._smallest = np.fmin(self._smallest, np.fmin.reduce(values, axis=0, initial=np.inf))
-        self._largest = np.fmax(self._largest, np.fmax.reduce(values, axis=0, initial=-np.inf))
-        self._numbers += (~np.isnan(values)).sum(axis=0)
+        self._ranges.add(values)
 
-    def content(self, names: Sequence[str], start: int) -> StreamContent:
+    def content(self, start: int) -> StreamContent:
         stamps = self.stamps
         stamps.settle()
-        numbers = self._numbers.tolist()
-        columns = tuple(
-            ColumnContent(
-                name=name,
-                smallest=float(self._smallest[j]) if numbers[j] else np.nan,
-                largest=float(self._largest[j]) if numbers[j] else np.nan,
-                numbers=numbers[j],
-                empty=0,
-                nan=stamps.samples - numbers[j],
-            )
-            for j, name in enumerate(names)
-        )
         return StreamContent(
-            columns,
+            self._ranges.columns(),
             stamps.samples,
             stamps.rate,
             stamps.jitter,
@@ -254,7 +238,7 @@ class _TopicCounter:
     def add(self, batch: Batch, recording: Recording) -> None:
         if role_of(self.topic.type_name) is not None:
             for samples in samples_of(batch, self._layouts, recording, self.receive.samples):
-                counter = self.streams.setdefault(samples.columns, _StreamCounter(len(samples.columns)))
+                counter = self.streams.setdefault(samples.columns, _StreamCounter(samples.columns))
                 self._headers = samples.header is not None
                 if samples.header is not None:
                     self.clocks.add(samples.receive, samples.header)
@@ -275,8 +259,7 @@ class _TopicCounter:
             delay=self.clocks.delay if headers else None,
             drift=self.clocks.drift[0] if headers else None,
             streams=tuple(
-                counter.content(names, min(origins) if headers else start)
-                for names, counter in self.streams.items()
+                counter.content(min(origins) if headers else start) for counter in self.streams.values()
             ),
             taken_as=taken_as,
         )
