@@ -36,6 +36,14 @@ def joint_columns(joints: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ..
     return positions, velocities, accelerations
 
 
+def joint_table(joints: Sequence[str], time: Array, *motion: Array) -> dict[str, Array]:
+    """Columns of a PLAN table: times (N,) [s], and positions, velocities and accelerations (N, n)."""
+    table = {"time_s": time}
+    for names, values in zip(joint_columns(joints), motion, strict=True):
+        table |= dict(zip(names, values.T, strict=True))
+    return table
+
+
 def read_joint_plan(path: str | Path, joints: Sequence[str]) -> SplineJoints:
     """Read the planned joints of a PLAN table: q_NAME and, checked, dq_NAME and ddq_NAME, the derivatives.
 

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from truewrench.io.joint_trajectory import write_joint_trajectory
-from truewrench.io.plans import joint_columns, read_plan
+from truewrench.io.plans import joint_table, read_plan
 from truewrench.io.tables import write_table
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
@@ -47,12 +47,9 @@ class FollowedPlan:
         path, time = Path(output), self.motion.time
         joints = SplineJoints.through(time, self.motion.position)
         motion = [self.motion.position, joints.velocity(time), joints.acceleration(time)]
-        columns = {"time_s": time}
-        for names, values in zip(joint_columns(self.robot.joints), motion, strict=True):
-            columns |= dict(zip(names, values.T, strict=True))
         message = path.with_name(f"{path.name}.trajectory.yaml")
         write_joint_trajectory(message, self.robot.joints, time, *motion)
-        write_table(path, columns)
+        write_table(path, joint_table(self.robot.joints, time, *motion))
         return path, message
 
 

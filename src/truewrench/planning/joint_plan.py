@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from truewrench.io.plans import joint_columns
+from truewrench.io.plans import joint_table
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.payload import payload_wrench
@@ -69,10 +69,8 @@ def design_joints(rig: Rig, payload: str, criterion: Literal["A", "D"], progress
     progress("last look at the limits", None)
     rows = plan_rows(rig)
     motion = spline(found.motion, rows)
-    columns = {"time_s": rows}
-    blocks = (motion.position(rows), found.motion.velocity(rows), found.motion.acceleration(rows))
-    for names, values in zip(joint_columns(robot.joints), blocks, strict=True):
-        columns |= dict(zip(names, values.T, strict=True))
+    moves = (motion.position(rows), found.motion.velocity(rows), found.motion.acceleration(rows))
+    columns = joint_table(robot.joints, rows, *moves)
     preview = check_joints(rig, payload, robot, limits, motion, basis.period)
     return Design(motion, columns, preview, basis.period, facts=found.facts(), joints=robot.joints)
 

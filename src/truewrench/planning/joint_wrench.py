@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from truewrench.io.plans import joint_columns
+from truewrench.io.plans import joint_table
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
@@ -52,10 +52,8 @@ def design_joint_wrench(rig: Rig, payload: str, progress: Progress) -> Design:
         missed = float(np.abs(followed.twist_error).max() / np.abs(twist.twist(rows)).max())
         if missed < 0.05 and max(use.share for use in preview.usage) <= 1.0:
             break
-    columns = {"time_s": rows}
-    blocks = (joints.position(rows), joints.velocity(rows), joints.acceleration(rows))
-    for names, values in zip(joint_columns(robot.joints), blocks, strict=True):
-        columns |= dict(zip(names, values.T, strict=True))
+    moves = (joints.position(rows), joints.velocity(rows), joints.acceleration(rows))
+    columns = joint_table(robot.joints, rows, *moves)
     notes = [
         "the motion neither starts nor ends at rest: it has to be led into its initial twist",
         ONE_FREQUENCY,

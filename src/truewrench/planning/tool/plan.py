@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from truewrench.io.plans import joint_columns
+from truewrench.io.plans import joint_table
 from truewrench.io.table import ACCELERATION, GRAVITY, TWIST
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
@@ -263,10 +263,7 @@ def _arm(
     timed = joint_path(stand, moves, len(kept), dwell, rig.plan.rate)
     motion = SplineJoints.through(timed.time, timed.position, timed.velocity, timed.acceleration)
     names = stand.robot.joints
-    columns = {"time_s": timed.time}
-    blocks = (timed.position, timed.velocity, timed.acceleration)
-    for group, values in zip(joint_columns(names), blocks, strict=True):
-        columns |= dict(zip(group, values.T, strict=True))
+    columns = joint_table(names, timed.time, timed.position, timed.velocity, timed.acceleration)
     tell("last look at the limits", None)
     preview = check_joints(rig, payload, stand.robot, joint_limits(rig, stand.robot), motion, motion.duration)
     notes = []
