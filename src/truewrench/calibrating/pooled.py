@@ -32,14 +32,12 @@ from truewrench.estimation.estimate import Estimate, no_rows, of_joint
 from truewrench.estimation.estimator import estimate as estimate_motion
 from truewrench.estimation.joint import Joint, body_part, explained
 from truewrench.estimation.parts import InParts, is_long
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import LogReport
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.tool.poses import stands_still
 
-__all__ = ["Pooled", "estimate_pooled", "moving_logs"]
-
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _TOLD = 0.05  # share of a variance that the poses take, from which on they are held against motion: tolerance

@@ -10,23 +10,13 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
 from truewrench.model.rig.sections import COLUMNS, ROWS
-
-__all__ = [
-    "FIRST_POSITION_NOISE",
-    "Assumption",
-    "Assumptions",
-    "growth_of",
-    "statement",
-]
-
-Array = NDArray[np.float64]
 
 FIRST_POSITION_NOISE = 1e-6
 """[rad, m] 1 sigma of logged joint positions without a stated one, from which theirs is found."""

@@ -8,30 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation.joint import Joint, body_part
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
 from truewrench.model.rig.sections import COLUMNS, ROWS
-
-__all__ = [
-    "Clock",
-    "Estimate",
-    "Event",
-    "FoundNoise",
-    "LogRows",
-    "PayloadDeparture",
-    "Slow",
-    "Step",
-    "no_rows",
-    "of_joint",
-    "payload_departure",
-    "undisturbed",
-    "without_motion",
-]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,15 +145,15 @@ class LogRows:
         whole: how many the fit holds, and how many of them are masked, where these are some of them.
     """
 
-    rows: NDArray[np.int64]
+    rows: Integers
     time: Array
-    masked: NDArray[np.bool_]
+    masked: Mask
     residual: Array
     discrepancy: Array
     wrench: Array
     twist: Array
     acceleration: Array
-    stretch: NDArray[np.int64]
+    stretch: Integers
     every: int = 1
     whole: tuple[int, int] | None = None
 
@@ -265,8 +247,8 @@ class Estimate:
     steps: tuple[tuple[Step, ...], ...]
     spacing: Array
     unexplained: Array
-    unresolved: NDArray[np.bool_]
-    dropped: NDArray[np.int64]
+    unresolved: Mask
+    dropped: Integers
     rows: tuple[LogRows, ...]
     sources: dict[str, Array]
     A: float
@@ -277,7 +259,7 @@ class Estimate:
     iterations: int
     fits: int
     history_time: Array
-    history_log: NDArray[np.int64]
+    history_log: Integers
     history_gain: Array
     joint: Joint | None = None
     deviance: float = math.nan
@@ -297,7 +279,7 @@ class Estimate:
         return float(sum(r.left_out for r in self.rows)) / max(sum(r.samples for r in self.rows), 1)
 
 
-def undisturbed(log: Log, left_out: NDArray[np.int64], steps: Sequence[Step]) -> Log:
+def undisturbed(log: Log, left_out: Integers, steps: Sequence[Step]) -> Log:
     """A log without the samples that were left out, cut where its offset steps.
 
     Args:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions
@@ -24,12 +23,9 @@ from truewrench.estimation.estimate import (
 from truewrench.estimation.joint import EXACT, Joint, body_part, explained
 from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-
-__all__ = ["estimate", "solved", "unsolved"]
-
-Array = NDArray[np.float64]
 
 _NOTHING = np.zeros(0)
 _SOURCES = ("mass", "center_of_mass", "inertia", "timing", "gravity")

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions
@@ -16,13 +15,10 @@ from truewrench.estimation.estimate import Estimate, Event, LogRows
 from truewrench.estimation.estimator import solved, unsolved
 from truewrench.estimation.record import recorded
 from truewrench.estimation.together import Told
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-
-__all__ = ["Found", "Part", "Place", "events_of", "part_of", "told_by"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +55,7 @@ class Place:
     log: int
     begin: float
     rows: slice
-    origin: NDArray[np.int64]
+    origin: Integers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +78,7 @@ class Part:
     begin: float
     end: float
     rows: slice
-    masked: NDArray[np.int64]
+    masked: Integers
     found: Found | None
     fit: _core.Part | None
     estimate: Estimate
@@ -179,7 +175,7 @@ def _without_fit(found: Any) -> Found:
     )
 
 
-def _some(held: LogRows, origin: NDArray[np.int64], begin: float, every: int) -> LogRows:
+def _some(held: LogRows, origin: Integers, begin: float, every: int) -> LogRows:
     """One of so many rows, and the ends of every stretch, in rows and seconds of the whole log."""
     edge = np.diff(held.stretch, prepend=-1, append=-1) != 0
     at = np.flatnonzero((np.arange(held.rows.size) % every == 0) | edge[:-1] | edge[1:])

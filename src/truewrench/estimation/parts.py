@@ -16,7 +16,6 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions, statement
@@ -27,13 +26,11 @@ from truewrench.estimation.part import Found, Part, Place, events_of, part_of, t
 from truewrench.estimation.pose import PoseShare, with_pose
 from truewrench.estimation.record import recorded
 from truewrench.estimation.together import Shared, Told
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
 
-__all__ = ["InParts", "is_long"]
-
-Array = NDArray[np.float64]
 _Result = TypeVar("_Result")
 
 LONG_ROWS, LONG = 300_000, 600.0
@@ -281,7 +278,7 @@ class InParts:
             part = with_rate(part, self._rates[k], 0.5 * float(log.time_ns[0] + log.time_ns[-1]))
         return part, float((part.time_ns[0] - log.time_ns[0]) * 1e-9)
 
-    def _origin(self, k: int, rows: slice, part: Log) -> NDArray[np.int64]:
+    def _origin(self, k: int, rows: slice, part: Log) -> Integers:
         """Which row of the log each row of its part is of, for those with a sample of the sensor."""
         out = np.full(len(part.time_ns), -1, np.int64)
         sensed = np.isfinite(self.logs[k].raw[rows]).any(axis=1)
@@ -319,14 +316,14 @@ def _unresolved(parts: Sequence[Part]) -> bool:
     return lost > _core.MOST_LOST * sum(p.samples for p in parts)
 
 
-def _places(parts: Sequence[Part]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _places(parts: Sequence[Part]) -> tuple[Mask, Mask]:
     """Whether each part lies in the first half of its log; and in its first or third quarter."""
     end = [max(p.end for p in parts if p.log == part.log) for part in parts]
     middle = np.array([0.5 * (p.begin + p.end) / max(e, 1e-9) for p, e in zip(parts, end, strict=True)])
     return middle < 0.5, (4.0 * middle).astype(int) % 2 == 0
 
 
-def _columns_at(part: Part, place: NDArray[np.int64]) -> SimpleNamespace:
+def _columns_at(part: Part, place: Integers) -> SimpleNamespace:
     """Where the parameters of a log stand in theta of all."""
     assert part.found is not None
     columns = part.found.columns

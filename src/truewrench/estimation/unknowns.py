@@ -9,25 +9,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.sections import COLUMNS, ROWS
 from truewrench.motion.spatial import cross_matrix
 from truewrench.robot.attitude import attitude_at, attitude_of
 
-__all__ = [
-    "Motion",
-    "Unknown",
-    "Wrench",
-    "horizontal_axes",
-    "payload_rates",
-    "unknowns_of",
-    "wrench_rates",
-]
-
-Array = NDArray[np.float64]
 Motion = Callable[[Array], tuple[Array, Array, Array]]
 """Of times (M,): twist (M, 6) of the logged point, its derivative, free fall (M, 3) in sensor axes."""
 Wrench = Callable[[Array, Array, Array], Array]

@@ -11,19 +11,15 @@ has to mean the same in several logs, the attitude has to be logged.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 from truewrench.motion.spatial import cross_matrix, rotated, turns_between
-
-__all__ = ["attitude_at", "attitude_of", "free_fall"]
-
-Array = NDArray[np.float64]
 
 _NO_RATE = 1e6  # [rad/s]: tolerance
 _OPPOSITE = 1e-12  # 1 + cosine of two directions that are taken for opposite

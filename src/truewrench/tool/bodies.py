@@ -5,14 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.motion.spatial import cross, cross_matrix
 from truewrench.tool.parameters import COLUMNS, ROWS, channel_turn, symmetric
-
-__all__ = ["flange_body", "flange_wrench", "joined", "nearest_physical", "total_body", "weight"]
-
-Array = NDArray[np.float64]
 
 _THINNEST = 1e-8  # [m^2] of second moments: simulators refuse a body without any
 _UNIT = np.array([symmetric(element) for element in np.eye(6)])

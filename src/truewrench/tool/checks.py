@@ -15,8 +15,6 @@ from truewrench.robot.joint_faults import joint_faults
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS
 
-__all__ = ["KNOWN", "check_known", "check_logs", "check_options", "check_session"]
-
 KNOWN = ("mass", *(f"center_of_mass.{axis}" for axis in "xyz"), *(f"inertia.{name}" for name in ELEMENTS))
 """What may be stated of a tool."""
 

@@ -13,19 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 from scipy.spatial.transform import Rotation
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.files import atomic_output
 from truewrench.tool.bodies import flange_body, flange_wrench
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import COLUMNS, ROWS, roll_pitch_yaw
-
-__all__ = ["FILES", "TARGETS", "left_out", "remove_exports", "tool_exports", "write_tool_exports"]
-
-FloatArray = npt.NDArray[np.float64]
 
 _ASSUMED = "inertia: not determined"
 _FLANGE = "flange"  # name of its frame, where it is not the sensor's
@@ -54,8 +50,8 @@ class _Held:
     """What an export holds, in flange axes."""
 
     mass: float
-    center: FloatArray
-    inertia: FloatArray
+    center: Array
+    inertia: Array
     assumed: bool
     words: tuple[str, ...]
 
@@ -133,16 +129,16 @@ def _held(tool: Tool) -> _Held:
     return _Held(body.mass, center, inertia, body.inertia_assumed, tuple(words))
 
 
-def _elements(tensor: FloatArray) -> list[float]:
+def _elements(tensor: Array) -> list[float]:
     """Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
     return list(tensor[ROWS, COLUMNS].tolist())
 
 
-def _numbers(values: Sequence[float] | FloatArray) -> str:
+def _numbers(values: Sequence[float] | Array) -> str:
     return ", ".join(f"{float(value):.9g}" for value in values)
 
 
-def _principal(tensor: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _principal(tensor: Array) -> tuple[Array, Array]:
     """Principal moments (3,) and right-handed axes, columns (3, 3)."""
     values, axes = np.linalg.eigh(tensor)
     if np.linalg.det(axes) < 0.0:

@@ -7,16 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Mask
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.parts import HeldOut
 from truewrench.tool.recipe import recipe
 from truewrench.tool.solve import Solution, solve
-
-__all__ = ["Left", "held_out"]
-
-Array = NDArray[np.float64]
 
 FEWEST = 8  # poses: fewer leave too few to fit
 FOLDS = 5
@@ -72,7 +68,7 @@ def _norms(residual: Array) -> tuple[float, float]:
     return force, moment
 
 
-def _predicted(problem: Problem, solution: Solution, out: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _predicted(problem: Problem, solution: Solution, out: Mask) -> tuple[Array, Array]:
     """Errors (K, 6) [N, N m] of the predicted readings, and (K, n) in units of their sigma."""
     kept = ~out
     part = replace(problem, poses=problem.poses.of(kept))

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -33,9 +34,6 @@ from truewrench.tool.prior import make_prior, settings_of, widening, with_known_
 from truewrench.tool.setup import mistakes_of_motion
 from truewrench.tool.solve import Solution, solve
 
-__all__ = ["Evidence", "identify_tool", "inertia_std"]
-
-FloatArray = npt.NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
 
 DETERMINED = 0.5
@@ -190,7 +188,7 @@ def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, M
     return problem, solution, motion
 
 
-def _start_from(problem: Problem, body: FloatArray) -> FloatArray:
+def _start_from(problem: Problem, body: Array) -> Array:
     """The prior's mean, but for the body that the motion found."""
     from truewrench.tool.parameters import second_moments
 
@@ -206,7 +204,7 @@ def _start_from(problem: Problem, body: FloatArray) -> FloatArray:
     return x
 
 
-def inertia_std(x: FloatArray, P: FloatArray) -> FloatArray:
+def inertia_std(x: Array, P: Array) -> Array:
     """1 sigma (6,) of the inertia's elements about the centre of mass, of (log m, c, S) (10,)."""
     _, J = total_body(x.reshape(1, 10))
     return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J[4:], P, J[4:]), 0.0)))
@@ -298,13 +296,13 @@ def _tool(
     )
 
 
-def _slope(solution: Solution) -> FloatArray | None:
+def _slope(solution: Solution) -> Array | None:
     """Slope of the offset per K (n,), None where it was not asked for."""
     v = solution.problem.vector
     return solution.x[v.slope].copy() if v.warm else None
 
 
-def exported_body(body: FloatArray, P: FloatArray, inertia: bool, housing: FloatArray) -> Body:
+def exported_body(body: Array, P: Array, inertia: bool, housing: Array) -> Body:
     """The physical body that controllers are told, with the sensor's housing, sensor axes.
 
     Args:

@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from truewrench import _core
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import nearest_physical
@@ -21,10 +21,6 @@ from truewrench.tool.parts import ToolVerdict, Unknown
 from truewrench.tool.poses import Poses
 from truewrench.tool.setup import mistakes, mistakes_of_motion
 from truewrench.tool.solve import REPEATABILITY, WALK, Solution, solve
-
-__all__ = ["WORST_WALK", "Judged", "directions_of", "judge", "misfit_of_motion", "misfit_of_poses"]
-
-Array = NDArray[np.float64]
 
 CHANCE = 1e-6  # of a test of the set-up
 WORST_WALK = 50.0  # times its start
@@ -269,7 +265,7 @@ def _turns(solution: Solution) -> list[str]:
     return out
 
 
-def _touched(poses: Poses, which: NDArray[np.int64]) -> str:
+def _touched(poses: Poses, which: Integers) -> str:
     when = ", ".join(f"{(poses.time_ns[k] - poses.time_ns[0]) * 1e-9:.4g} s" for k in which)
     return f"A contact during the poses, or a pose logged wrongly: {when} after the first."
 

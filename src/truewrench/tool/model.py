@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.files import read_yaml, write_yaml
 from truewrench.model.rig import Rig
@@ -29,8 +29,6 @@ __all__ = ["FORMAT", "Body", "HeldOut", "Tool", "ToolVerdict", "Unknown", "read_
 
 FORMAT = "truewrench-tool/1"
 """What the first line of a tool's file says."""
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,29 +71,29 @@ class Tool:
 
     mass: float
     mass_std: float
-    center_of_mass: FloatArray
-    center_of_mass_std: FloatArray
-    inertia: FloatArray
-    inertia_std: FloatArray
+    center_of_mass: Array
+    center_of_mass_std: Array
+    inertia: Array
+    inertia_std: Array
     determined: Mapping[str, Any]
-    offset: FloatArray
-    offset_std: FloatArray
+    offset: Array
+    offset_std: Array
     offset_time_ns: int
-    offset_walk: FloatArray
-    pose_repeatability: FloatArray
-    mounting: FloatArray
-    mounting_std: FloatArray
-    tilt: FloatArray
-    tilt_std: FloatArray
-    gain: FloatArray
-    covariance: FloatArray
+    offset_walk: Array
+    pose_repeatability: Array
+    mounting: Array
+    mounting_std: Array
+    tilt: Array
+    tilt_std: Array
+    gain: Array
+    covariance: Array
     exported: Body
     verdict: ToolVerdict
     rig: Rig
     held_out: HeldOut = field(default_factory=HeldOut)
-    flange: FloatArray = field(default_factory=lambda: np.zeros(6))
-    housing: FloatArray = field(default_factory=lambda: np.zeros(4))
-    offset_temperature: FloatArray | None = None
+    flange: Array = field(default_factory=lambda: np.zeros(6))
+    housing: Array = field(default_factory=lambda: np.zeros(4))
+    offset_temperature: Array | None = None
     time_offset: float = 0.0
     time_offset_std: float = 0.0
     logs: tuple[Mapping[str, Any], ...] = ()
@@ -114,44 +112,44 @@ class Tool:
         return Layout(self.n)
 
     @property
-    def S(self) -> FloatArray:
+    def S(self) -> Array:
         """(6,) second moments per mass about the centre of mass [m^2]."""
         return second_moments(self.mass, self.inertia)
 
     @property
-    def theta(self) -> FloatArray:
+    def theta(self) -> Array:
         """(7n + 15,) the estimate in the order of `covariance`."""
         body = np.concatenate([[np.log(self.mass)], self.center_of_mass, self.S])
         return np.concatenate([self.gain.ravel(), body, self.offset, self.mounting, self.tilt])
 
     @property
-    def gain_std(self) -> FloatArray:
+    def gain_std(self) -> Array:
         """(n, 6) 1 sigma of the gains."""
         return np.sqrt(np.diag(self.covariance)[self.layout.gain]).reshape(self.n, 6)
 
     @property
-    def channel_turn(self) -> FloatArray:
+    def channel_turn(self) -> Array:
         """R (3, 3): from sensor axes to those of the channels."""
         return channel_turn(self.mounting)[0]
 
     @property
-    def gravity(self) -> FloatArray:
+    def gravity(self) -> Array:
         """(3,) free fall in the root frame as it was found [m/s^2]."""
         return tilted(self.rig.gravity_array, self.tilt)[0]
 
     @property
-    def gravity_direction(self) -> FloatArray:
+    def gravity_direction(self) -> Array:
         """(3,) its unit vector; zeros on orbit."""
         size = np.linalg.norm(self.gravity)
         return self.gravity / size if size > 0.0 else self.gravity
 
     @property
-    def gravity_direction_std(self) -> FloatArray:
+    def gravity_direction_std(self) -> Array:
         """(3,) 1 sigma of the unit vector's elements."""
         size = float(np.linalg.norm(self.rig.gravity_array)) or 1.0
         by_tilt = tilted(self.rig.gravity_array, self.tilt)[1] / size
         place = self.layout.tilt
-        variance: FloatArray = np.einsum("ij,jk,ik->i", by_tilt, self.covariance[place, place], by_tilt)
+        variance: Array = np.einsum("ij,jk,ik->i", by_tilt, self.covariance[place, place], by_tilt)
         return np.sqrt(np.maximum(variance, 0.0))
 
     def write_yaml(self, path: str | Path) -> None:
@@ -206,7 +204,7 @@ class Tool:
         }
 
 
-def _by_element(values: FloatArray) -> dict[str, float]:
+def _by_element(values: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(ELEMENTS, values, strict=True)}
 
 
@@ -293,8 +291,8 @@ def _check_consistent(top: Fields, tool: Tool) -> None:
             raise top.error(key, "what `covariance` says")
 
 
-def _std(tool: Tool, place: slice) -> FloatArray:
-    std: FloatArray = np.sqrt(np.diag(tool.covariance)[place])
+def _std(tool: Tool, place: slice) -> Array:
+    std: Array = np.sqrt(np.diag(tool.covariance)[place])
     return std
 
 
@@ -309,7 +307,7 @@ def _verdict(verdict: Fields) -> ToolVerdict:
     )
 
 
-def _covariance(top: Fields, layout: Layout) -> FloatArray:
+def _covariance(top: Fields, layout: Layout) -> Array:
     section = top.section("covariance")
     if tuple(section.texts("names")) != layout.names:
         found = f"{len(section.data['names'])} names, or another order"
@@ -318,7 +316,7 @@ def _covariance(top: Fields, layout: Layout) -> FloatArray:
     return section.covariance("matrix", layout.size)
 
 
-def _elements(top: Fields, key: str, least: float | None = None) -> FloatArray:
+def _elements(top: Fields, key: str, least: float | None = None) -> Array:
     section = top.section(key)
     for name in section.data:
         if name not in ELEMENTS:

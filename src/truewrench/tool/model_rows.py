@@ -12,19 +12,15 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
+from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import cross, cross_matrix
 from truewrench.tool.bodies import total_body, weight
 from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, symmetric, tilted
 from truewrench.tool.poses import Move, Poses
 from truewrench.tool.prior import Prior
-
-__all__ = ["Link", "MotionInformation", "Problem", "Vector", "about_center"]
-
-Array = NDArray[np.float64]
 
 _EXACT = 1e-6  # of range: 1 sigma of a link beside the walk, which a knot at the end of its log has none of
 

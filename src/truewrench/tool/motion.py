@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions, statement
 from truewrench.estimation.record import recorded
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -24,10 +24,6 @@ from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model_rows import MotionInformation, about_center
 from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, second_moments, symmetric
 from truewrench.tool.poses import Move
-
-__all__ = ["MotionFit", "body_start", "measured_motions", "motion_information", "regressor"]
-
-Array = NDArray[np.float64]
 
 _LOG_MASS, _CENTER, _GYRATION = 1.0, 0.1, 0.01  # 1 sigma of the broad body: 1, [m], [m^2] times the mass
 _LEAST_GAIN = 1e-4  # 1 sigma of the gains that the estimator is given at least, normalised
@@ -258,7 +254,7 @@ def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
     return np.concatenate([near[:4], inertia_of(mass, np.clip(near[4:], -0.25, 0.25))])
 
 
-def on_rows(log: Log, values: Array, rows: NDArray[np.int64]) -> Array:
+def on_rows(log: Log, values: Array, rows: Integers) -> Array:
     """Values (N, k) at some rows; where a stream has rows of its own, on a line between those on both sides.
 
     NaN across more than `_GAP`. For starts: the estimator reads every stream at its own stamps.
@@ -278,9 +274,9 @@ def on_rows(log: Log, values: Array, rows: NDArray[np.int64]) -> Array:
     return out
 
 
-def measured_motions(rig: Rig, log: Log) -> list[tuple[NDArray[np.int64], Array, Array, Array]]:
+def measured_motions(rig: Rig, log: Log) -> list[tuple[Integers, Array, Array, Array]]:
     """Rows, twist of the sensor's origin, its derivative and free fall there, piece by piece."""
-    out: list[tuple[NDArray[np.int64], Array, Array, Array]] = []
+    out: list[tuple[Integers, Array, Array, Array]] = []
     if log.tracking is not None and log.tracking.reference is not None:
         since: Array = np.asarray((log.time_ns - log.tracking.reference.origin_ns) * 1e-9, np.float64)
         nu, a, g = log.tracking.reference.motion(since)

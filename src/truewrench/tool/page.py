@@ -6,17 +6,13 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.files import atomic_output
 from truewrench.tool.identify import Evidence
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS, symmetric
 from truewrench.tool.words import correlations
-
-__all__ = ["write_page"]
-
-Array = NDArray[np.float64]
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73")  # of Okabe and Ito, x y z
 _DASHES = ("", "6 3", "2 2")

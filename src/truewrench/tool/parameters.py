@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS
 from truewrench.motion.spatial import cross
 
@@ -29,8 +29,6 @@ __all__ = [
     "symmetric",
     "tilted",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,14 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
+from truewrench.model.arrays import Array
 from truewrench.tool.parameters import symmetric
-
-__all__ = ["Body", "HeldOut", "ToolVerdict", "Unknown"]
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +72,11 @@ class Body:
     """
 
     mass: float
-    center_of_mass: FloatArray
-    inertia: FloatArray
+    center_of_mass: Array
+    inertia: Array
     inertia_assumed: bool = False
 
     @property
-    def inertia_matrix(self) -> FloatArray:
+    def inertia_matrix(self) -> Array:
         """(3, 3) about the centre of mass [kg m^2]."""
         return symmetric(self.inertia)

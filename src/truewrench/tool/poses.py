@@ -6,20 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation.colour import without_filters
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import temperature_at
 from truewrench.robot.arm import robot_of
 from truewrench.robot.attitude import attitude_of
-
-__all__ = ["Move", "Poses", "Split", "split_poses", "stands_still"]
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 APART = 0.3  # [s] from both neighbours: a row by itself
 SETTLE = 1.0  # [s] of a dwell that is left out: what the motion before it leaves
@@ -49,8 +44,8 @@ class Poses:
         temperature: (T,) [degC], NaN where there is none.
     """
 
-    log: Rows
-    time_ns: Rows
+    log: Integers
+    time_ns: Integers
     seconds: Array
     raw: Array
     variance: Array
@@ -60,7 +55,7 @@ class Poses:
     def __len__(self) -> int:
         return len(self.log)
 
-    def of(self, chosen: Rows | NDArray[np.bool_]) -> Poses:
+    def of(self, chosen: Integers | Mask) -> Poses:
         """Some of them."""
         return Poses(
             self.log[chosen],
@@ -89,7 +84,7 @@ class Move:
     knots: Array
 
     @property
-    def knots_ns(self) -> Rows:
+    def knots_ns(self) -> Integers:
         """Stamps of the knots."""
         return int(self.record.time_ns[0]) + np.rint(1e9 * self.knots).astype(np.int64)
 
@@ -132,7 +127,7 @@ def stands_still(rig: Rig, log: Log) -> bool:
     return float(seconds.sum()) < MOVING and len(alone) + len(dwells) >= FEWEST
 
 
-def _pieces(rig: Rig, log: Log) -> tuple[list[Rows], list[Rows], NDArray[np.bool_], Array]:
+def _pieces(rig: Rig, log: Log) -> tuple[list[Integers], list[Integers], Mask, Array]:
     """Poses that are rows, dwells, rows that are read and not alone, and seconds moved before each row."""
     time, sensed = log.time, np.isfinite(log.raw).all(axis=1)
     gap = np.diff(time[sensed])
@@ -149,7 +144,7 @@ def _pieces(rig: Rig, log: Log) -> tuple[list[Rows], list[Rows], NDArray[np.bool
     return pieces, _dwells(time, rest & still, rest), rest, seconds
 
 
-def _cut(rig: Rig, log: Log) -> tuple[list[Rows], Rows, Array]:
+def _cut(rig: Rig, log: Log) -> tuple[list[Integers], Integers, Array]:
     """Rows of each pose, rows of what moves (none if too little does), and seconds moved before each row."""
     pieces, dwells, rest, seconds = _pieces(rig, log)
     moved = float(seconds.sum())
@@ -163,7 +158,7 @@ def _cut(rig: Rig, log: Log) -> tuple[list[Rows], Rows, Array]:
     return pieces, np.flatnonzero(rest & (moved >= MOVING)), seconds
 
 
-def _move(k: int, log: Log, kept: Rows, seconds: Array, walks: bool) -> Move | None:
+def _move(k: int, log: Log, kept: Integers, seconds: Array, walks: bool) -> Move | None:
     """The motion of a log: all, or, where the offset walks, what goes on for `MOVE`; None: nothing does."""
     runs = [kept]
     if walks:
@@ -177,12 +172,12 @@ def _move(k: int, log: Log, kept: Rows, seconds: Array, walks: bool) -> Move | N
     return Move(k, replace(log, raw=raw), knots)
 
 
-def _runs(time: Array, rows: Rows) -> list[Rows]:
+def _runs(time: Array, rows: Integers) -> list[Integers]:
     """Rows, cut where nothing is for `APART`."""
     return np.split(rows, np.flatnonzero(np.diff(time[rows]) >= APART) + 1)
 
 
-def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:
+def _still(rig: Rig, log: Log) -> Mask:
     """Rows at which nothing moves, as far as the measurements of motion tell."""
     motion, values, bias = rig.motion, log.twist, 0.0
     if motion.source == "joints":
@@ -199,12 +194,12 @@ def _still(rig: Rig, log: Log) -> NDArray[np.bool_]:
     return _between(log.time, _any(values), np.logical_not(fast))
 
 
-def _any(values: Array) -> NDArray[np.bool_]:
+def _any(values: Array) -> Mask:
     """Rows with a value: parts of an arm may have rows of their own."""
     return np.asarray(np.isfinite(values).any(axis=1))
 
 
-def _between(time: Array, known: NDArray[np.bool_], quiet: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _between(time: Array, known: Mask, quiet: Mask) -> Mask:
     """Whether rows are still: those of the motion as they are, others where the motion's on both sides are.
 
     Of rows `APART` from any of the motion nothing tells that something moved.
@@ -222,7 +217,7 @@ def _between(time: Array, known: NDArray[np.bool_], quiet: NDArray[np.bool_]) ->
     return out
 
 
-def _changing(time: Array, values: Array) -> NDArray[np.bool_]:
+def _changing(time: Array, values: Array) -> Mask:
     """Rows about which values change, rows that stand alone aside.
 
     By means of `_MEAN` before and after a row, whose noise is that which second differences of rows show, or
@@ -253,7 +248,7 @@ def _changing(time: Array, values: Array) -> NDArray[np.bool_]:
     return out
 
 
-def _dwells(time: Array, still: NDArray[np.bool_], known: NDArray[np.bool_]) -> list[Rows]:
+def _dwells(time: Array, still: Mask, known: Mask) -> list[Integers]:
     """Rows of each stretch of stillness, the settling at its start left out."""
     rows = np.flatnonzero(known)
     if rows.size < 2:
@@ -274,7 +269,7 @@ def _dwells(time: Array, still: NDArray[np.bool_], known: NDArray[np.bool_]) -> 
     return out
 
 
-def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
+def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Integers]) -> Poses:
     n = rig.sensor.n
     warm = temperature_at(log, log.time_ns) if log.temperature is not None else None
     raw, variance, R = np.empty((len(pieces), n)), np.empty((len(pieces), n)), np.empty((len(pieces), 3, 3))
@@ -309,7 +304,7 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Rows]) -> Poses:
     return Poses(np.full(len(pieces), k), stamps, seconds, raw, variance, R, temperature)
 
 
-def _around(time: Array, rows: Rows, known: NDArray[np.bool_]) -> Rows:
+def _around(time: Array, rows: Integers, known: Mask) -> Integers:
     """Rows that are known while others last; where none is, the nearest less than `APART` away."""
     inside = np.arange(rows[0], rows[-1] + 1)
     if known[inside].any():

@@ -6,28 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
 from truewrench.estimation.reference_clock import with_reference_on_time
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import TILT_PRIOR, UNKNOWN, tool_rig
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import Layout
-
-__all__ = [
-    "MOUNTING_PRIOR",
-    "S_STD",
-    "Prior",
-    "make_prior",
-    "settings_of",
-    "widening",
-    "with_known_wrenches",
-]
-
-Array = NDArray[np.float64]
 
 MOUNTING_PRIOR = float(np.radians(3.0))
 """[rad] 1 sigma of each angle between channels and sensor frame, where the gain has not seen it."""

@@ -5,16 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.rig import Rig
 from truewrench.motion.spatial import cross
 from truewrench.tool.poses import Poses
-
-__all__ = ["Recipe", "recipe"]
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +34,7 @@ class Recipe:
         return self.moment / (self.mass if abs(self.mass) > 1e-6 else 1e-6)
 
 
-def recipe(rig: Rig, poses: Poses, chosen: Rows) -> Recipe:
+def recipe(rig: Rig, poses: Poses, chosen: Integers) -> Recipe:
     """Least squares on chosen poses by the nominal gain; what is left in all poses."""
     sensor = rig.sensor
     wrench = sensor.sign * poses.raw @ np.linalg.pinv(sensor.nominal_gain_array).T

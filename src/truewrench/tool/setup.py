@@ -11,18 +11,14 @@ from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import free_fall
 from truewrench.tool.motion import measured_motions, on_rows, regressor
 from truewrench.tool.poses import Poses
 from truewrench.tool.recipe import Recipe, recipe
-
-__all__ = ["mistakes", "mistakes_of_motion"]
-
-Array = NDArray[np.float64]
 
 _FITS = 0.5  # of what is left as stated: an explanation leaves less
 _FEWEST = 6  # poses

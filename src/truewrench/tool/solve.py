@@ -16,14 +16,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from truewrench.model.arrays import Array
 from truewrench.tool.model_rows import Problem, whitened
-
-__all__ = ["REPEATABILITY", "WALK", "Solution", "solve"]
-
-Array = NDArray[np.float64]
 
 WALK = 1e-4  # of range per sqrt(s): where the search begins
 REPEATABILITY = 2e-4  # of range

@@ -10,8 +10,6 @@ from truewrench.model.calibration import AXES
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS
 
-__all__ = ["correlations", "tool_summary"]
-
 _STRONG = 0.7
 
 

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc
 
 from truewrench.judging.validation.residuals import LONGEST_LAG, Residuals, joined_columns, residuals
 from truewrench.judging.validation.residuals import tared as is_tared
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, AxisImprovement, Calibration, Verdict
 from truewrench.model.errors import InputError
 from truewrench.model.files import write_yaml
@@ -28,10 +28,6 @@ from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated
 from truewrench.robot.track import tracked
-
-__all__ = ["AxisValidation", "Validation", "validate", "worse"]
-
-Array = NDArray[np.float64]
 
 FORMAT = "truewrench-validation/1"
 CONFIDENCE = 0.99  # of the interval of the ratio of residuals
@@ -324,7 +320,7 @@ def _whiteness(found: Array, expected: Array, size: int) -> tuple[float, float]:
     c[0] = max(1.0, float(found[0]))
     reach = np.arange(-LONGEST_LAG, LONGEST_LAG + 1)
 
-    def at(lag: NDArray[np.int64]) -> Array:
+    def at(lag: Integers) -> Array:
         known = np.abs(lag) <= LONGEST_LAG
         return np.where(known, c[np.where(known, np.abs(lag), 0)], 0.0)
 

@@ -12,20 +12,16 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.estimate import Estimate
 from truewrench.judging.validation import CHANGE, LOSS, validate, worse
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, AxisImprovement, Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import between_jumps, held_out
-
-__all__ = ["BLOCKS", "SHARE", "Comparison", "compare_held_out", "compare_in_sample", "compare_on"]
-
-Array = NDArray[np.float64]
 
 SHARE, BLOCKS = 0.2, 4  # of every log that is held out; in so many pieces at most
 

@@ -6,21 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.estimation.inertial import InertialChunk, InertialMotion
 from truewrench.estimation.reference_clock import with_reference_on_time
 from truewrench.estimation.unknowns import payload_rates
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
-
-__all__ = ["LONGEST_LAG", "Residuals", "joined_columns", "residuals", "tared"]
-
-Array = NDArray[np.float64]
 
 LONGEST_LAG = 60
 """Rows over which the correlation in time, which the motion brings, is followed."""
@@ -43,7 +39,7 @@ class Residuals:
     lagged: Array  # (LONGEST_LAG + 1, 6) mean motion covariance at 0, 1, ... rows
     period: float  # [s]
     time_offset: float
-    rows: NDArray[np.int64]  # (M,) of the log
+    rows: Integers  # (M,) of the log
 
 
 def tared(rig: Rig) -> bool:
@@ -103,7 +99,7 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
 class _Known:
     """The payload's wrench at M rows of a log, by something else than the sensor."""
 
-    rows: NDArray[np.int64]
+    rows: Integers
     wrench: Array  # (M, 6)
     variance: Array  # (M, 6)
     payload: Array  # (M, 6, k) of its errors, those that the payload brings
