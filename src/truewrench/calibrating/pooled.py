@@ -45,21 +45,13 @@ _TOLD = 0.05  # share of a variance that the poses take, from which on they are 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pooled:
-    """What logs of motion and of static poses say together.
+    """What logs of motion and of static poses say together."""
 
-    Attributes:
-        estimate: of all logs, in their order.
-        moving: which of them move.
-        still: what the poses of the others said beyond it; None without any.
-        agreement: p of the poses' departure from what motion told; 1 without poses.
-        parts: of the logs that move, where they are long.
-    """
-
-    estimate: Estimate
-    moving: tuple[int, ...]
-    still: StillEstimate | None = None
-    agreement: float = 1.0
-    parts: InParts | None = None
+    estimate: Estimate  # of all logs, in their order
+    moving: tuple[int, ...]  # which of them move
+    still: StillEstimate | None = None  # what the poses of the others said beyond it; None without any
+    agreement: float = 1.0  # p of the poses' departure from what motion told; 1 without poses
+    parts: InParts | None = None  # of the logs that move, where they are long
 
     def reports(self, logs: Sequence[Log], reports: Sequence[LogReport]) -> tuple[LogReport, ...]:
         """Those of motion, with the poses' in their places."""

@@ -18,143 +18,86 @@ from truewrench.model.rig.sections import COLUMNS, ROWS
 
 @dataclass(frozen=True, slots=True)
 class PayloadDeparture:
-    """What the data say of a payload, as departures from what was stated.
+    """What the data say of a payload, as departures from what was stated."""
 
-    Attributes:
-        mean: (10,) mass, relative; centre of mass [m]; xx yy zz xy xz yz of the inertia, relative to
-            sqrt(I_ii I_jj).
-        std: (10,) 1 sigma.
-    """
-
+    # (10,) mass, relative; centre of mass [m]; xx yy zz xy xz yz of the inertia, relative to sqrt(I_ii I_jj)
     mean: Array
-    std: Array
+    std: Array  # (10,) 1 sigma
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """How late the sensor is against one motion stream, and what kind of lateness that is (10.1, 10.4, 10.5).
+    """How late the sensor is against one motion stream, and what kind of lateness it is (10.1, 10.4)."""
 
-    Attributes:
-        stream: `twist`, `positions`, `velocities`, `rate of turn`, `specific force` or `accelerations`.
-        late: s = -time_offset [s].
-        std: 1 sigma of it.
-        stated: 1 sigma that the rig states.
-        kappa: 1/2 for a clock, 0 for a filtered sensor, 1 for filtered velocities; None where it was held.
-        kappa_std: its 1 sigma, None where it was held.
-        gamma: 1 where gravity is late, too; None where it was held or does not act.
-        gamma_std: its 1 sigma.
-        undone: how much later the sensor was than `late` before filters were undone [s].
-    """
-
-    stream: str
-    late: float
-    std: float
-    stated: float
+    stream: str  # `twist`, `positions`, `velocities`, `rate of turn`, `specific force` or `accelerations`
+    late: float  # s = -time_offset [s]
+    std: float  # 1 sigma of it
+    stated: float  # 1 sigma that the rig states
+    # 1/2 for a clock, 0 for a filtered sensor, 1 for filtered velocities; None where it was held
     kappa: float | None = None
-    kappa_std: float | None = None
-    gamma: float | None = None
-    gamma_std: float | None = None
-    undone: float = 0.0
+    kappa_std: float | None = None  # its 1 sigma, None where it was held
+    gamma: float | None = None  # 1 where gravity is late, too; None where it was held or does not act
+    gamma_std: float | None = None  # its 1 sigma
+    undone: float = 0.0  # how much later the sensor was than `late` before filters were undone [s]
 
 
 @dataclass(frozen=True, slots=True)
 class FoundNoise:
-    """Noise found, as a factor on the stated one.
+    """Noise found, as a factor on the stated one."""
 
-    Attributes:
-        what: `force`, `moment`, `channels`, or a motion stream and its part (`velocities v`, `positions`).
-        factor: found over stated.
-    """
-
-    what: str
-    factor: float
+    what: str  # `force`, `moment`, `channels`, or a motion stream and its part (`velocities v`, `positions`)
+    factor: float  # found over stated
 
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """A slow disturbance of one group of channels: (10.2) where it is in the fit, else (10.9).
+    """A slow disturbance of one group of channels: (10.2) where it is in the fit, else (10.9)."""
 
-    Attributes:
-        what: `force`, `moment` or `channels`.
-        size: 1 sigma, fraction of range.
-        size_std: of the size, by moments; None where d is in the fit.
-        tau: correlation time [s].
-        z: standard normal deviate of its moment.
-        form: `none` (it stayed out of the fit), `matern` or `walk` (size: over the length of the stretch).
-        capped: the size ended at three sigma of a sample: as large as it may be.
-    """
-
-    what: str
-    size: float
-    size_std: float | None
-    tau: float
-    z: float
-    form: str
-    capped: bool = False
+    what: str  # `force`, `moment` or `channels`
+    size: float  # 1 sigma, fraction of range
+    size_std: float | None  # of the size, by moments; None where d is in the fit
+    tau: float  # correlation time [s]
+    z: float  # standard normal deviate of its moment
+    form: str  # `none` (it stayed out of the fit), `matern` or `walk` (size: over the length of the stretch)
+    capped: bool = False  # the size ended at three sigma of a sample: as large as it may be
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Consecutive samples of the sensor that were left out.
+    """Consecutive samples of the sensor that were left out."""
 
-    Attributes:
-        begin: [s] from the log's first stamp.
-        end: [s].
-        samples: how many.
-        lasting: 30 ms or more: a contact; else outliers.
-        size: (n,) largest departure of each channel from the model, fraction of range.
-    """
-
-    begin: float
-    end: float
-    samples: int
-    lasting: bool
-    size: Array
+    begin: float  # [s] from the log's first stamp
+    end: float  # [s]
+    samples: int  # how many
+    lasting: bool  # 30 ms or more: a contact; else outliers
+    size: Array  # (n,) largest departure of each channel from the model, fraction of range
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A step of the offset.
+    """A step of the offset."""
 
-    Attributes:
-        time: [s] from the log's first stamp.
-        size: (n,) fraction of range.
-        std: (n,) 1 sigma.
-    """
-
-    time: float
-    size: Array
-    std: Array
+    time: float  # [s] from the log's first stamp
+    size: Array  # (n,) fraction of range
+    std: Array  # (n,) 1 sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogRows:
-    """The sensor's samples of one log that the fit holds, and what it says at them; of a long log some.
+    """The sensor's samples of one log that the fit holds, and what it says at them; of a long log some."""
 
-    Attributes:
-        rows: (K,) of the log.
-        time: (K,) [s] from the log's first stamp.
-        masked: (K,) left out.
-        residual: (K, n) raw less the model, the discrepancy taken out, fraction of range; NaN where missing.
-        discrepancy: (K, n) d of (10.2), fraction of range; 0 where it stayed out.
-        wrench: (K, 6) of the payload, SI, with the rig's sign.
-        twist: (K, 6) of the logged point (joints: of the sensor).
-        acceleration: (K, 6) its component-wise derivative.
-        stretch: (K,) which gap-free stretch each belongs to.
-        every: one of so many samples is here.
-        whole: how many the fit holds, and how many of them are masked, where these are some of them.
-    """
-
-    rows: Integers
-    time: Array
-    masked: Mask
+    rows: Integers  # (K,) of the log
+    time: Array  # (K,) [s] from the log's first stamp
+    masked: Mask  # (K,) left out
+    # (K, n) raw less the model, the discrepancy taken out, fraction of range; NaN where missing
     residual: Array
-    discrepancy: Array
-    wrench: Array
-    twist: Array
-    acceleration: Array
-    stretch: Integers
-    every: int = 1
+    discrepancy: Array  # (K, n) d of (10.2), fraction of range; 0 where it stayed out
+    wrench: Array  # (K, 6) of the payload, SI, with the rig's sign
+    twist: Array  # (K, 6) of the logged point (joints: of the sensor)
+    acceleration: Array  # (K, 6) its component-wise derivative
+    stretch: Integers  # (K,) which gap-free stretch each belongs to
+    every: int = 1  # one of so many samples is here
+    # how many the fit holds, and how many of them are masked, where these are some of them
     whole: tuple[int, int] | None = None
 
     @property
@@ -181,88 +124,51 @@ class Estimate:
     """Gain, offsets and all that was estimated with them.
 
     "Normalised": gain_ij range_j / R_i and offset_i / R_i, R_i = |nominal_i| @ range.
-
-    Attributes:
-        solved: whether the record could be solved at all; where not, everything else is the prior.
-        gain: (n, 6), SI and raw units.
-        covariance: (7n, 7n) of [gain row by row, offset of the last log at its end], (10.9), (10.10) within.
-        normalised_covariance: the same, normalised.
-        before_pose: (6n, 6n) normalised covariance of the gain before (10.10).
-        gain_prior: (6n,) 1 sigma beforehand, normalised.
-        offsets: (L, n) raw units, at the end of each log.
-        offsets_std: (L, n).
-        clocks: per log, of each motion stream.
-        payloads: by name.
-        tilt: (2,) gravity's tilt [rad], None without gravity; tilt_std likewise.
-        tilt_std: its 1 sigma.
-        offset_temperature: (n,) raw units per K, None without a slope.
-        quadratic: (n,) u of (10.3), fraction of range; quadratic_std likewise.
-        quadratic_std: its 1 sigma.
-        discrepancy: (n,) 1 sigma of what (10.10) takes to follow the pose, fraction of range.
-        noise: per log.
-        slow: per log, of each group of channels.
-        events: per log.
-        steps: per log.
-        spacing: (L,) h [s].
-        unexplained: (L,) share of the raw output that no motion explains; 0 where its noise is as stated.
-        unresolved: (L,) (10.7) still falls at one knot per sample.
-        dropped: (L,) stretches that were too short.
-        rows: per log.
-        sources: 1 sigma (n, 6) of the normalised gain that each source accounts for: `noise` (with priors),
-            `mass`, `center_of_mass`, `inertia`, `timing`, `gravity`, `slow` (10.9), `pose` (10.10).
-        A: of (10.10).
-        ww: (6, 6) E w w^T, fractions of range.
-        p_halves: of (10.11).
-        p_quarters: of (10.11).
-        converged: whether the last fit did.
-        iterations: of it.
-        fits: how many were made.
-        deviance: -2 log L of `map` (10.7), nan of `online` and of parts.
-        history_time: (B,) [s] of the blocks of `online`; empty for `map`.
-        history_log: (B,) which log each belongs to.
-        history_gain: (B, n, 6) the gain after it.
-        joint: `gain`, `tilt`, of each payload that is not exact its `body_part` and the departure of its
-            inertia, `inertia NAME` [kg m^2], and `offset K` of each log, together; None where nothing moved.
     """
 
-    solved: bool
-    gain: Array
+    solved: bool  # whether the record could be solved at all; where not, everything else is the prior
+    gain: Array  # (n, 6), SI and raw units
+    # (7n, 7n) of [gain row by row, offset of the last log at its end], (10.9), (10.10) within
     covariance: Array
-    normalised_covariance: Array
-    before_pose: Array
-    gain_prior: Array
-    offsets: Array
-    offsets_std: Array
-    clocks: tuple[tuple[Clock, ...], ...]
-    payloads: dict[str, PayloadDeparture]
-    tilt: Array | None
-    tilt_std: Array | None
-    offset_temperature: Array | None
-    quadratic: Array
-    quadratic_std: Array
-    discrepancy: Array
-    noise: tuple[tuple[FoundNoise, ...], ...]
-    slow: tuple[tuple[Slow, ...], ...]
-    events: tuple[tuple[Event, ...], ...]
-    steps: tuple[tuple[Step, ...], ...]
-    spacing: Array
-    unexplained: Array
-    unresolved: Mask
-    dropped: Integers
-    rows: tuple[LogRows, ...]
+    normalised_covariance: Array  # the same, normalised
+    before_pose: Array  # (6n, 6n) normalised covariance of the gain before (10.10)
+    gain_prior: Array  # (6n,) 1 sigma beforehand, normalised
+    offsets: Array  # (L, n) raw units, at the end of each log
+    offsets_std: Array  # (L, n)
+    clocks: tuple[tuple[Clock, ...], ...]  # per log, of each motion stream
+    payloads: dict[str, PayloadDeparture]  # by name
+    tilt: Array | None  # (2,) gravity's tilt [rad], None without gravity; tilt_std likewise
+    tilt_std: Array | None  # its 1 sigma
+    offset_temperature: Array | None  # (n,) raw units per K, None without a slope
+    quadratic: Array  # (n,) u of (10.3), fraction of range; quadratic_std likewise
+    quadratic_std: Array  # its 1 sigma
+    discrepancy: Array  # (n,) 1 sigma of what (10.10) takes to follow the pose, fraction of range
+    noise: tuple[tuple[FoundNoise, ...], ...]  # per log
+    slow: tuple[tuple[Slow, ...], ...]  # per log, of each group of channels
+    events: tuple[tuple[Event, ...], ...]  # per log
+    steps: tuple[tuple[Step, ...], ...]  # per log
+    spacing: Array  # (L,) h [s]
+    unexplained: Array  # (L,) share of the raw output that no motion explains; 0 where its noise is as stated
+    unresolved: Mask  # (L,) (10.7) still falls at one knot per sample
+    dropped: Integers  # (L,) stretches that were too short
+    rows: tuple[LogRows, ...]  # per log
+    # 1 sigma (n, 6) of the normalised gain that each source accounts for: `noise` (with priors), `mass`,
+    # `center_of_mass`, `inertia`, `timing`, `gravity`, `slow` (10.9), `pose` (10.10)
     sources: dict[str, Array]
-    A: float
-    ww: Array
-    p_halves: float
-    p_quarters: float
-    converged: bool
-    iterations: int
-    fits: int
-    history_time: Array
-    history_log: Integers
-    history_gain: Array
+    A: float  # of (10.10)
+    ww: Array  # (6, 6) E w w^T, fractions of range
+    p_halves: float  # of (10.11)
+    p_quarters: float  # of (10.11)
+    converged: bool  # whether the last fit did
+    iterations: int  # of it
+    fits: int  # how many were made
+    history_time: Array  # (B,) [s] of the blocks of `online`; empty for `map`
+    history_log: Integers  # (B,) which log each belongs to
+    history_gain: Array  # (B, n, 6) the gain after it
+    # `gain`, `tilt`, of each payload that is not exact its `body_part` and the departure of its inertia,
+    # `inertia NAME` [kg m^2], and `offset K` of each log, together; None where nothing moved
     joint: Joint | None = None
-    deviance: float = math.nan
+    deviance: float = math.nan  # -2 log L of `map` (10.7), nan of `online` and of parts
 
     @property
     def time_offsets(self) -> Array:

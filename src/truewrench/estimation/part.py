@@ -43,46 +43,27 @@ class Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """Where a part lies.
+    """Where a part lies."""
 
-    Attributes:
-        log: which it is of.
-        begin: its first stamp [s] from that of the log.
-        rows: of the log.
-        origin: which row of the log each of its own is of, -1 without a sample of the sensor.
-    """
-
-    log: int
-    begin: float
-    rows: slice
-    origin: Integers
+    log: int  # which it is of
+    begin: float  # its first stamp [s] from that of the log
+    rows: slice  # of the log
+    origin: Integers  # which row of the log each of its own is of, -1 without a sample of the sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """What one part says.
+    """What one part says."""
 
-    Attributes:
-        log: which it is of.
-        begin: its first stamp [s] from that of the log.
-        end: its last one.
-        rows: of the log.
-        masked: samples of the sensor that were left out, rows of the log.
-        found: by the core, without the fit; None where nothing could be solved.
-        fit: put away; likewise.
-        estimate: the same in SI units.
-        record: its streams' names and sizes.
-    """
-
-    log: int
-    begin: float
-    end: float
-    rows: slice
-    masked: Integers
-    found: Found | None
-    fit: _core.Part | None
-    estimate: Estimate
-    record: SimpleNamespace
+    log: int  # which it is of
+    begin: float  # its first stamp [s] from that of the log
+    end: float  # its last one
+    rows: slice  # of the log
+    masked: Integers  # samples of the sensor that were left out, rows of the log
+    found: Found | None  # by the core, without the fit; None where nothing could be solved
+    fit: _core.Part | None  # put away; likewise
+    estimate: Estimate  # the same in SI units
+    record: SimpleNamespace  # its streams' names and sizes
 
     @property
     def samples(self) -> int:

@@ -28,21 +28,13 @@ _OF_PAYLOAD = ("mass", *["center_of_mass"] * 3, *["inertia"] * 6)
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """One number that is known beforehand with some uncertainty.
+    """One number that is known beforehand with some uncertainty."""
 
-    Attributes:
-        group: mass, center_of_mass, inertia, timing, gravity.
-        prior: 1 sigma, greater than zero.
-        place: which of the group's numbers: of a payload's ten, of the tilt's two.
-        payload: whose it is, None for clocks and gravity.
-        log: the number of the log whose clock it is, else None.
-    """
-
-    group: str
-    prior: float
-    place: int
-    payload: str | None = None
-    log: int | None = None
+    group: str  # mass, center_of_mass, inertia, timing, gravity
+    prior: float  # 1 sigma, greater than zero
+    place: int  # which of the group's numbers: of a payload's ten, of the tilt's two
+    payload: str | None = None  # whose it is, None for clocks and gravity
+    log: int | None = None  # the number of the log whose clock it is, else None
 
 
 def unknowns_of(rig: Rig, logs: Sequence[Log]) -> list[Unknown]:

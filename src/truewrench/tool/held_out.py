@@ -21,19 +21,12 @@ LAST = 0.25  # of the poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Left:
-    """Residuals in held-out poses.
+    """Residuals in held-out poses."""
 
-    Attributes:
-        figures: of the interleaved ones.
-        by_kind: `interleaved` and `last`: RMS figures.
-        ratio: of the squared errors to what was predicted of them, by kind.
-        details: residuals (T, 6) by kind and method, NaN where not held out [N, N m].
-    """
-
-    figures: HeldOut
-    by_kind: Mapping[str, HeldOut]
-    ratio: Mapping[str, float]
-    details: Mapping[str, Any]
+    figures: HeldOut  # of the interleaved ones
+    by_kind: Mapping[str, HeldOut]  # `interleaved` and `last`: RMS figures
+    ratio: Mapping[str, float]  # of the squared errors to what was predicted of them, by kind
+    details: Mapping[str, Any]  # residuals (T, 6) by kind and method, NaN where not held out [N, N m]
 
 
 def held_out(problem: Problem, solution: Solution) -> Left:

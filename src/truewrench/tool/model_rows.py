@@ -107,31 +107,20 @@ class MotionInformation:
     The first of these as `about_center` has them; offsets at the knots of each log, or its own.
 
     log p(data | y) = -(y - at)^T information (y - at) / 2 + gradient^T (y - at)
-
-    Attributes:
-        at: of the last linearisation [raw units, SI].
-        information: symmetric, positive semidefinite.
-        gradient: there.
     """
 
-    at: Array
-    information: Array
-    gradient: Array
+    at: Array  # of the last linearisation [raw units, SI]
+    information: Array  # symmetric, positive semidefinite
+    gradient: Array  # there
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """The offset at the end of a log, and the same as the walk brought it from, or to, another time.
+    """The offset at the end of a log, and the same as the walk brought it from, or to, another time."""
 
-    Attributes:
-        log: which log.
-        place: of the other offset in x.
-        time_ns: of that.
-    """
-
-    log: int
-    place: slice
-    time_ns: int
+    log: int  # which log
+    place: slice  # of the other offset in x
+    time_ns: int  # of that
 
 
 @dataclass(frozen=True, slots=True, eq=False)

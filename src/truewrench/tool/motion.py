@@ -34,27 +34,16 @@ _GAP = 0.1  # [s] across which a stream is read on the rows of another, for the 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionFit:
-    """What the estimator found in the logs of motion.
+    """What the estimator found in the logs of motion."""
 
-    Attributes:
-        information: on gain, body, offsets and tilt.
-        body: (10,) log m, c, inertia at its estimate.
-        time_offset: of the last log's clock as it is logged, and its 1 sigma [s].
-        masked: share of the samples that were left out as contacts and outliers.
-        factors: of the noise that was found, of channels and of motion, over the stated.
-        slow: the largest slow error that was found, fraction of range.
-        agreement: p of halves, and of quarters, of the record telling the same (10.11).
-        found: the estimator's own answer.
-    """
-
-    information: MotionInformation
-    body: Array
-    time_offset: tuple[float, float]
-    masked: float
-    factors: tuple[float, ...]
-    slow: float
-    agreement: float
-    found: object
+    information: MotionInformation  # on gain, body, offsets and tilt
+    body: Array  # (10,) log m, c, inertia at its estimate
+    time_offset: tuple[float, float]  # of the last log's clock as it is logged, and its 1 sigma [s]
+    masked: float  # share of the samples that were left out as contacts and outliers
+    factors: tuple[float, ...]  # of the noise that was found, of channels and of motion, over the stated
+    slow: float  # the largest slow error that was found, fraction of range
+    agreement: float  # p of halves, and of quarters, of the record telling the same (10.11)
+    found: object  # the estimator's own answer
 
 
 def motion_information(

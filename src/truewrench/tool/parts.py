@@ -11,15 +11,10 @@ from truewrench.tool.parameters import symmetric
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """What the data did not determine.
+    """What the data did not determine."""
 
-    Attributes:
-        direction: which quantity: `mass`, `inertia`, `center_of_mass`, `mounting`, `offset`, `gain`.
-        words: the same for a person.
-    """
-
-    direction: str
-    words: str
+    direction: str  # which quantity: `mass`, `inertia`, `center_of_mass`, `mounting`, `offset`, `gain`
+    words: str  # the same for a person
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,25 +32,15 @@ FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """T static poses in the order of logs, and of time in each.
+    """T static poses in the order of logs, and of time in each."""
 
-    Attributes:
-        log: (T,) which log.
-        time_ns: (T,) stamps of their middles.
-        seconds: (T,) that each lasts.
-        raw: (T, n) means of the channels [raw units].
-        variance: (T, n) of these means, by the noise of the samples and their own scatter.
-        R_sensor_root: (T, 3, 3) takes vectors of the root frame to sensor axes.
-        temperature: (T,) [degC], NaN where there is none.
-    """
-
-    log: Integers
-    time_ns: Integers
-    seconds: Array
-    raw: Array
-    variance: Array
-    R_sensor_root: Array
-    temperature: Array
+    log: Integers  # (T,) which log
+    time_ns: Integers  # (T,) stamps of their middles
+    seconds: Array  # (T,) that each lasts
+    raw: Array  # (T, n) means of the channels [raw units]
+    variance: Array  # (T, n) of these means, by the noise of the samples and their own scatter
+    R_sensor_root: Array  # (T, 3, 3) takes vectors of the root frame to sensor axes
+    temperature: Array  # (T,) [degC], NaN where there is none
 
     def __len__(self) -> int:
         return len(self.log)
@@ -70,17 +60,12 @@ class Poses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """What of a log is motion.
+    """What of a log is motion."""
 
-    Attributes:
-        log: which log.
-        record: the log without the filters that colour its noise, channels where it moves alone.
-        knots: [s] since its first row, where its poses tell how its offset walks: begin and end of
-            each move in turn, at which it has an offset of its own; empty: the log's.
-    """
-
-    log: int
-    record: Log
+    log: int  # which log
+    record: Log  # the log without the filters that colour its noise, channels where it moves alone
+    # [s] since its first row, where its poses tell how its offset walks: begin and end of each move in turn,
+    # at which it has an offset of its own; empty: the log's
     knots: Array
 
     @property
@@ -91,17 +76,11 @@ class Move:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Split:
-    """Logs as poses and motion.
+    """Logs as poses and motion."""
 
-    Attributes:
-        poses: of all logs.
-        moves: of the logs that move, in their order.
-        end_ns: last stamp of each log.
-    """
-
-    poses: Poses
-    moves: tuple[Move, ...]
-    end_ns: tuple[int, ...]
+    poses: Poses  # of all logs
+    moves: tuple[Move, ...]  # of the logs that move, in their order
+    end_ns: tuple[int, ...]  # last stamp of each log
 
 
 def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:

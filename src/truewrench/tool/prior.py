@@ -29,23 +29,17 @@ _EXACT = 1e-9  # of a unit: 1 sigma that holds a parameter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """N(mean, covariance) of the parameters that all logs share.
+    """N(mean, covariance) of the parameters that all logs share."""
 
-    Attributes:
-        mean: (7n + 15,) in the order of `Layout`, after it the ten of a known body (`--on`) and, in one
-            session, its offset (n).
-        covariance: of the same.
-        gain_std: the largest normalised 1 sigma of a gain.
-        known: value and sigma of what is stated of the tool: `mass`, `center_of_mass.x`, `inertia.xx` ...
-        on: whether ten parameters of a body that was there before end the vector.
-        session_ns: when that offset was (`sensor.pool_offsets`); None where offsets start anew.
-    """
-
+    # (7n + 15,) in the order of `Layout`, after it the ten of a known body (`--on`) and, in one session, its
+    # offset (n)
     mean: Array
-    covariance: Array
-    gain_std: float
+    covariance: Array  # of the same
+    gain_std: float  # the largest normalised 1 sigma of a gain
+    # value and sigma of what is stated of the tool: `mass`, `center_of_mass.x`, `inertia.xx` ...
     known: Mapping[str, tuple[float, float]]
-    on: bool = False
+    on: bool = False  # whether ten parameters of a body that was there before end the vector
+    # when that offset was (`sensor.pool_offsets`); None where offsets start anew
     session_ns: int | None = None
 
 

@@ -14,19 +14,12 @@ from truewrench.tool.poses import Poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recipe:
-    """Mass, mass times centre of mass, and offsets in units of the wrench.
+    """Mass, mass times centre of mass, and offsets in units of the wrench."""
 
-    Attributes:
-        mass: [kg], of either sign.
-        moment: (3,) mass times centre of mass [kg m].
-        offset: (6,) [N, N m].
-        residual: (T, 6) of all poses [N, N m].
-    """
-
-    mass: float
-    moment: Array
-    offset: Array
-    residual: Array
+    mass: float  # [kg], of either sign
+    moment: Array  # (3,) mass times centre of mass [kg m]
+    offset: Array  # (6,) [N, N m]
+    residual: Array  # (T, 6) of all poses [N, N m]
 
     @property
     def center_of_mass(self) -> Array:

@@ -33,35 +33,20 @@ _GRID = np.linspace(-2.5, 2.5, 6)  # sigma of the logarithms
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        problem: that was solved.
-        x: (p,) estimate.
-        covariance: (p, p), the sizes' own uncertainty within.
-        prior_mean: (p,).
-        prior_covariance: (p, p).
-        rate: of the walk, fraction of range per sqrt(s).
-        repeatability: fraction of range.
-        residual: (T, n) readings less what x predicts, the walk not subtracted [raw units].
-        walk: (T, n) the walk's conditional mean [raw units].
-        chi_square: of the poses, whitened, over their number of readings less what theta took.
-        freedom: that number.
-        steps: of Gauss and Newton.
-    """
-
-    problem: Problem
-    x: Array
-    covariance: Array
-    prior_mean: Array
-    prior_covariance: Array
-    rate: float
-    repeatability: float
-    residual: Array
-    walk: Array
-    chi_square: float
-    freedom: int
-    steps: int
+    problem: Problem  # that was solved
+    x: Array  # (p,) estimate
+    covariance: Array  # (p, p), the sizes' own uncertainty within
+    prior_mean: Array  # (p,)
+    prior_covariance: Array  # (p, p)
+    rate: float  # of the walk, fraction of range per sqrt(s)
+    repeatability: float  # fraction of range
+    residual: Array  # (T, n) readings less what x predicts, the walk not subtracted [raw units]
+    walk: Array  # (T, n) the walk's conditional mean [raw units]
+    chi_square: float  # of the poses, whitened, over their number of readings less what theta took
+    freedom: int  # that number
+    steps: int  # of Gauss and Newton
     pose_chi_square: Array = field(default_factory=lambda: np.zeros(0))
 
 

@@ -28,17 +28,11 @@ SHARE, BLOCKS = 0.2, 4  # of every log that is held out; in so many pieces at mo
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Nominal against new gain.
+    """Nominal against new gain."""
 
-    Attributes:
-        improvement: by wrench axis.
-        reasons: why the new gain should not replace the nominal one, in words.
-        figures: what the comparison rests on, or why nothing was held out.
-    """
-
-    improvement: Mapping[str, AxisImprovement]
-    reasons: tuple[str, ...]
-    figures: Mapping[str, Any]
+    improvement: Mapping[str, AxisImprovement]  # by wrench axis
+    reasons: tuple[str, ...]  # why the new gain should not replace the nominal one, in words
+    figures: Mapping[str, Any]  # what the comparison rests on, or why nothing was held out
 
 
 def compare_held_out(
