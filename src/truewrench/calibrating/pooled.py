@@ -8,8 +8,6 @@ have offsets of their own, so what the poses add to motion can be tested: where 
 with the walk of the offset that the poses by themselves show: another would follow what does not agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """What the estimator of one spline and one likelihood found: numbers and findings, no judgement."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """From a rig and logs to an `Estimate`: the core's loop (METHOD 10.3), its numbers in SI and raw units."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One part of a long record: its estimate, what it says of what it shares, and a few of its rows."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from types import SimpleNamespace

@@ -5,8 +5,6 @@ added (together.py). Of a part nothing is kept but that and some of its rows: an
 minutes. The parts also tell whether clocks run at different rates, and judge what the others say.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor

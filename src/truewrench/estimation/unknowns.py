@@ -3,8 +3,6 @@
 Wrenches are normalised by the range of their axis and have the sign of the rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

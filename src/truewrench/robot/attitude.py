@@ -8,8 +8,6 @@ notices. It begins anew, with no turn, in every log, and a gap adds whatever hap
 has to mean the same in several logs, the attitude has to be logged.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp

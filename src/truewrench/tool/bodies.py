@@ -1,7 +1,5 @@
 """Bodies as ten numbers: one made of several, what it weighs, and its nearest physical one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

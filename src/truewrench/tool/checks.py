@@ -1,7 +1,5 @@
 """Logs and statements that cannot be right, refused before anything is estimated."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 

@@ -4,8 +4,6 @@ Inertia that was not determined is never handed on in silence: zeros where a tar
 ABB, KUKA), else that of the sphere which `exported` holds, each with a comment in the file.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Container, Sequence
 from contextlib import suppress

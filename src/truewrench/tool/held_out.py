@@ -1,7 +1,5 @@
 """What is left in poses that a fit did not see, interleaved and last in time, beside the usual recipe."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

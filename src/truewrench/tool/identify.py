@@ -1,7 +1,5 @@
 """From a calibration or a rig, and logs, to a tool."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime

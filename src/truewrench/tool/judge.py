@@ -1,7 +1,5 @@
 """Whether a tool may be used, what the data did not tell, and what to do next."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What is known of a tool and of the sensor that carries it, with their joint uncertainty (tool.yaml)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path

@@ -5,8 +5,6 @@ before and its offset, the offsets of all logs but the last, those where moves b
 and the slope of the offset with temperature.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count

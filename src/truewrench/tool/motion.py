@@ -4,8 +4,6 @@ The estimator's posterior, less the priors that it was given, is what the logs a
 offsets and gravity (clock, filters, quadratic terms and slow errors integrated out with their own priors).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """tool.html, one file: verdict first, then the body, the poses, what is left in time, correlations."""
 
-from __future__ import annotations
-
 from html import escape
 from pathlib import Path
 

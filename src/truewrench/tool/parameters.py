@@ -7,8 +7,6 @@ of the channels. theta = (gain row by row, log_mass, center_of_mass (3), S (6), 
 tilt (2)).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a tool is made of besides its numbers: its body, the verdict on it, what held-out poses say."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is believed before the logs: of the gain what a calibration or a rig says, of the body little."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The recipe in use elsewhere: gain exact, offset fixed, ten linear parameters. A start, and a comparison."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

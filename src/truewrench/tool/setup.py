@@ -4,8 +4,6 @@ Asked only where something does not fit. A walk of the offset that is fast enoug
 recipe with a fixed offset judges: the reading as stated against the same with one mistake undone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import permutations, product

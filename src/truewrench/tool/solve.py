@@ -10,8 +10,6 @@ the body is the one that is likeliest with the gain C integrated out,
     p(b) ~ exp(-Q(b) / 2) |H_CC(b)|^(-1/2),  1/2 d log |H_CC| / db = tr[(1 x dw/db w^-1) H P]
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A tool in words: for the terminal, and correlations for its page."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

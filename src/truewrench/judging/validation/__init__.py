@@ -7,8 +7,6 @@ their ratio by a moving-block bootstrap, and whether the residual is as large, a
 sensor and motion (or reference) and the calibration's covariance say.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path

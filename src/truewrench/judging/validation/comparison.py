@@ -5,8 +5,6 @@ held-out part (validation.py): the final gain has seen it. A record too short to
 what the gain was fitted to, and says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

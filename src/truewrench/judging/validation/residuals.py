@@ -1,7 +1,5 @@
 """Residuals of the corrected wrench against the payload's, and what they are claimed to be."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
