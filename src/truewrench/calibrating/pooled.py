@@ -82,16 +82,9 @@ class Pooled:
 
 
 def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool) -> Pooled:
-    """Estimate from motion, and go on with the logs that are static poses in gravity.
+    """Estimate from motion, of which one log at least has some, and go on with those that are static poses.
 
-    Args:
-        rig: sensor, payloads, motion.
-        logs: pooled into one gain; at least one of them moves.
-        threads: as of `estimate_motion`.
-        online: likewise.
-
-    Raises:
-        InputError: for logs that do not hold what the rig says.
+    Threads and `online` are as of `estimate`.
     """
     moving = moving_logs(rig, logs)
     in_motion, parts = [logs[k] for k in moving], None

@@ -98,14 +98,9 @@ class Assumptions:
 
     @classmethod
     def of(cls, rig: Rig, logs: Sequence[Log]) -> Assumptions:
-        """What a rig states, normalised.
+        """What a rig states, normalised, for logs that will be estimated together.
 
-        Args:
-            rig: the user's statement.
-            logs: that will be estimated together.
-
-        Raises:
-            InputError: for a log without temperatures where the offset follows them and others have some.
+        InputError: a log without temperatures where the offset follows them and others have some.
         """
         sensor, motion = rig.sensor, rig.motion
         scale = sensor.channel_scale

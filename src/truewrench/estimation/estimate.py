@@ -25,7 +25,7 @@ class PayloadDeparture:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """How late the sensor is against one motion stream, and what kind of lateness it is (10.1, 10.4)."""
+    """How late the sensor is against a motion stream, and what kind of lateness it is (10.1, 10.4, 10.5)."""
 
     stream: str  # `twist`, `positions`, `velocities`, `rate of turn`, `specific force` or `accelerations`
     late: float  # s = -time_offset [s]
@@ -184,13 +184,7 @@ class Estimate:
 
 
 def undisturbed(log: Log, left_out: Integers, steps: Sequence[Step]) -> Log:
-    """A log without the samples that were left out, cut where its offset steps.
-
-    Args:
-        log: the whole of it.
-        left_out: rows.
-        steps: of it.
-    """
+    """A log without the rows that were left out, cut where its offset steps."""
     raw = log.raw.copy()
     raw[left_out] = np.nan
     jumps = tuple(int(log.time_ns[0] + round(1e9 * step.time)) for step in steps)
@@ -198,12 +192,9 @@ def undisturbed(log: Log, left_out: Integers, steps: Sequence[Step]) -> Log:
 
 
 def without_motion(n: int, count: int, **found: Any) -> Estimate:
-    """An estimate in which nothing of a motion is: no rows, clocks, sizes or events.
+    """An estimate of `count` logs in which nothing of a motion is: no rows, clocks, sizes or events.
 
-    Args:
-        n: channels.
-        count: logs.
-        found: all that was found all the same, by attribute.
+    All that was found all the same comes by attribute.
     """
     nothing: dict[str, Any] = {
         "clocks": ((),) * count,
@@ -238,10 +229,7 @@ def without_motion(n: int, count: int, **found: Any) -> Estimate:
 def of_joint(rig: Rig, joint: Joint, offsets: Sequence[str]) -> dict[str, Any]:
     """What an estimate has of a joint distribution, by attribute.
 
-    Args:
-        rig: sensor and payloads.
-        joint: with `gain`, `tilt`, and the offset of each log.
-        offsets: parts that hold them.
+    That has `gain`, `tilt`, and the parts `offsets` that hold the offset of each log.
     """
     n, scale = rig.sensor.n, rig.sensor.channel_scale
     units = np.append((scale[:, None] / rig.sensor.range_array).ravel(), scale)
@@ -267,13 +255,7 @@ def of_joint(rig: Rig, joint: Joint, offsets: Sequence[str]) -> dict[str, Any]:
 
 
 def payload_departure(spec: PayloadSpec, joint: Joint, name: str) -> PayloadDeparture:
-    """What was found of a payload less what was stated; the inertia as stated where nothing moved with it.
-
-    Args:
-        spec: as stated.
-        joint: with its `body_part`.
-        name: of the payload.
-    """
+    """What was found of a payload less what was stated; the inertia as stated where nothing moved with it."""
     body, P = joint.of([body_part(name)])
     mean, std = np.zeros(10), np.full(10, spec.uncertainty.inertia)
     mean[0] = np.expm1(body[0] - np.log(spec.mass))

@@ -30,16 +30,10 @@ _SOURCES = ("mass", "center_of_mass", "inertia", "timing", "gravity")
 
 
 def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = False) -> Estimate:
-    """Estimate gain, offsets and all that is unknown with them from logs of motion.
+    """Estimate gain, offsets and all that is unknown with them from logs of motion, pooled into one gain.
 
-    Args:
-        rig: sensor, payloads, motion; never altered.
-        logs: pooled into one gain.
-        threads: of the core, 0 for all; no effect on the result.
-        online: forward only, block by block (METHOD 10.6), and not the whole record at once.
-
-    Raises:
-        InputError: for logs that do not hold what the rig says.
+    The number of threads, 0 for all, has no effect on the result. `online` is forward only, block by block
+    (METHOD 10.6), and not the whole record at once.
     """
     assumed, statement, records = recorded_logs(rig, logs, twists=online)
     settings = _core.Settings()
@@ -65,13 +59,8 @@ def solved(
 ) -> Estimate:
     """What the core found, in SI and raw units.
 
-    Args:
-        rig: sensor and payloads.
-        assumed: every number.
-        logs: the record.
-        found: what the core's `estimate` returns, or what has its attributes.
-        records: the logs' streams.
-        rows: of the logs, else those of the fit.
+    `found` is what the core's `estimate` returns, or has its attributes; the records are the logs' streams,
+    and the rows of the logs those of the fit, unless given.
     """
     fit, n = found.fit, rig.sensor.n
     scale, span = assumed.channel_scale, rig.sensor.range_array
@@ -150,13 +139,7 @@ def solved(
 
 
 def unsolved(rig: Rig, logs: Sequence[Log], found: Any = None) -> Estimate:
-    """The prior, where a record says nothing that could be solved, or was not asked.
-
-    Args:
-        rig: sensor and motion.
-        logs: of the record.
-        found: what the core says of it.
-    """
+    """The prior, where a record says nothing that could be solved, or was not asked."""
     n, count = rig.sensor.n, len(logs)
     scale, span = Assumptions.of(rig, logs).channel_scale, rig.sensor.range_array
     prior = np.append(np.full(6 * n, min(rig.sensor.gain_prior, 1e30)), rig.sensor.offset_prior_array / scale)

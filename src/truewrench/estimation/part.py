@@ -84,16 +84,9 @@ def part_of(
     place: Place,
     every: int,
 ) -> Part | None:
-    """The estimate of a part; None where it holds no motion, or nothing of the sensor.
+    """The estimate of a part, the log alone; None where it holds no motion, or nothing of the sensor.
 
-    Args:
-        rig: sensor, payloads, motion.
-        assumed: every number.
-        statement: the same for the core.
-        settings: of the core.
-        log: the part alone.
-        place: of it.
-        every: one of so many rows is kept.
+    One of `every` so many rows is kept.
     """
     try:
         record = recorded(rig, assumed, log).streams

@@ -56,21 +56,15 @@ def _lasting(logs: Sequence[Log]) -> float:
 
 
 class InParts:
-    """The parts of some logs, each estimated alone.
+    """The parts of some logs of motion, each estimated alone.
 
-    Args:
-        rig: sensor, payloads, motion.
-        logs: of motion.
-        threads: parts in hand at a time, 0: as many as there are processors and room for; no effect on the
-            result.
-        seconds: that a part lasts about, by default `PART`.
+    So many threads are parts in hand at a time, 0: as many as there are processors and room for; no effect on
+    the result. A part lasts about so many seconds. InputError: none has both motion and samples of the
+    sensor.
 
     Attributes:
         logs: as given, with the rates of their clocks.
         parts: in the order of the logs.
-
-    Raises:
-        InputError: no part has both motion and samples of the sensor.
     """
 
     def __init__(self, rig: Rig, logs: Sequence[Log], threads: int = 0, seconds: float | None = None) -> None:
@@ -336,9 +330,7 @@ def _columns_at(part: Part, place: Integers) -> SimpleNamespace:
 def _sizes(parts: Sequence[Found], weight: Array) -> tuple[SimpleNamespace, list[SimpleNamespace]]:
     """Sizes and moments of a log: means of its parts, of a slow disturbance of those in which it is alike.
 
-    Args:
-        parts: what was found of them.
-        weight: how much the gain rests on each.
+    The weight is how much the gain rests on each.
     """
     weight = weight / weight.sum()
 

@@ -65,14 +65,7 @@ def wrench_rates(
 ) -> Array:
     """Derivatives (M, 6, len(unknowns)) of the normalised wrench of a log at times (M,) of its motion.
 
-    Args:
-        rig: the rig.
-        log: the log.
-        number: of the log among all.
-        unknowns: by which.
-        at: times (M,) since its first row [s].
-        motion: of the log.
-        wrench: normalised, of a motion.
+    The log has a number among all; times are since its first row [s].
     """
     nu, a, gravity = motion(at)
     rates = np.zeros((at.size, 6, len(unknowns)))
@@ -95,14 +88,8 @@ def wrench_rates(
 def payload_rates(rig: Rig, payload: str, nu: Array, a: Array, gravity: Array) -> Array:
     """Derivatives (M, 6, 10) of the normalised wrench by a payload: see `unknowns_of`; xx yy zz xy xz yz.
 
-    The logged point stays where it is: at the STATED centre of mass, or at the sensor's origin.
-
-    Args:
-        rig: the rig.
-        payload: which.
-        nu: twist (M, 6) of the logged point.
-        a: its component-wise derivative (M, 6).
-        gravity: free fall (M, 3) in sensor axes.
+    The logged point, whose twist is nu (M, 6), stays where it is: at the STATED centre of mass, or at the
+    sensor's origin. Gravity (M, 3), free fall, is in sensor axes.
     """
     spec, omega, alpha = rig.payloads[payload], nu[:, 3:], a[:, 3:]
     center, inertia = spec.center_of_mass_array, spec.inertia_matrix

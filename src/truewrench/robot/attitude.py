@@ -26,13 +26,9 @@ _OPPOSITE = 1e-12  # 1 + cosine of two directions that are taken for opposite
 def attitude_of(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     """R_sensor_root, which takes vectors of the root frame to sensor axes, where a log tells it.
 
-    From the attitude columns; else from gravity in sensor axes, the angular velocity giving the turn about it
-    (see above). Of a log of joints, gravity and twist are those that `tracked` gives. The root frame is that
-    of `rig.gravity`: the inertial frame, where a base moves.
-
-    Args:
-        rig: with the direction of gravity.
-        log: with `attitude`, or with `gravity` and, for the turn about it, `twist` or `angular_velocity`.
+    From the attitude columns; else from gravity in sensor axes, the angular velocity (or the twist) giving
+    the turn about it (see above). Of a log of joints, gravity and twist are those that `tracked` gives. The
+    root frame is that of `rig.gravity`: the inertial frame, where a base moves.
 
     Returns:
         Times (K,) since the first row [s] and rotations (K, 3, 3), one for every row with an attitude, or
@@ -68,9 +64,7 @@ def attitude_at(time: Array, R_sensor_root: Array, at: Array) -> Array:
 def free_fall(rig: Rig, attitude: Array) -> Array:
     """Acceleration of free fall (N, 3) in sensor axes [m/s^2], NaN where there is no attitude.
 
-    Args:
-        rig: with gravity in the root frame.
-        attitude: (N, 4) quaternions w, x, y, z from the sensor to the root frame.
+    The attitude is (N, 4) quaternions w, x, y, z from the sensor to the root frame.
     """
     fall = np.full((len(attitude), 3), np.nan)
     known = np.isfinite(attitude).all(axis=1)
@@ -118,10 +112,8 @@ def _turns(time: Array, omega_time: Array, omega: Array) -> Array:
 def _followed(down: Array, fall: Array, turns: Array) -> Array:
     """Rotations (K, 3, 3) by the turns, each with the smallest further one that puts `down` on `fall`.
 
-    Args:
-        down: (3,) unit vector in the root frame.
-        fall: (K, 3) the same in sensor axes.
-        turns: (K - 1, 3, 3) from each row to the next.
+    Down (3,) is a unit vector in the root frame, fall (K, 3) the same in sensor axes, and turns (K - 1, 3, 3)
+    lead from each row to the next.
     """
     predicted = np.einsum("kij,kj->ki", turns, fall[:-1])
     steps = _least_rotation(predicted, fall[1:]) @ turns

@@ -28,8 +28,7 @@ def _total(bodies: Any) -> Any:
 def total_body(bodies: Array) -> tuple[Array, Array]:
     """One rigid body made of B, as (log m, c, inertia about c) (10,), and its derivative (10, 10 B).
 
-    Args:
-        bodies: (B, 10) log mass, centre of mass, S about it, in the order of `ELEMENTS`.
+    The bodies (B, 10) are log mass, centre of mass, S about it, in the order of `ELEMENTS`.
     """
     steps = 1j * _STEP * np.eye(bodies.size).reshape(-1, *bodies.shape)  # complex: exact to rounding
     jacobian = _total(bodies + steps).imag.T / _STEP
@@ -99,12 +98,9 @@ def joined(
 
 
 def flange_body(center: Array, inertia: Array, flange: Array) -> tuple[Array, Array]:
-    """Centre of mass (3,) and inertia (3, 3) in flange axes of those in sensor axes.
+    """Centre of mass (3,) [m] and inertia about it (3, 3) in flange axes of those in sensor axes.
 
-    Args:
-        center: (3,) from the sensor's origin, sensor axes [m].
-        inertia: (3, 3) about it [kg m^2].
-        flange: (6,) x, y, z, roll, pitch, yaw of the sensor frame on the flange [m, rad]; fixed axes.
+    The flange (6,) is x, y, z, roll, pitch, yaw of the sensor frame on it [m, rad]; fixed axes.
     """
     R = channel_turn(flange[3:])[0].T
     return flange[:3] + R @ center, R @ inertia @ R.T

@@ -46,12 +46,9 @@ def check_options(
     housing: npt.ArrayLike | None,
     sigmas: Mapping[str, float | None] = MappingProxyType({}),
 ) -> None:
-    """Refuse poses and bodies that are none, and negative uncertainties.
+    """Refuse poses and bodies that are none, and negative uncertainties, None where not stated.
 
-    Args:
-        flange: (6,) x, y, z, roll, pitch, yaw.
-        housing: (4,) mass, centre of mass.
-        sigmas: by name; None is not stated.
+    The flange is (6,) x, y, z, roll, pitch, yaw, the housing (4,) mass and centre of mass.
     """
     for name, given, count in (("flange", flange, 6), ("housing", housing, 4)):
         values = np.zeros(count) if given is None else np.asarray(given, dtype=np.float64)

@@ -55,14 +55,9 @@ class _Held:
 
 
 def tool_exports(tool: Tool, targets: Sequence[str]) -> dict[str, str]:
-    """The text of a tool's files for some targets, by their names in the folder of tool.yaml.
+    """The text of a tool's files for some of `TARGETS`, by their names in the folder of tool.yaml.
 
-    Args:
-        tool: with flange and housing.
-        targets: of `TARGETS`.
-
-    Raises:
-        InputError: for a target that is not known, or a body that one cannot take.
+    InputError: a target is not known, or cannot take the body.
     """
     for target in targets:
         if target not in TARGETS:

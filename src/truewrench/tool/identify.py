@@ -303,11 +303,8 @@ def _slope(solution: Solution) -> Array | None:
 def exported_body(body: Array, P: Array, inertia: bool, housing: Array) -> Body:
     """The physical body that controllers are told, with the sensor's housing, sensor axes.
 
-    Args:
-        body: (10,) log m, c, S.
-        P: its covariance.
-        inertia: whether it was determined; else it is that of a sphere of 2/5 m r^2, r = max(0.05 m, |c|).
-        housing: (4,) mass, centre of mass.
+    The body (10,) is log m, c, S, with the covariance P; the inertia, where it was not determined, is that of
+    a sphere of 2/5 m r^2, r = max(0.05 m, |c|); the housing (4,) is mass and centre of mass.
     """
     near = nearest_physical(body, P)[0] if inertia else body
     mass, center = float(np.exp(near[0])), near[1:4]

@@ -275,9 +275,7 @@ class Problem:
     def changes(self, x: Array, std: Array) -> Array:
         """D w / dx w^-1 (p, 6, 6) of the wrench w that the gain is told by, in the channels' axes.
 
-        Args:
-            x: (p,).
-            std: (p,) 1 sigma.
+        It is taken at x (p,), whose 1 sigma is std (p,).
         """
         body, by_x = self.total(x)
         R6 = np.kron(np.eye(2), channel_turn(x[self.vector.layout.mounting])[0])
@@ -308,8 +306,7 @@ class Problem:
     def walked(self, linked: bool = False) -> Array:
         """(T, T) covariance of a walk of 1 per sqrt(s) that is zero at the end of each log.
 
-        Args:
-            linked: (T + L, T + L), `links` after the poses.
+        If `linked`, (T + L, T + L), `links` after the poses.
         """
         links = self.links() if linked else []
         time = np.append(self.poses.time_ns, np.array([one.time_ns for one in links], dtype=np.int64))
@@ -324,10 +321,8 @@ class Problem:
     def roots(self, rate: float, repeatability: float, K: Array) -> Array:
         """Cholesky factors (n, N, N) of every channel's covariance of the readings.
 
-        Args:
-            rate: of the walk, fraction of range per sqrt(s).
-            repeatability: 1 sigma of a pose, fraction of range.
-            K: (N, N) of `walked`.
+        The rate is that of the walk, fraction of range per sqrt(s), the repeatability 1 sigma of a pose,
+        fraction of range, and K (N, N) comes of `walked`.
         """
         scale, T = self.rig.sensor.channel_scale, len(self.poses)
         own = np.full((len(scale), len(K)), _EXACT**2) * scale[:, None] ** 2

@@ -211,8 +211,7 @@ def _of_payload(stated: _core.Payload) -> Array:
 def body_start(rig: Rig, logs: Sequence[Log], gain: Array) -> Array:
     """(10,) log m, c, inertia by least squares on differentiated velocities, at a gain taken as exact.
 
-    Raises:
-        InputError: for logs too short to be differentiated.
+    InputError: the logs are too short to be differentiated.
     """
     A, b = [], []
     back = np.linalg.pinv(gain)

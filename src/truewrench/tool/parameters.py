@@ -119,15 +119,10 @@ def second_moments(mass: float, inertia: Array) -> Array:
 
 
 def channel_turn(mounting: Array) -> tuple[Array, Array]:
-    """R (3, 3), which takes vectors from sensor axes to those of the channels, and its derivatives.
+    """R (3, 3), which takes vectors from sensor axes to those of the channels, and (3, 3, 3) its derivatives.
 
-    R^T = Rz(yaw) Ry(pitch) Rx(roll): the channels' axes in the sensor frame.
-
-    Args:
-        mounting: (3,) roll, pitch, yaw [rad], about fixed axes x, then y, then z.
-
-    Returns:
-        R, and (3, 3, 3): dR by roll, by pitch, by yaw.
+    R^T = Rz(yaw) Ry(pitch) Rx(roll): the channels' axes in the sensor frame. The mounting is (3,) roll,
+    pitch, yaw [rad], about fixed axes x, then y, then z, by which the derivatives are.
     """
     (a, b, c), (s, t, u) = np.cos(mounting), np.sin(mounting)
     X = np.array([[1, 0, 0], [0, a, -s], [0, s, a]])

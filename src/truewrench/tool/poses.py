@@ -86,8 +86,7 @@ class Split:
 def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     """What of each log stands still and what moves; together every sample is used at most once.
 
-    Raises:
-        InputError: for a pose whose direction of gravity nothing tells.
+    InputError: nothing tells a pose's direction of gravity.
     """
     parts, moves = [], []
     for k, log in enumerate(logs):

@@ -68,15 +68,11 @@ def make_prior(
     on: Tool | None = None,
     known: Mapping[str, tuple[float, float]] | None = None,
 ) -> Prior:
-    """The prior, in SI and raw units.
+    """The prior, in SI and raw units, for the rig of `settings_of`.
 
-    Args:
-        source: a calibration, whose covariance of the gain is taken whole, or a rig.
-        rig: of `settings_of`.
-        mounting_sigma: [rad] 1 sigma of each angle of the mounting.
-        tilt_sigma: [rad] 1 sigma of gravity's direction about two axes.
-        on: a tool identified before, on which the unknown body sits.
-        known: of the body, by name: value and 1 sigma.
+    Of a calibration as the source, the covariance of the gain is taken whole. The sigmas are of each angle of
+    the mounting, and of gravity's direction about two axes [rad]. The unknown body sits `on` a tool
+    identified before; of it, value and 1 sigma may be `known` by name.
     """
     sensor, n = rig.sensor, rig.sensor.n
     layout = Layout(n)

@@ -119,12 +119,9 @@ def _bounded(sizes: Array) -> Array:
 
 
 def solve(problem: Problem, start: Array | None = None, sizes: Array | None = None) -> Solution:
-    """Estimate and covariance.
+    """Estimate and covariance, from (p,) x to begin at, by default the usual linear recipe.
 
-    Args:
-        problem: data and prior.
-        start: (p,) x to begin at; None: by the usual linear recipe.
-        sizes: logarithms of rate and repeatability, held; None: found.
+    The sizes, logarithms of rate and repeatability, are found unless held.
     """
     mean, P = problem.prior_of_all()
     scale = np.sqrt(np.diag(P))

@@ -38,10 +38,7 @@ def compare_held_out(
 ) -> Comparison | str:
     """Compare on the held-out part of the logs, or say why that cannot be.
 
-    Args:
-        rig: sensor, payloads and motion.
-        logs: the whole record.
-        calibrated: a calibration with some logs, None where they do not suffice for one.
+    `calibrated` is a calibration with some logs, None where they do not suffice for one.
     """
     kept, out = held_out(logs, SHARE, BLOCKS)
     if not out:
@@ -52,13 +49,9 @@ def compare_held_out(
 def compare_on(
     rig: Rig, out: Sequence[Log], calibration: Calibration | None, share: float
 ) -> Comparison | str:
-    """Compare on logs that a calibration has not seen, or say why that cannot be.
+    """Compare on logs that a calibration with the rest has not seen, or say why that cannot be.
 
-    Args:
-        rig: sensor, payloads and motion.
-        out: what was held out.
-        calibration: with the rest; None where that does not suffice for one.
-        share: of the record that was held out.
+    It is None where the rest does not suffice for one; `share` of the record was held out.
     """
     if calibration is None or not np.isfinite(calibration.inverse).all():
         return "without the part to be held out, the record does not give a gain"
@@ -85,14 +78,8 @@ def compare_in_sample(
     """Compare on the data the gain was fitted to, with the payload's wrench by the fitted motion.
 
     The nominal gain has the mean of its errors taken off where offsets are unknown. Of the new gain all that
-    remains of a sample beside gain, offset and steps counts: noise, slow disturbance and quadratic term.
-
-    Args:
-        rig: sensor.
-        logs: those of the estimate.
-        estimate: gain, and the samples that it rests on.
-        inverse: (6, n) of the gain.
-        why: nothing was held out.
+    remains of a sample beside gain, offset and steps counts: noise, slow disturbance and quadratic term. The
+    inverse (6, n) is that of the gain; `why` says why nothing was held out.
     """
     old, new = _errors(rig, logs, estimate, inverse)
     if not old or not np.isfinite(inverse).all():

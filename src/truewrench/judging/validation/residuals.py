@@ -49,9 +49,6 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     """Residuals of one log with the nominal and the calibration's gain.
 
     Against the wrench by the motion, or against reference wrenches where the log has them.
-
-    Raises:
-        InputError: for a log without enough rows.
     """
     log, _ = with_reference_on_time(rig, log)
     compensated = at_reference_temperature(calibration.offset_temperature, calibration.rig, log)
