@@ -6,7 +6,7 @@ from typing import Any
 
 from cyclonedds.idl import IdlStruct
 
-from truewrench.io.recordings.choice import KEYS, roles_of
+from truewrench.io.recordings.choice import KEYS, gravity_missing, roles_of
 from truewrench.io.table import ANGULAR_VELOCITY, GRAVITY, SPECIFIC_FORCE, TWIST
 from truewrench.live.ros2_types import (
     Float64MultiArray,
@@ -155,12 +155,8 @@ def motion_sources(rig: Rig) -> list[Source]:
     UnsupportedError: gravity matters, and nothing tells its direction.
     """
     roles = roles_of(rig)[1:]
-    source, weighed = rig.motion.source, rig.sensor.subtracted is not None
-    needed = (source == "twist" and rig.in_gravity) or (source != "joints" and weighed)
-    if needed and "gravity" not in roles:
-        place = f"recording.{KEYS['gravity']}"
-        why = "`sensor.compensated`" if weighed else "a twist in gravity"
-        expected = f"the topic of free fall in sensor axes (Vector3Stamped), which {why} needs"
-        raise UnsupportedError.at(rig.path, place, "nothing", expected)
+    expected = gravity_missing(rig)
+    if expected is not None:
+        raise UnsupportedError.at(rig.path, f"recording.{KEYS['gravity']}", "nothing", expected)
     own = {"joints": _Joints, "imu": _Imu}
     return [own[role](rig) if role in own else _Vector(rig, role, *_VECTORS[role]) for role in roles]

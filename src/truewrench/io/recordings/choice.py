@@ -35,6 +35,16 @@ def roles_of(rig: Rig) -> list[str]:
     return roles
 
 
+def gravity_missing(rig: Rig) -> str | None:
+    """What is expected of a rig that needs a topic of gravity and names none; None of every other rig."""
+    source, weighed = rig.motion.source, rig.sensor.subtracted is not None
+    needed = (source == "twist" and rig.in_gravity) or (source != "joints" and weighed)
+    if not needed or rig.recording.gravity_topic:
+        return None
+    why = "`sensor.compensated`" if weighed else "a twist in gravity"
+    return f"the topic of free fall in sensor axes (Vector3Stamped), which {why} needs"
+
+
 def commanded(topic: str) -> bool:
     """Whether a topic's name says that it was not measured; it has to be chosen by name."""
     return _COMMANDS.search(topic) is not None

@@ -3,7 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from truewrench.io.recordings.choice import KEYS, commanded, named_topic, one_topic, roles_of, topics_in_words
+from truewrench.io.recordings.choice import (
+    KEYS,
+    commanded,
+    gravity_missing,
+    named_topic,
+    one_topic,
+    roles_of,
+    topics_in_words,
+)
 from truewrench.io.recordings.reader import Recording, Topic
 from truewrench.io.recordings.streams import Stream, clock_notes, gather, role_of
 from truewrench.io.table import SPECIFIC_FORCE
@@ -182,12 +190,9 @@ def _check_complete(recording: Recording, rig: Rig, chosen: Sequence[Stream], wa
         seen = ", ".join(sorted(wanted.seen)) or "none"
         found = f"no samples of the joints {', '.join(missing)} (joints in the recording: {seen})"
         raise InputError.at(recording.path, "", found, "every joint of the arm, by its name in the URDF")
-    source, weighed = rig.motion.source, rig.sensor.subtracted is not None
-    needed = (source == "twist" and rig.in_gravity) or (source != "joints" and weighed)
-    if needed and not rig.recording.gravity_topic:
-        why = "`sensor.compensated`" if weighed else "a twist in gravity"
-        expected = f"the topic of free fall in sensor axes (Vector3Stamped), which {why} needs"
-        raise InputError.at(recording.path, "recording.gravity_topic", "nothing", expected)
+    expected = gravity_missing(rig)
+    if expected is not None:
+        raise InputError.at(recording.path, f"recording.{KEYS['gravity']}", "nothing", expected)
 
 
 def _check_overlap(recording: Recording, rig: Rig, chosen: Sequence[Stream]) -> None:
