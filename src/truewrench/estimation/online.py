@@ -91,10 +91,8 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
         sizes.raw_factor, sizes.motion_factor = found_sizes.raw_factor, found_sizes.motion_factor
     # what logs share comes first in either theta, with all payloads; then what the last log has for itself
     shared = int(at[-1][found.columns[-1].b])
-    own = slice(found.columns[-1].b, None)
-    there = np.r_[:shared, at[-1][own][at[-1][own] >= shared]]
-    last = np.array(fit.columns(len(records) - 1).at)[own]
-    here = np.r_[:shared, last[last >= shared]]
+    last = np.array(fit.columns(len(records) - 1).at)
+    here, there = (np.r_[:shared, places[places >= shared]] for places in (last, at[-1]))
     theta[here] = np.asarray(found.theta)[there]
     fit.theta = theta
     fit.lagged = theta[: 6 * n].reshape(n, 6)
