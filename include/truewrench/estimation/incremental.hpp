@@ -365,9 +365,12 @@ class Incremental {
   // theta: incremental_theta.hpp
   void resize_theta();
   void begin_log();
-  int own() const {
-    return lag_.columns().b + (lag_.rig().pool_offsets ? lag_.channels() : 0);
-  }  // the log's, from here on
+  // So many of the first logs share, but for those of a root frame that a log has alone.
+  int shared() const { return lag_.columns().b + (lag_.rig().pool_offsets ? lag_.channels() : 0); }
+  bool own(int i, bool root) const {
+    const int tilt = lag_.columns().tilt;
+    return i >= shared() || (root && tilt >= 0 && (i == tilt || i == tilt + 1));
+  }
   bool factor(bool all, int columns);
   bool invert(bool all);
   void gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S);
@@ -376,7 +379,7 @@ class Incremental {
   void imitate(int order) noexcept;
   double resize(const SizeSums& sums);
   void part(const Eigen::MatrixXd& S);
-  Eigen::MatrixXd without_own(const Eigen::MatrixXd& S) const;
+  Eigen::MatrixXd without_own(const Eigen::MatrixXd& S, bool root) const;
 };
 
 }  // namespace truewrench

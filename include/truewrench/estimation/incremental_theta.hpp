@@ -343,15 +343,16 @@ inline void Incremental::begin_log() {
   log_samples_ = 0.0;
 }
 
-// The information without a log's own parameters: what is held at its mean, the
-// rest eliminated with its prior.
-inline Eigen::MatrixXd Incremental::without_own(const Eigen::MatrixXd& S) const {
+// The information without a log's own parameters, `root`: its root frame's too:
+// what is held at its mean, the rest eliminated with its prior.
+inline Eigen::MatrixXd Incremental::without_own(const Eigen::MatrixXd& S, bool root) const {
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
   Eigen::MatrixXd full(nt + 1, nt + 1);
   for (int i = 0; i <= nt; ++i)
     for (int j = 0; j <= nt; ++j) full(i, j) = S(std::max(i, j), std::min(i, j));
-  for (int o = own(); o < nt; ++o) {
+  for (int o = 0; o < nt; ++o) {
+    if (!own(o, root)) continue;
     const bool held = active_[static_cast<std::size_t>(o)] == 0;
     if (!held) {
       full(o, o) += 1.0 / prior_[o];
@@ -376,7 +377,7 @@ inline Status Incremental::next_log(const RecordedLog& about) {
   if (refused_ != Status::ok) return refused_;
   if (const Status refused = check(lag_.rig(), about, settings_); refused != Status::ok) return refused;
   const Status status = close();
-  const int n = lag_.channels(), shared = own(), before = lag_.parameters();
+  const int n = lag_.channels(), first = shared(), before = lag_.parameters();
   covariance();
   for (int i = 0; i < n && moments_.rows() > 10.0; ++i) {
     const Moment& m = found_[static_cast<std::size_t>(raw_group(i, n))];
@@ -386,11 +387,13 @@ inline Status Incremental::next_log(const RecordedLog& about) {
   }
   size10_samples_ += log_samples_;
   const Eigen::VectorXd theta = lag_.theta, prior = prior_;
-  const bool other = about.body != lag_.about().body;
+  // how gravity is tilted in a root frame is known as long as logs follow each other that share it
+  const bool alone = lag_.about().own_root, root = alone || about.own_root;
+  const bool other = about.body != lag_.about().body || (root && !alone);
   std::array<Eigen::MatrixXd, 3> old{Z_, parts_[0], parts_[1]};
   for (std::size_t k = 0; k < 3; ++k) {
     if (other) gather(Eigen::MatrixXd(old[k]), k, old[k]);
-    old[k] = without_own(old[k]);
+    old[k] = without_own(old[k], root);
   }
   const RowMatrix lagged = lag_.lagged;
   lag_.carry(about);
@@ -399,8 +402,8 @@ inline Status Incremental::next_log(const RecordedLog& about) {
   const int nt = lag_.parameters();
   const auto moved = [&](const Eigen::MatrixXd& from) {
     Eigen::MatrixXd to = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
-    for (int j = 0; j < shared; ++j) {
-      for (int i = j; i < shared; ++i) to(i, j) = from(i, j);
+    for (int j = 0; j < first; ++j) {
+      for (int i = j; i < first; ++i) to(i, j) = from(i, j);
       to(nt, j) = from(before, j);
     }
     return to;
@@ -417,7 +420,8 @@ inline Status Incremental::next_log(const RecordedLog& about) {
   begin_log();
   if (ready_) lag_.lagged = lagged;
   prior_ = stated_;
-  for (int i = 0; i < shared && ready_; ++i) {
+  for (int i = 0; i < first && ready_; ++i) {
+    if (own(i, root)) continue;
     prior_[i] = prior[i];
     lag_.theta[i] = theta[i];
   }

@@ -61,7 +61,14 @@ class Layout {
       set(sigma_, prior.data(), kBodyParameters);
     }
     if (warm) slope = add(n, rig.slope_prior);
-    if (gravity) tilt = add(2, rig.tilt_prior);
+    // gravity is tilted about axes of a root frame: of the one that logs share, and of those that a log has alone
+    std::vector<int> tilts(logs.size(), -1);
+    int shared = -1;
+    for (std::size_t l = 0; gravity && l < logs.size(); ++l) {
+      int& tilt = logs[l]->own_root ? tilts[l] : shared;
+      if (tilt < 0) tilt = add(2, rig.tilt_prior);
+      tilts[l] = tilt;
+    }
     int pooled = -1;
     for (std::size_t l = 0; l < logs.size(); ++l) {
       const RecordedLog& log = *logs[l];
@@ -96,7 +103,7 @@ class Layout {
           c.bias.push_back(-1);
         }
       }
-      if (gravity) c.tilt = take(tilt, 2);
+      if (gravity) c.tilt = take(tilts[l], 2);
       if (gravity && log.source == Source::twist) {
         c.gamma = take(add(1, constants::filter_prior), 1);
         set(mean_, &rig.gamma_mean, 1);
@@ -124,7 +131,7 @@ class Layout {
   const Columns& in_theta(std::size_t l) const { return in_theta_[l]; }
   std::size_t logs() const { return logs_.size(); }
 
-  int C = 0, u = 0, slope = -1, tilt = -1;
+  int C = 0, u = 0, slope = -1;
   std::vector<int> bodies;
 
  private:

@@ -65,6 +65,8 @@ struct RecordedLog {
   RowMatrix raw;            // (K, n)
   RowMatrix R_sensor_root;  // (K, 9) row by row, or empty: no gravity, or a mapped motion that brings its own
   Eigen::VectorXd temperature;  // (K) above the reference [K], or empty
+  // whether the attitude begins with a heading of its own: the axes about which gravity is tilted are then this log's alone
+  bool own_root = false;
   std::vector<MotionStream> motion;
   MotionMap map;  // of a mapped motion
   // of rows that stand for more than a sample, else empty:
