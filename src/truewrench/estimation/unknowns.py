@@ -13,7 +13,7 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.sections import COLUMNS, ROWS
 from truewrench.motion.spatial import cross_matrix
-from truewrench.robot.attitude import attitude_at, attitude_of
+from truewrench.robot.attitude import attitude_at, attitude_of, own_root
 
 Motion = Callable[[Array], tuple[Array, Array, Array]]
 """Of times (M,): twist (M, 6) of the logged point, its derivative, free fall (M, 3) in sensor axes."""
@@ -32,14 +32,14 @@ class Unknown:
     prior: float  # 1 sigma, greater than zero
     place: int  # which of the group's numbers: of a payload's ten, of the tilt's two
     payload: str | None = None  # whose it is, None for clocks and gravity
-    log: int | None = None  # the number of the log whose clock it is, else None
+    log: int | None = None  # the number of the log whose clock, or whose own root frame, it is of; else None
 
 
 def unknowns_of(rig: Rig, logs: Sequence[Log]) -> list[Unknown]:
     """What the rig states with an uncertainty; what is exact is left out.
 
     Masses are relative, centres of mass in m, elements of the inertia relative to sqrt(I_ii I_jj); a clock in
-    s, t_motion = t_sensor + time_offset; gravity's tilt in rad about the two `horizontal_axes`.
+    s, t_motion = t_sensor + time_offset; gravity's tilt in rad about `horizontal_axes` of a root frame.
     """
     found = []
     for name in dict.fromkeys(log.payload for log in logs):
@@ -50,7 +50,8 @@ def unknowns_of(rig: Rig, logs: Sequence[Log]) -> list[Unknown]:
         ]
     found += [Unknown("timing", rig.sensor.time_offset_prior, 0, log=k) for k in range(len(logs))]
     if rig.in_gravity:
-        found += [Unknown("gravity", rig.gravity_tilt_prior, k) for k in range(2)]
+        roots = dict.fromkeys(_root(rig, log, k) for k, log in enumerate(logs))
+        found += [Unknown("gravity", rig.gravity_tilt_prior, k, log=root) for root in roots for k in range(2)]
     return [u for u in found if u.prior > 0.0]
 
 
@@ -75,14 +76,20 @@ def wrench_rates(
             if "payload" not in by_group:
                 by_group["payload"] = payload_rates(rig, log.payload, nu, a, gravity)
             rates[:, :, k] = by_group["payload"][:, :, unknown.place]
-        elif unknown.log == number:  # the sensor's sample shows the motion that much later
+        elif unknown.group == "timing" and unknown.log == number:
+            # the sensor's sample shows the motion that much later
             ahead, back = (wrench(*motion(at + side * _STEP)) for side in (1.0, -1.0))
             rates[:, :, k] = (ahead - back) / (2.0 * _STEP)
-        elif unknown.group == "gravity":
+        elif unknown.group == "gravity" and unknown.log == _root(rig, log, number):
             if "gravity" not in by_group:
                 by_group["gravity"] = _tilt_rates(rig, log, at, nu, a, gravity, wrench)
             rates[:, :, k] = by_group["gravity"][:, :, unknown.place]
     return rates
+
+
+def _root(rig: Rig, log: Log, number: int) -> int | None:
+    """Which log's own root frame a log has, None where it is the one that logs share."""
+    return number if own_root(rig, log) else None
 
 
 def payload_rates(rig: Rig, payload: str, nu: Array, a: Array, gravity: Array) -> Array:

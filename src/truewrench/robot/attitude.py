@@ -4,8 +4,8 @@ What it is for: gravity's direction in the root frame is uncertain by a small ti
 of the root moves g in sensor axes by R_sensor_root (tilt x g_root). Free fall itself is exact in every row.
 The turn about the vertical comes from the integrated angular velocity and drifts slowly (a gyroscope of
 1e-3 rad/s: a degree in 17 s): that mixes the tilt's two axes as slowly, which no fit of seconds to minutes
-notices. It begins anew, with no turn, in every log, and a gap adds whatever happened in it. Where one tilt
-has to mean the same in several logs, the attitude has to be logged.
+notices. It begins anew, with no turn, in every log, whose root frame is then its own (`own_root`): a tilt is
+told of each. A gap adds whatever happened in it.
 """
 
 import numpy as np
@@ -48,6 +48,19 @@ def attitude_of(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     fall = log.gravity[known] / np.linalg.norm(log.gravity[known], axis=1, keepdims=True)
     turns = _turns(log.time[known], *_angular_velocity(log))
     return log.time[known], _followed(down, fall, turns)
+
+
+def own_root(rig: Rig, log: Log, *, twists: bool = False) -> bool:
+    """Whether the root frame of a log's attitude is that log's alone: nothing tells its heading to others.
+
+    Args:
+        rig: with the direction of gravity.
+        log: whose attitude is asked for.
+        twists: of a log of joints, those that its tachometers measure: its joints do not tell the attitude.
+    """
+    integrated = rig.motion.source == "twist" or (rig.motion.source == "joints" and twists)
+    told = log.attitude is not None and bool(np.isfinite(log.attitude).all(axis=1).any())
+    return rig.in_gravity and integrated and not told
 
 
 def attitude_at(time: Array, R_sensor_root: Array, at: Array) -> Array:
