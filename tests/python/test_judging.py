@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step
+from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step, Tilt
 from truewrench.judging import Comparisons, Judgement, blind_to, findings, judge, setup_errors
 from truewrench.judging.setup_mistakes import payload_directions
 from truewrench.judging.setup_odds import payload_errors, suspected_setup_errors
@@ -97,8 +97,7 @@ def estimate_of(
         offsets_std=np.full((1, n), 1e-3),
         clocks=((Clock("twist", 0.0, 1e-4, 5e-3),),),
         payloads={},
-        tilt=None,
-        tilt_std=None,
+        tilts=(),
         offset_temperature=None,
         quadratic=np.zeros(n),
         quadratic_std=np.full(n, 1e-4),
@@ -501,8 +500,7 @@ def test_events_steps_noise_and_curvature_are_told_in_sentences() -> None:
         ),
         steps=((Step(5.25, np.array([0, 0.009, 0, 0, 0, 0]), np.full(6, 1e-4)),),),
         quadratic=np.array([0, 0, 4e-3, 0, 0, 0]),
-        tilt=np.array([0.0, 9e-3]),
-        tilt_std=np.full(2, 1e-4),
+        tilts=(Tilt((0,), np.array([0.0, 9e-3]), np.full(2, 1e-4)),),
         noise=((FoundNoise("moment", 2.1), FoundNoise("force", 1.9)),),
     )
     told = {a.what.split(":")[0]: a.evidence for a in findings(estimate, rig, [log])}

@@ -266,8 +266,8 @@ def test_a_temperature_that_some_parts_lack() -> None:
     raw = log.raw + np.nan_to_num(warm - 25.0)[:, None] * slope
     found = InParts(rig, [replace(log, temperature=warm, raw=raw)], seconds=PART).estimate()
     assert np.abs(z(found, gain)).max() < 4.0
-    assert found.tilt is not None
-    assert np.abs(found.tilt).max() < 4e-3
+    (tilt,) = found.tilts
+    assert np.abs(tilt.angles).max() < 4e-3
     assert found.offset_temperature == pytest.approx(slope, rel=0.1)
 
 

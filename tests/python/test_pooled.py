@@ -155,13 +155,3 @@ def test_poses_beside_a_motion_that_cannot_be_solved_end_in_its_reason() -> None
     found = tw.calibrate(case.rig, [short, *case.still])
     assert not found.verdict.usable
     assert found.verdict.reasons
-
-
-def test_logs_without_attitude_are_said_to_be_tilted_to_one_side() -> None:
-    settings = stated()
-    settings["gravity_tilt_prior"] = 3.5e-3
-    rig = Rig.from_mapping(settings)
-    logs = [simulate(rig, payload="default", seed=seed).log for seed in (1, 2)]
-    notes = tw.calibrate(rig, logs).figures["notes"]
-    assert sum("2 logs tell no attitude" in note for note in notes) == 1
-    assert not any("attitude" in note for note in tw.calibrate(rig, logs[:1]).figures["notes"])

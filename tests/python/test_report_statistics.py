@@ -75,7 +75,7 @@ def found_in(rig: Rig, rows: LogRows, **changes: Any) -> tuple[Calibration, Evid
     fields |= {
         "solved": True, "gain": rig.sensor.nominal_gain_array, "covariance": small * unit[:, None] * unit,
         "normalised_covariance": small, "offsets": none[None], "offsets_std": none[None], "clocks": ((),),
-        "payloads": {}, "quadratic": none, "quadratic_std": none + 1e-3, "discrepancy": none,
+        "payloads": {}, "tilts": (), "quadratic": none, "quadratic_std": none + 1e-3, "discrepancy": none,
         "noise": ((FoundNoise("force", 2.5), FoundNoise("moment", 1.0)),), "slow": ((),), "events": ((),),
         "steps": ((),), "spacing": np.array([0.05]), "unresolved": np.array([False]), "rows": (rows,),
         "sources": {}, "A": 0.4, "p_halves": 0.5, "p_quarters": 0.5, "iterations": 3, "fits": 2,

@@ -1,7 +1,8 @@
 """Logs of motion and logs of static poses in one calibration.
 
-What motion told, gain, gravity's tilt and bodies together, is the prior of the poses (still_poses.py). Both
-have offsets of their own, so what the poses add to motion can be tested: where they follow the same sensor,
+What motion told, gain, bodies and, where all logs share a root frame, gravity's tilt together, is the prior
+of the poses (still_poses.py). Both have offsets of their own, so what the poses add to motion can be tested:
+where they follow the same sensor,
 
     d = x - x_motion  ~  N(0, P_motion - P),
 
@@ -34,6 +35,7 @@ from truewrench.model.arrays import Array
 from truewrench.model.calibration import LogReport
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.robot.attitude import own_root
 from truewrench.tool.poses import stands_still
 
 T = TypeVar("T")
@@ -101,14 +103,20 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
         std = np.tile(rig.sensor.offset_prior_array, (len(at_rest), 1))
         return Pooled(_spread(found, len(logs), moving, offsets, std), moving, parts=parts)
     largest = logs[max(zip(moving, found.rows, strict=True), key=lambda pair: pair[1].samples)[0]]
-    before = Known.of_motion(rig, found.joint, largest.payload)
+    one_root = not any(own_root(rig, log, twists=online) for log in in_motion)
+    one_root &= not any(own_root(rig, logs[k]) for k in at_rest)
+    before = Known.of_motion(rig, found.joint, largest.payload, one_root=one_root)
     still_logs = [logs[k] for k in at_rest]
     still = estimate_still(rig, still_logs, before)
     whole = _spread(found, len(logs), moving, still.estimate.offsets, still.estimate.offsets_std)
     joint = still.known.plain(rig)
     places = {k: f"offset {j}" for j, k in enumerate(moving)}
     places |= {k: f"pose offset {j}" for j, k in enumerate(at_rest)}
-    told = of_joint(rig, joint, [places[k] for k in range(len(logs))])
+    roots = {"tilt": [*range(len(logs))]}
+    if not one_root:
+        roots = {f"tilt {tilt.logs[0]}": [moving[j] for j in tilt.logs] for tilt in found.tilts}
+        roots["tilt"] = at_rest
+    told = of_joint(rig, joint, [places[k] for k in range(len(logs))], roots)
     whole = replace(
         whole,
         **told,
@@ -141,7 +149,7 @@ def _sources(rig: Rig, joint: Joint, normalised: Array) -> dict[str, Array]:
         "inertia": [
             k for name, at in joint.places.items() if name.startswith("inertia ") for k in _range(at)
         ],
-        "gravity": [*_range(joint.places["tilt"])],
+        "gravity": [k for name, at in joint.places.items() if name.startswith("tilt") for k in _range(at)],
     }
     unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel() ** 2
     found = {name: unit * explained(joint.covariance, 6 * n, at) for name, at in places.items()}
@@ -191,6 +199,7 @@ def _spread(found: Estimate, count: int, moving: Sequence[int], offsets: Array, 
         found,
         offsets=all_offsets,
         offsets_std=all_std,
+        tilts=tuple(replace(tilt, logs=tuple(moving[k] for k in tilt.logs)) for tilt in found.tilts),
         clocks=per_log(found.clocks, ()),
         noise=per_log(found.noise, ()),
         slow=per_log(found.slow, ()),

@@ -9,7 +9,7 @@ and is taken apart only at the end.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,17 +89,22 @@ class Known:
     def stated(rig: Rig) -> Known:
         """Gain and gravity's tilt, which all payloads share, as the rig has them."""
         sensor = rig.sensor
-        tilt = np.full(2, max(rig.gravity_tilt_prior, EXACT))
+        std = np.append(_stated_std(rig), [_tilt_std(rig)] * 2)
         parts = {"gain": sensor.nominal_gain_array.ravel(), "tilt": np.zeros(2)}
-        return Known(Joint.of_parts(parts, np.diag(np.append(_stated_std(rig), tilt) ** 2)))
+        return Known(Joint.of_parts(parts, np.diag(std**2)))
 
     @staticmethod
-    def of_motion(rig: Rig, joint: Joint, reference: str) -> Known:
-        """`Estimate.joint`, about a payload that moved."""
+    def of_motion(rig: Rig, joint: Joint, reference: str, *, one_root: bool) -> Known:
+        """`Estimate.joint`, about a payload that moved; `one_root`: poses share the root frame of motion."""
         spec, body, n = rig.payloads[reference], body_part(reference), rig.sensor.n
         if body not in joint.places:  # exact
             mean = np.append(np.log(spec.mass), spec.center_of_mass_array)
             joint = joint.told([], mean, EXACT**2 * np.eye(4), {body: 4})
+        if one_root:
+            places = {"tilt" if name == "tilt 0" else name: place for name, place in joint.places.items()}
+            joint = replace(joint, places=places)
+        else:
+            joint = joint.told([], np.zeros(2), _tilt_std(rig) ** 2 * np.eye(2), {"tilt": 2})
         at = joint.at(["gain", body])
         product, J = _product(joint.mean[at], n)
         return Known(_mapped(joint, "gain", "product", at, product, J), reference)
@@ -209,6 +214,11 @@ def _stated_std(rig: Rig) -> Array:
     """(6n,) 1 sigma of the gains [raw units, SI]."""
     units = (rig.sensor.channel_scale[:, None] / rig.sensor.range_array).ravel()
     return np.asarray(rig.sensor.gain_prior * units)
+
+
+def _tilt_std(rig: Rig) -> float:
+    """1 sigma of gravity's direction about two axes [rad]."""
+    return max(rig.gravity_tilt_prior, EXACT)
 
 
 def _stated(rig: Rig, name: str) -> tuple[Array, Array]:

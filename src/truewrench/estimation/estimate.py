@@ -1,7 +1,7 @@
 """What the estimator of one spline and one likelihood found: numbers and findings, no judgement."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -81,6 +81,15 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Tilt:
+    """How far gravity is off its stated direction in one root frame."""
+
+    logs: tuple[int, ...]  # numbers of those that have this root frame
+    angles: Array  # (2,) about two of its axes [rad]
+    std: Array  # (2,) 1 sigma
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LogRows:
     """The sensor's samples of one log that the fit holds, and what it says at them; of a long log some."""
 
@@ -135,8 +144,9 @@ class Estimate:
     offsets_std: Array  # (L, n)
     clocks: tuple[tuple[Clock, ...], ...]  # per log, of each motion stream
     payloads: dict[str, PayloadDeparture]  # by name
-    tilt: Array | None  # (2,) gravity's tilt [rad], None without gravity; tilt_std likewise
-    tilt_std: Array | None  # its 1 sigma
+    # of gravity, one of each root frame: of the one that logs share, and of those that a log whose attitude is not
+    # logged has alone, a long one in its last part; none without gravity
+    tilts: tuple[Tilt, ...]
     offset_temperature: Array | None  # (n,) raw units per K, None without a slope
     quadratic: Array  # (n,) u of (10.3), fraction of range; quadratic_std likewise
     quadratic_std: Array  # its 1 sigma
@@ -163,8 +173,9 @@ class Estimate:
     history_time: Array  # (B,) [s] of the blocks of `online`; empty for `map`
     history_log: Integers  # (B,) which log each belongs to
     history_gain: Array  # (B, n, 6) the gain after it
-    # `gain`, `tilt`, of each payload that is not exact its `body_part` and the departure of its inertia,
-    # `inertia NAME` [kg m^2], and `offset K` of each log, together; None where nothing moved
+    # `gain`, `tilt K` of each root frame by the first log that has it, of each payload that is not exact its
+    # `body_part` and the departure of its inertia, `inertia NAME` [kg m^2], and `offset K` of each log, together;
+    # None where nothing moved
     joint: Joint | None = None
     deviance: float = math.nan  # -2 log L of `map` (10.7), nan of `online` and of parts
 
@@ -199,8 +210,7 @@ def without_motion(n: int, count: int, **found: Any) -> Estimate:
     nothing: dict[str, Any] = {
         "clocks": ((),) * count,
         "payloads": {},
-        "tilt": None,
-        "tilt_std": None,
+        "tilts": (),
         "offset_temperature": None,
         "quadratic": np.zeros(n),
         "quadratic_std": np.zeros(n),
@@ -226,17 +236,19 @@ def without_motion(n: int, count: int, **found: Any) -> Estimate:
     return Estimate(**(nothing | found))
 
 
-def of_joint(rig: Rig, joint: Joint, offsets: Sequence[str]) -> dict[str, Any]:
+def of_joint(
+    rig: Rig, joint: Joint, offsets: Sequence[str], roots: Mapping[str, Sequence[int]]
+) -> dict[str, Any]:
     """What an estimate has of a joint distribution, by attribute.
 
-    That has `gain`, `tilt`, and the parts `offsets` that hold the offset of each log.
+    That has `gain`, the parts `offsets` that hold the offset of each log, and those of gravity's tilt: `roots`
+    names them, with the logs that have the root frame of each.
     """
     n, scale = rig.sensor.n, rig.sensor.channel_scale
     units = np.append((scale[:, None] / rig.sensor.range_array).ravel(), scale)
     pairs = [joint.of([name]) for name in offsets]
     mean, P = joint.of(["gain", offsets[-1]])
     normalised = P / np.outer(units, units)
-    tilt, P_tilt = joint.of(["tilt"])
     return {
         "gain": mean[: 6 * n].reshape(n, 6),
         "covariance": P,
@@ -249,8 +261,10 @@ def of_joint(rig: Rig, joint: Joint, offsets: Sequence[str]) -> dict[str, Any]:
             for name, spec in rig.payloads.items()
             if body_part(name) in joint.places and not spec.exact
         },
-        "tilt": tilt,
-        "tilt_std": np.sqrt(np.diag(P_tilt)),
+        "tilts": tuple(
+            Tilt(tuple(logs), joint.of([part])[0], np.sqrt(np.diag(joint.of([part])[1])))
+            for part, logs in roots.items()
+        ),
     }
 
 

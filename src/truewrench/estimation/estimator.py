@@ -15,6 +15,7 @@ from truewrench.estimation.estimate import (
     LogRows,
     Slow,
     Step,
+    Tilt,
     payload_departure,
     without_motion,
 )
@@ -81,9 +82,6 @@ def solved(
     normalised = P / units[:, None] / units
     before = covariance[: 6 * n, : 6 * n] + np.asarray(found.added)
     u = np.array(columns[0].at)[columns[0].u : columns[0].u + n]
-    tilt = None
-    if columns[0].tilt >= 0:
-        tilt = np.array(columns[0].at)[columns[0].tilt : columns[0].tilt + 2]
     slope = None
     if columns[0].slope >= 0:
         slope = np.array(columns[0].at)[columns[0].slope : columns[0].slope + n]
@@ -107,8 +105,9 @@ def solved(
             for name, spec in rig.payloads.items()
             if body_part(name) in joint.places
         },
-        tilt=None if tilt is None else theta[tilt],
-        tilt_std=None if tilt is None else np.sqrt(np.diag(covariance)[tilt]),
+        tilts=tuple(
+            Tilt(logs, theta[at], np.sqrt(np.diag(covariance)[at])) for logs, at in _root_frames(columns)
+        ),
         offset_temperature=None if slope is None else theta[slope] * scale,
         quadratic=theta[u],
         quadratic_std=np.sqrt(np.diag(covariance)[u]),
@@ -271,15 +270,14 @@ def _joint(
     covariance: Array,
     gain_covariance: Array,
 ) -> Joint:
-    """Gain, tilt, bodies and offsets out of theta, with the gain's own covariance as it was widened."""
+    """Gain, tilts, bodies and offsets out of theta, with the gain's own covariance as it was widened."""
     n, P_theta = rig.sensor.n, covariance.copy()
     P_theta[: 6 * n, : 6 * n] = gain_covariance
     unit = np.eye(theta.size)
     scale = assumed.channel_scale
     rows = {"gain": unit[: 6 * n] * (scale[:, None] / rig.sensor.range_array).reshape(-1, 1)}
     stated = {}
-    tilt = columns[0].tilt
-    rows["tilt"] = unit[np.array(columns[0].at)[tilt : tilt + 2]] if tilt >= 0 else np.zeros((2, theta.size))
+    rows |= {f"tilt {of[0]}": unit[at] for of, at in _root_frames(columns)}
     for log, c in zip(logs, columns, strict=True):
         spec, name = rig.payloads[log.payload], body_part(log.payload)
         if name in rows or spec.exact:
@@ -294,6 +292,16 @@ def _joint(
     P[np.diag_indices_from(P)] += EXACT**2 * (np.diag(P) == 0.0)
     means = {name: row @ theta + stated.get(name, 0.0) for name, row in rows.items()}
     return Joint.of_parts(means, P)
+
+
+def _root_frames(columns: Sequence[Any]) -> list[tuple[tuple[int, ...], NDArray[np.int64]]]:
+    """Which logs have each root frame in which gravity may be tilted, and where in theta that tilt stands."""
+    found: dict[tuple[int, ...], tuple[int, ...]] = {}
+    for k, c in enumerate(columns):
+        if c.tilt >= 0:
+            at = tuple(c.at[c.tilt : c.tilt + 2])
+            found[at] = (*found.get(at, ()), k)
+    return [(logs, np.array(at)) for at, logs in found.items()]
 
 
 def _sources(

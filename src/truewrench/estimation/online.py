@@ -12,7 +12,7 @@ from truewrench.model.arrays import Array, Integers
 # of a record, but for its motion
 _FIELDS = (
     "source", "payload", "point", "body", "offset_knots", "offset_walk", "time", "raw", "R_sensor_root",
-    "temperature",
+    "own_root", "temperature",
 )  # fmt: skip
 
 

@@ -1,8 +1,9 @@
 """Long records in parts, each with a spline, an offset, a delay and sizes of its own, then put together.
 
-The parts share gain, bodies, tilt and the kind of lateness and are independent beside them: what they say is
-added (together.py). Of a part nothing is kept but that and some of its rows: an hour takes the memory of
-minutes. The parts also tell whether clocks run at different rates, and judge what the others say.
+The parts share gain, bodies, gravity's tilt where the attitude is logged, and the kind of lateness, and are
+independent beside them: what they say is added (together.py). Of a part nothing is kept but that and some of
+its rows: an hour takes the memory of minutes. The parts also tell whether clocks run at different rates, and
+judge what the others say.
 """
 
 import os
@@ -216,7 +217,7 @@ class InParts:
             if at is not None and np.sqrt(np.mean(((shared.mean - at) / std)[of_all] ** 2)) < MOVE:
                 break
             at = shared.mean
-            places = [at[shared.of_all(before)] for before in told.values()]
+            places = [shared.first_of(before) for before in told.values()]
             again = self._each(self._at, told, told.values(), places)
             told = dict(zip(told, again, strict=True))
         return told

@@ -22,7 +22,7 @@ from truewrench.model.rig.motion import ACCELEROMETER_BIAS_PRIOR
 from truewrench.model.temperature import temperature_at
 from truewrench.motion.smooth import segments
 from truewrench.robot.arm import robot_of
-from truewrench.robot.attitude import attitude_of
+from truewrench.robot.attitude import attitude_of, own_root
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import chain_of
 from truewrench.robot.track import measured_twists
@@ -87,6 +87,7 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = Fal
                 notes, log, known, "gx gy gz, qw qx qy qz", "the direction of gravity is not known then"
             )
             out.R_sensor_root = np.nan_to_num(R_sensor_root)
+            out.own_root = own_root(rig, log, twists=twists)
         if joints:
             out.motion = _jacobian_streams(rig, assumptions, log)
         else:

@@ -27,7 +27,7 @@ class Told:
     """What one fit says."""
 
     keys: Mapping[int, Hashable]  # what stands at those places of theta that are shared, the gain first
-    first: int  # how many of the first parameters are shared by all
+    first: int  # how many of the first parameters are shared by all, but for those without a key
     u: slice  # the places of the quadratic term, among them
     theta: Array  # (p,) estimate
     mean: Array  # (p,) beforehand
@@ -92,8 +92,14 @@ class Shared:
         return information, pull
 
     def of_all(self, fit: Told) -> Integers:
-        """Where the first parameters of a fit stand, those that are shared by all."""
-        return np.array([self.places[fit.keys[j]] for j in range(fit.first)])
+        """Where those of the first parameters of a fit that are shared by all stand."""
+        return np.array([self.places[fit.keys[j]] for j in range(fit.first) if j in fit.keys])
+
+    def first_of(self, fit: Told) -> Array:
+        """The first parameters of a fit: as they are best for all, or its own."""
+        out = fit.theta[: fit.first].copy()
+        out[[j for j in range(fit.first) if j in fit.keys]] = self.mean[self.of_all(fit)]
+        return out
 
     def weights(self, gains: int) -> Array:
         """How much of each of the first parameters rests on each of the fits (N, gains): diag P L_i, to 1."""

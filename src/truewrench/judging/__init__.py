@@ -283,13 +283,6 @@ def _notes(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequenc
     for k, count in enumerate(estimate.dropped):
         if count and estimate.solved:
             notes.append(f"{count} stretches of {log_name(logs, k)}, shorter than 12 knots, were dropped")
-    if rig.in_gravity and rig.motion.source == "twist":
-        headless = [log for log in logs if log.twist is not None and log.attitude is None]
-        if len(headless) > 1 and rig.gravity_tilt_prior != 0.0:
-            notes.append(
-                f"{len(headless)} logs tell no attitude (qw qx qy qz): gravity is taken to be tilted to the "
-                "same side in all; where their headings differ, gains and offsets are less sure than stated"
-            )
     words = Counter(u.words for u in _undetermined(estimate, rig, ()))
     if words and estimate.solved:
         named = "; ".join(word if count == 1 else f"{word} ({count})" for word, count in words.items())

@@ -60,7 +60,7 @@ def findings(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Assumed
         found += _events(estimate, rig, logs, k, slow, [looks.kind for looks in fast])
         found += _fine(estimate, logs, k, [looks.kind for looks in fast])
     found += _quadratic(estimate, rig)
-    found += _tilt(estimate, rig)
+    found += _tilts(estimate, rig, logs)
     for looks in fast:
         what = f"{looks.kind}: {_FAST[looks.kind]}"
         found.append(Assumed(what, "the record", looks.value, None, looks.words))
@@ -295,17 +295,20 @@ def _quadratic(estimate: Estimate, rig: Rig) -> Iterator[Assumed]:
             yield Assumed(what, f"channel {name}", float(u), float(std), words)
 
 
-def _tilt(estimate: Estimate, rig: Rig) -> Iterator[Assumed]:
-    if estimate.tilt is None or estimate.tilt_std is None or not rig.gravity_tilt_prior > 0.0:
-        return
-    angle = float(np.linalg.norm(estimate.tilt))
-    if np.abs(estimate.tilt).max() > TILTED * rig.gravity_tilt_prior:
-        sigma = float(np.max(estimate.tilt_std))
+def _tilts(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> Iterator[Assumed]:
+    prior = rig.gravity_tilt_prior
+    for tilt in estimate.tilts if prior > 0.0 else ():
+        angle = float(np.linalg.norm(tilt.angles))
+        if not np.abs(tilt.angles).max() > TILTED * prior:
+            continue
+        sigma = float(np.max(tilt.std))
+        every = len(estimate.tilts) == 1
+        where = "all logs" if every else ", ".join(log_name(logs, k) for k in tilt.logs)
         words = (
             f"gravity is tilted by {_pm(math.degrees(angle), math.degrees(sigma))} deg, "
-            f"{angle / rig.gravity_tilt_prior:.2g} sigma of what the rig states"
+            f"{angle / prior:.2g} sigma of what the rig states"
         )
-        yield Assumed("gravity: tilt of its direction, rad", "all logs", angle, sigma, words)
+        yield Assumed("gravity: tilt of its direction, rad", where, angle, sigma, words)
 
 
 def _part_of(estimate: Estimate, k: int, size: float, kinds: Sequence[str]) -> tuple[str, ...]:

@@ -33,11 +33,13 @@ def found_table(c: Calibration, estimate: Estimate) -> Table:
     means = "the gain is the tangent at no load" if abs(u[worst]) > _SURE * sigma[worst] else ""
     log = f"all, {c.rig.sensor.channels[worst]}"
     rows.append(_row("quadratic term, where it is clearest", log, size, "0", means))
-    if estimate.tilt is not None and estimate.tilt_std is not None:
-        stated = np.degrees(c.rig.gravity_tilt_prior)
-        for about, angle, std in zip("12", estimate.tilt, estimate.tilt_std, strict=True):
-            found = f"{with_uncertainty(float(np.degrees(angle)), float(np.degrees(std)))}°"
-            rows.append(_row(f"gravity turned about axis {about}", "all", found, f"0 ± {stated:.2g}°", ""))
+    stated = f"0 ± {np.degrees(c.rig.gravity_tilt_prior):.2g}°"
+    for tilt in estimate.tilts:
+        every = len(estimate.tilts) == 1
+        where = "all" if every else f"log {', '.join(str(k + 1) for k in tilt.logs)}"
+        for about, angle, std in zip("12", np.degrees(tilt.angles), np.degrees(tilt.std), strict=True):
+            found = f"{with_uncertainty(float(angle), float(std))}°"
+            rows.append(_row(f"gravity turned about axis {about}", where, found, stated, ""))
     caption = "Found by the estimate, ± 1 sigma, beside what the rig states"
     return Table(caption, ("what", "log", "found", "stated", "which means"), tuple(rows))
 
