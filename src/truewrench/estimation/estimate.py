@@ -144,8 +144,8 @@ class Estimate:
     offsets_std: Array  # (L, n)
     clocks: tuple[tuple[Clock, ...], ...]  # per log, of each motion stream
     payloads: dict[str, PayloadDeparture]  # by name
-    # of gravity, one of each root frame: of the one that logs share, and of those that a log whose attitude is not
-    # logged has alone, a long one in its last part; none without gravity
+    # of gravity, one of each root frame: of the one that logs share, and of those that a log whose attitude
+    # is not logged has alone, a long one in its last part; none without gravity
     tilts: tuple[Tilt, ...]
     offset_temperature: Array | None  # (n,) raw units per K, None without a slope
     quadratic: Array  # (n,) u of (10.3), fraction of range; quadratic_std likewise
@@ -174,8 +174,8 @@ class Estimate:
     history_log: Integers  # (B,) which log each belongs to
     history_gain: Array  # (B, n, 6) the gain after it
     # `gain`, `tilt K` of each root frame by the first log that has it, of each payload that is not exact its
-    # `body_part` and the departure of its inertia, `inertia NAME` [kg m^2], and `offset K` of each log, together;
-    # None where nothing moved
+    # `body_part` and the departure of its inertia, `inertia NAME` [kg m^2], and `offset K` of each log,
+    # together; None where nothing moved
     joint: Joint | None = None
     deviance: float = math.nan  # -2 log L of `map` (10.7), nan of `online` and of parts
 
@@ -241,8 +241,8 @@ def of_joint(
 ) -> dict[str, Any]:
     """What an estimate has of a joint distribution, by attribute.
 
-    That has `gain`, the parts `offsets` that hold the offset of each log, and those of gravity's tilt: `roots`
-    names them, with the logs that have the root frame of each.
+    That has `gain`, the parts `offsets` that hold the offset of each log, and those of gravity's tilt:
+    `roots` names them, with the logs that have the root frame of each.
     """
     n, scale = rig.sensor.n, rig.sensor.channel_scale
     units = np.append((scale[:, None] / rig.sensor.range_array).ravel(), scale)

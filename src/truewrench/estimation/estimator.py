@@ -22,7 +22,7 @@ from truewrench.estimation.estimate import (
 from truewrench.estimation.joint import EXACT, Joint, body_part, explained
 from truewrench.estimation.online import History, found_online
 from truewrench.estimation.record import recorded_logs
-from truewrench.model.arrays import Array
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
@@ -294,7 +294,7 @@ def _joint(
     return Joint.of_parts(means, P)
 
 
-def _root_frames(columns: Sequence[Any]) -> list[tuple[tuple[int, ...], NDArray[np.int64]]]:
+def _root_frames(columns: Sequence[Any]) -> list[tuple[tuple[int, ...], Integers]]:
     """Which logs have each root frame in which gravity may be tilted, and where in theta that tilt stands."""
     found: dict[tuple[int, ...], tuple[int, ...]] = {}
     for k, c in enumerate(columns):

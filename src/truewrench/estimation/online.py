@@ -89,8 +89,8 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
         theta[np.array(fit.columns(k).at)] = np.asarray(own)[at[k]]
         sizes, found_sizes = fit.sizes(k), found.sizes[k]
         sizes.raw_factor, sizes.motion_factor = found_sizes.raw_factor, found_sizes.motion_factor
-    # what logs share comes first in either theta, with all payloads; then what the last log has for itself
-    shared = int(at[-1][found.columns[-1].b])
+    # C, u and all payloads come first in either theta; of the rest the last log has told what it has
+    shared = 7 * n + 10 * len(statement.body_prior)
     last = np.array(fit.columns(len(records) - 1).at)
     here, there = (np.r_[:shared, places[places >= shared]] for places in (last, at[-1]))
     theta[here] = np.asarray(found.theta)[there]
