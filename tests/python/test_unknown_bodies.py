@@ -153,7 +153,8 @@ def test_what_of_a_body_is_not_told_is_named() -> None:
     rig = Rig.from_mapping(SETTINGS)
     log = replace(Case(1).tool.log, payload="tool")
     std = np.array([0.01, 1e-3, 1e-3, 0.14, *[0.2] * 3, *[1.1] * 3])
-    (said,) = notes_on_bodies(rig, [log], {"tool": PayloadDeparture(np.zeros(10), std)})
+    found = PayloadDeparture(np.zeros(10), np.diag(std**2), np.zeros((10, 36)))
+    (said,) = notes_on_bodies(rig, [log], {"tool": found})
     assert said == (
         "unknown payload `tool`: 1.5 kg, 1 sigma 0.015 kg; not determined: centre of mass along z, "
         "inertia xy, inertia xz, inertia yz"

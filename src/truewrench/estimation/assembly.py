@@ -16,6 +16,7 @@ from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, Bound, Calibration, LogReport, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
+from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS
 
 
 def assemble_motion(
@@ -133,18 +134,18 @@ def _inverse(rig: Rig, gain: Array) -> Array:
 
 def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, Any]:
     """What the data say of a payload, in the terms of the rig."""
-    inertia = stated.inertia_matrix
-    root = np.sqrt(np.diag(inertia))
-    places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-    unit = {name: float(root[i] * root[j]) for name, (i, j) in places.items()}
-    mean, std = departure.mean.tolist(), departure.std.tolist()
+    inertia = stated.inertia_matrix[ROWS, COLUMNS]
+    root = np.sqrt(np.diag(stated.inertia_matrix))
+    unit = np.concatenate([[stated.mass], np.ones(3), root[ROWS] * root[COLUMNS]])
+    body = np.concatenate([[stated.mass], stated.center_of_mass_array, inertia]) + unit * departure.mean
+    std = unit * departure.std
     return {
-        "mass": stated.mass * (1.0 + mean[0]),
-        "mass_std": stated.mass * std[0],
-        "center_of_mass": (stated.center_of_mass_array + departure.mean[1:4]).tolist(),
-        "center_of_mass_std": std[1:4],
-        "inertia": {
-            name: float(inertia[at]) + mean[4 + k] * unit[name] for k, (name, at) in enumerate(places.items())
-        },
-        "inertia_std": {name: std[4 + k] * unit[name] for k, name in enumerate(places)},
+        "mass": float(body[0]),
+        "mass_std": float(std[0]),
+        "center_of_mass": body[1:4].tolist(),
+        "center_of_mass_std": std[1:4].tolist(),
+        "inertia": dict(zip(ELEMENTS, body[4:].tolist(), strict=True)),
+        "inertia_std": dict(zip(ELEMENTS, std[4:].tolist(), strict=True)),
+        "covariance": (departure.covariance * np.outer(unit, unit)).tolist(),
+        "covariance_with_gain": (departure.with_gain * unit[:, None]).tolist(),
     }

@@ -20,7 +20,13 @@ class PayloadDeparture:
 
     # (10,) mass, relative; centre of mass [m]; xx yy zz xy xz yz of the inertia, relative to sqrt(I_ii I_jj)
     mean: Array
-    std: Array  # (10,) 1 sigma
+    covariance: Array  # (10, 10)
+    with_gain: Array  # (10, 6n) covariance with the gain row by row, SI and raw units
+
+    @property
+    def std(self) -> Array:
+        """(10,) 1 sigma."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,14 +276,16 @@ def of_joint(
 
 def payload_departure(spec: PayloadSpec, joint: Joint, name: str) -> PayloadDeparture:
     """What was found of a payload less what was stated; the inertia as stated where nothing moved with it."""
-    body, P = joint.of([body_part(name)])
-    mean, std = np.zeros(10), np.full(10, spec.uncertainty.inertia)
-    mean[0] = np.expm1(body[0] - np.log(spec.mass))
-    mean[1:4] = body[1:] - spec.center_of_mass_array
-    std[:4] = np.sqrt(np.diag(P))
-    if f"inertia {name}" in joint.places:
-        root = np.sqrt(np.diag(spec.inertia_matrix))
-        unit = 1.0 / (root[ROWS] * root[COLUMNS])
-        inertia, P = joint.of([f"inertia {name}"])
-        mean[4:], std[4:] = inertia * unit, np.sqrt(np.diag(P)) * unit
-    return PayloadDeparture(mean, std)
+    parts = [part for part in (body_part(name), f"inertia {name}") if part in joint.places]
+    found, P = joint.of(["gain", *parts])
+    at = slice(joint.at(["gain"]).size, None)
+    root = np.sqrt(np.diag(spec.inertia_matrix))
+    unit = np.append(np.ones(4), 1.0 / (root[ROWS] * root[COLUMNS]))[: found[at].size]
+    mean, covariance = np.zeros(10), spec.uncertainty.inertia**2 * np.eye(10)
+    with_gain = np.zeros((10, at.start))
+    told = slice(unit.size)
+    mean[told], covariance[told, told] = found[at] * unit, P[at, at] * np.outer(unit, unit)
+    with_gain[told] = P[at, : at.start] * unit[:, None]
+    mean[0] = np.expm1(mean[0] - np.log(spec.mass))
+    mean[1:4] -= spec.center_of_mass_array
+    return PayloadDeparture(mean, covariance, with_gain)

@@ -20,7 +20,7 @@ from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
-from truewrench.model.payload import core_payload, payload_wrench
+from truewrench.model.payload import core_payload, lever, payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import DEGREE, segments, smooth_twist, uniform_knots, uniform_spline
 from truewrench.motion.spatial import twist_adjoint
@@ -54,10 +54,11 @@ class InertialChunk:
 class InertialMotion:
     """The motion of a log by its measurements: a spline per component and chunk, fitted once for all times.
 
-    Refused: a log without a twist, or without gravity where gravity acts, and a rig with an IMU.
+    With `body`, what the payload was found to be; else as stated. Refused: a log without a twist, or without
+    gravity where gravity acts, and a rig with an IMU.
     """
 
-    def __init__(self, rig: Rig, log: Log) -> None:
+    def __init__(self, rig: Rig, log: Log, body: _core.Payload | None = None) -> None:
         if rig.motion.source == "imu":
             expected = "`twist` or `joints`: of an IMU, the motion is not known without an estimate"
             raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
@@ -67,6 +68,7 @@ class InertialMotion:
             expected = "gx gy gz, which a twist in gravity needs"
             raise InputError.at(log.path, "", "no gravity columns", expected)
         self._rig, self._payload = rig, log.payload
+        self._body = body or core_payload(rig.payloads[log.payload])
         self._sensed = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
         self._time = log.time[self._sensed]
         self._coordinates = _coordinates(rig, log)
@@ -101,21 +103,20 @@ class InertialMotion:
     def _chunk(
         self, fits: Sequence[_Spline], rows: Integers, at: Array, time: Array, lags: int
     ) -> InertialChunk:
-        rig, payload, order = self._rig, self._payload, self._coordinates.order
+        rig, payload, body, order = self._rig, self._payload, self._body, self._coordinates.order
 
         def motion(t: Array) -> tuple[Array, Array, Array, Array]:
             splines = [np.column_stack([fit.spline(t, nu=d) for fit in fits]) for d in range(3)]
             nu, a, g = self._coordinates.motion(t, np.array(splines))
-            return nu, a, g, payload_wrench(rig, payload, nu, a, g)
+            return nu, a, g, payload_wrench(rig, payload, nu, a, g, body)
 
         nu, a, g, wrench = motion(at)
         step = _PERIODS * (time[-1] - time[0])
         before, after = (np.clip(at + by, time[0], time[-1]) for by in (-step, step))
         rate = (motion(after)[-1] - motion(before)[-1]) / (after - before)[:, None]
 
-        spec = rig.payloads[payload]
-        shift = _core.twist_shift(spec.center_of_mass_array) if rig.motion.of == "sensor" else np.eye(6)
-        by_a, by_nu = _core.payload_jacobians(core_payload(spec), np.ascontiguousarray(nu @ shift.T))
+        shift = _core.twist_shift(lever(rig, payload, body))
+        by_a, by_nu = _core.payload_jacobians(body, np.ascontiguousarray(nu @ shift.T))
         by_a, by_nu = by_a @ shift, by_nu @ shift
         variance = np.zeros((at.size, 6))
         lagged = np.unique(np.linspace(0, at.size - lags - 1, _LAGGED).astype(int))

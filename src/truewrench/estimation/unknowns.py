@@ -82,7 +82,7 @@ def wrench_rates(
             rates[:, :, k] = (ahead - back) / (2.0 * _STEP)
         elif unknown.group == "gravity" and unknown.log == _root(rig, log, number):
             if "gravity" not in by_group:
-                by_group["gravity"] = _tilt_rates(rig, log, at, nu, a, gravity, wrench)
+                by_group["gravity"] = tilt_rates(rig, log, at, nu, a, gravity, wrench)
             rates[:, :, k] = by_group["gravity"][:, :, unknown.place]
     return rates
 
@@ -127,8 +127,12 @@ def horizontal_axes(gravity: Array) -> Array:
     return np.stack([first, np.cross(down, first)])
 
 
-def _tilt_rates(rig: Rig, log: Log, at: Array, nu: Array, a: Array, gravity: Array, wrench: Wrench) -> Array:
-    """(M, 6, 2): a tilt about e changes free fall in sensor axes by R (e x g)."""
+def tilt_rates(rig: Rig, log: Log, at: Array, nu: Array, a: Array, gravity: Array, wrench: Wrench) -> Array:
+    """Derivatives (M, 6, 2) of a wrench by gravity's tilt; zero where nothing tells the attitude.
+
+    A tilt about e changes free fall in sensor axes by R (e x g). Arguments as of `wrench_rates`, and its
+    motion.
+    """
     rates = np.zeros((at.size, 6, 2))
     told = attitude_of(rig, log)
     if told is None:

@@ -27,6 +27,7 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.elsewhere import within
 from truewrench.model.rig.fields import Fields
+from truewrench.model.rig.sections import ELEMENTS
 
 __all__ = [
     "AXES",
@@ -72,6 +73,7 @@ class Calibration:
         time_offset: of the last log [s].
         time_offset_std: its 1 sigma [s].
         payload_posterior: what the data say of each payload, by name; empty when payloads are taken as exact.
+            `covariance` (10, 10) of mass, centre of mass and inertia, `covariance_with_gain` (10, 6n).
         axes: which wrench axes may be used, by name; empty where the estimator does not say.
         assumed: every alternative that the estimate needed beside the rig as stated.
         quadratic: (n,) quadratic term of each channel at full scale, fraction of range; None where the
@@ -264,7 +266,7 @@ def _from_fields(top: Fields) -> Calibration:
         else top.array("offset_temperature", (n,)),
         time_offset=top.number("time_offset"),
         time_offset_std=top.number("time_offset_std"),
-        payload_posterior=top.section("payload_posterior").data,
+        payload_posterior=_payload_posterior(top.section("payload_posterior"), n),
         axes=_axes(top),
         assumed=tuple(_assumed(item) for item in _listed(top, "assumed")),
         quadratic=_per_channel(top, "quadratic", n),
@@ -296,6 +298,24 @@ def _per_channel(top: Fields, key: str, n: int, *, positive: bool = False) -> Ar
     if top.data.get(key) is None:
         return None
     return top.sizes(key, n) if positive else top.array(key, (n,))
+
+
+def _payload_posterior(payloads: Fields, n: int) -> dict[str, Any]:
+    """Each body with what its file has of it; older ones have no covariance."""
+    vectors = {"center_of_mass": (3,), "center_of_mass_std": (3,), "covariance_with_gain": (10, 6 * n)}
+    for name in payloads.data:
+        body = payloads.section(name)
+        for key in body.data:
+            if key in vectors:
+                body.array(key, vectors[key])
+            elif key == "covariance":
+                body.covariance(key, 10)
+            elif key in ("inertia", "inertia_std"):
+                for element in ELEMENTS:
+                    body.section(key).number(element)
+            else:
+                body.number(key)
+    return payloads.data
 
 
 def _axes(top: Fields) -> dict[str, bool]:

@@ -2,9 +2,10 @@
 
 The corrected wrench is held against the payload's wrench by a motion that the velocities alone give
 (inertial.py), so that no gain can bend the motion to its favour, or against reference wrenches where logs
-have them. Per wrench axis: the RMS residual of the nominal and of the new gain with a confidence interval of
-their ratio by a moving-block bootstrap, and whether the residual is as large, and as white, as the noise of
-sensor and motion (or reference) and the calibration's covariance say.
+have them. A payload that was calibrated with is the one that was found; gravity may be tilted in every log
+as far as the rig states. Per wrench axis: the RMS residual of the nominal and of the new gain with a
+confidence interval of their ratio by a moving-block bootstrap, and whether the residual is as large, and as
+white, as the noise of sensor and motion (or reference) and the calibration's covariance say.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +16,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import chdtr, chdtrc
 
-from truewrench.judging.validation.residuals import LONGEST_LAG, Residuals, joined_columns, residuals
+from truewrench.judging.validation.errors import factor, was_seen
+from truewrench.judging.validation.residuals import LONGEST_LAG, Residuals, residuals, systematic_columns
 from truewrench.judging.validation.residuals import tared as is_tared
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, AxisImprovement, Calibration, Verdict
@@ -40,6 +42,8 @@ TOO_LARGE, TOO_SMALL = 1.2, 0.8  # and its size, mean square over claimed varian
 SIGMA_95 = 1.959964
 COVERED = 0.90  # share of the samples within 95% limits that is still accepted, if it is
 COVERED_DEVIATE = 5.0  # as far below 95% in sigma, and the limits are mostly noise:
+TILTED = 4.0  # sigma of its prior, from which on gravity's tilt is a departure: 1 right log in 8,000
+ANY_TILT = 0.1  # [rad] prior of a tilt by which a departure is tried to be explained: tolerance
 NOISE_SHARE = 0.9  # an error of the gain, common to all samples, may take any share of them out at once
 
 
@@ -92,6 +96,7 @@ class Validation:
         block: length of the bootstrap's blocks [s].
         tared: whether a constant was removed from the residuals of every log: its offset may be another.
         time_offsets: per log, t_motion = t_sensor + time_offset [s].
+        tilts: per log, how far its residuals ask for another direction of gravity, under its prior [rad].
         logs: paths of the logs, empty for those that are not files.
         held_out: whether none of the logs was calibrated with.
         payload_seen: whether the payloads of all logs are among those calibrated with.
@@ -103,6 +108,7 @@ class Validation:
     block: float
     tared: bool
     time_offsets: tuple[float, ...]
+    tilts: tuple[float, ...]
     logs: tuple[str, ...]
     held_out: bool
     payload_seen: bool
@@ -128,8 +134,8 @@ class Validation:
             "held_out": self.held_out,
             "payload_seen": self.payload_seen,
             "logs": [
-                {"path": path, "time_offset": offset}
-                for path, offset in zip(self.logs, self.time_offsets, strict=True)
+                {"path": path, "time_offset": offset, "gravity_tilt": tilt}
+                for path, offset, tilt in zip(self.logs, self.time_offsets, self.tilts, strict=True)
             ],
         }
 
@@ -144,8 +150,8 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     Args:
         calibration: its gain, covariance and time offset are judged.
         rig: sensor noise, payloads and motion of these logs.
-        logs: one or several; each keeps a constant and, where the rig has a prior for it, a time offset of
-            its own.
+        logs: one or several; each keeps a constant and, where the rig has a prior for it, a time offset and
+            a tilt of gravity of its own.
         seed: of the bootstrap.
 
     Raises:
@@ -164,18 +170,10 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
             raise InputError.at(rig.path, f"payloads.{log.payload}", "an unknown body", expected)
     records = uncompensated(rig, tracked(rig, records))
     parts = [residuals(calibration, rig, log) for log in records]
-    tared = is_tared(rig)
     used = {report.sha256 for report in calibration.logs if report.sha256}
-    payloads = {report.payload for report in calibration.logs}
-    block = max(_block(part) for part in parts)
-    old, new = (np.concatenate([getattr(part, name) for part in parts]) for name in ("old", "new"))
-    ratios = _bootstrap(old, new, min(block, max(1, len(old) // 5)), seed)
-    systematic = joined_columns([part.systematic for part in parts])
-    axes = {
-        name: _axis(i, parts, old[:, i], new[:, i], ratios[:, i], systematic[:, i])
-        for i, name in enumerate(AXES)
-    }
+    axes = _axes(calibration, parts, seed)
     reasons = [reason for name, axis in axes.items() for reason in _reasons(name, axis)]
+    reasons += _of_gravity(calibration, rig, records, parts, axes, seed)
     if not np.isfinite(calibration.inverse).all():
         reasons = ["the gain of the calibration has no inverse"]
     if not calibration.verdict.usable:
@@ -184,14 +182,58 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     return Validation(
         Verdict(not reasons, tuple(reasons)),
         axes,
-        samples=len(old),
-        block=block * parts[0].period,
-        tared=tared,
+        samples=sum(len(part.new) for part in parts),
+        block=_longest_block(parts) * parts[0].period,
+        tared=is_tared(rig),
         time_offsets=tuple(part.time_offset for part in parts),
+        tilts=tuple(float(np.linalg.norm(part.tilt)) for part in parts),
         logs=tuple("" if log.path is None else str(log.path) for log in records),
         held_out=not any(log.sha256 in used for log in records),
-        payload_seen=all(log.payload in payloads for log in records),
+        payload_seen=all(was_seen(calibration, rig, log.payload) for log in records),
     )
+
+
+def _axes(calibration: Calibration, parts: Sequence[Residuals], seed: int) -> dict[str, AxisValidation]:
+    old, new = (np.concatenate([getattr(part, name) for part in parts]) for name in ("old", "new"))
+    ratios = _bootstrap(old, new, min(_longest_block(parts), max(1, len(old) // 5)), seed)
+    columns = systematic_columns(calibration, parts)
+    return {
+        name: _axis(i, parts, old[:, i], new[:, i], ratios[:, i], systematic)
+        for i, (name, systematic) in enumerate(zip(AXES, columns, strict=True))
+    }
+
+
+def _of_gravity(
+    calibration: Calibration,
+    rig: Rig,
+    logs: Sequence[Log],
+    parts: Sequence[Residuals],
+    axes: Mapping[str, AxisValidation],
+    seed: int,
+) -> list[str]:
+    """What gravity's direction has to do with it: a tilt beyond its prior, or one that would explain it."""
+    reasons = []
+    stated = rig.gravity_tilt_prior
+    for log, part in zip(logs, parts, strict=True):
+        if np.abs(part.tilt).max() > TILTED * stated > 0.0:
+            angle = float(np.linalg.norm(part.tilt))
+            reasons.append(
+                f"gravity: in {log.path or 'a log'} it is tilted by {np.degrees(angle):.2g} deg, "
+                f"{angle / stated:.2g} sigma of `gravity_tilt_prior`"
+            )
+    departing = [name for name, axis in axes.items() if _reasons("", axis)]
+    if reasons or not departing or not rig.in_gravity:
+        return reasons
+    free = rig.model_copy(update={"gravity_tilt_prior": ANY_TILT})
+    parts = [residuals(calibration, free, log) for log in logs]
+    explained = [name for name in departing if not _reasons("", _axes(calibration, parts, seed)[name])]
+    if explained:
+        angle = max(float(np.linalg.norm(part.tilt)) for part in parts)
+        reasons.append(
+            f"gravity: tilted by {np.degrees(angle):.2g} deg it would explain {', '.join(explained)}; "
+            f"`gravity_tilt_prior` is {np.degrees(stated):.2g} deg"
+        )
+    return reasons
 
 
 def _check_same_sensor(calibration: Calibration, rig: Rig) -> None:
@@ -202,6 +244,10 @@ def _check_same_sensor(calibration: Calibration, rig: Rig) -> None:
     ):
         if found != expected:
             raise InputError.at(rig.path, key, f"{found}", f"{expected}, as in the calibration")
+
+
+def _longest_block(parts: Sequence[Residuals]) -> int:
+    return max(_block(part) for part in parts)
 
 
 def _block(part: Residuals) -> int:
@@ -289,13 +335,21 @@ def _probability(nis: float, spread: float, skew: float, share: float, freedom: 
 def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
     """Autocovariance of an axis' residual over its noise, (LAGS + 1,) found and (LONGEST_LAG + 1,) expected.
 
-    What the gain's own error can do to it, a constant and a share of every wrench axis, is taken out before.
+    What can be done to it by the gain's own error, a constant and a share of every wrench axis, and by those
+    of payload and tilt as far as they are uncertain, is taken out before.
     """
     found, expected, total = np.zeros(LAGS + 1), np.zeros(LONGEST_LAG + 1), 0
     for part in parts:
         size = len(part.new)
-        design = np.column_stack([part.wrench, np.ones(size)])
-        rest = part.new[:, i] - design @ np.linalg.lstsq(design, part.new[:, i])[0]
+        uncertain = part.by_tilt[:, i]
+        if part.carried is not None:
+            of_payload = part.by_payload[:, i] @ factor(part.carried.covariance)
+            uncertain = np.column_stack([uncertain, of_payload])
+        design = np.column_stack([part.wrench, np.ones(size), uncertain])
+        sigma = np.sqrt(np.mean(part.noise[:, i]))
+        prior = np.eye(uncertain.shape[1], design.shape[1], 7) * sigma
+        values = np.append(part.new[:, i], np.zeros(len(prior)))
+        rest = part.new[:, i] - design @ np.linalg.lstsq(np.vstack([design, prior]), values)[0]
         u = rest / np.sqrt(part.noise[:, i])
         pairs = np.zeros(LAGS + 1)
         for lag in range(LAGS + 1):

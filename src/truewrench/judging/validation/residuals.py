@@ -1,18 +1,28 @@
 """Residuals of the corrected wrench against the payload's, and what they are claimed to be."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from truewrench import _core
 from truewrench.estimation.inertial import InertialChunk, InertialMotion
 from truewrench.estimation.reference_clock import with_reference_on_time
-from truewrench.estimation.unknowns import payload_rates
+from truewrench.estimation.unknowns import payload_rates, tilt_rates
+from truewrench.judging.validation.errors import (
+    Carried,
+    axis_covariance,
+    carried,
+    factor,
+    fitted,
+    joint_covariance,
+)
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
 
@@ -32,11 +42,15 @@ class Residuals:
     wrench: Array  # (M, 6) without its mean
     noise: Array  # (M, 6) variance by sensor and motion
     nominal_noise: Array  # (M, 6) the same, the sensor's through the nominal gain
-    systematic: Array  # (M, 6, k) columns whose squares add up to the variance by gain and payload
+    payload: str  # that it carries
+    carried: Carried | None  # the same as the calibration knows it; None where it brings no error
+    by_payload: Array  # (M, 6, 10 or none) derivative of the wrench by it, without its mean
+    by_tilt: Array  # (M, 6, 2) of 1 sigma of what is left of gravity's tilt, likewise
     begin: tuple[int, ...]  # where chunks begin
     lagged: Array  # (LONGEST_LAG + 1, 6) mean motion covariance at 0, 1, ... rows
     period: float  # [s]
     time_offset: float
+    tilt: Array  # (2,) of gravity, that the residuals ask for, under its prior [rad]
     rows: Integers  # (M,) of the log
 
 
@@ -57,35 +71,30 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     sensor = rig.sensor
     inverse = np.nan_to_num(calibration.inverse)
     nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
-    wrench, payload = known.wrench, known.payload
+    wrench, by_payload, by_tilt = known.wrench, known.by_payload, known.by_tilt
     old = log.raw[known.rows] @ nominal_inverse.T - wrench
     new = compensated.raw[known.rows] @ inverse.T - wrench
-    n, P, size = sensor.n, calibration.covariance, 6 * sensor.n
     if tared(rig):
-        old, new = old - old.mean(axis=0), new - new.mean(axis=0)
-        wrench = wrench - wrench.mean(axis=0)
-        payload = payload - payload.mean(axis=0)
+        old, new, wrench, by_payload, by_tilt = (
+            x - x.mean(axis=0) for x in (old, new, wrench, by_payload, by_tilt)
+        )
     else:
         new = new - calibration.offset @ inverse.T
-    # the gain's part: -C^+ dC w, a random row vector g times w per axis
-    of_gain = P[:size, :size].reshape(n, 6, n, 6)
-    columns = np.empty((len(new), 6, 6 + payload.shape[2]))
-    for i in range(6):
-        Q = np.einsum("a,ajbk,b->jk", inverse[i], of_gain, inverse[i])
-        values, axes = np.linalg.eigh(Q)
-        columns[:, i, :6] = wrench @ (axes * np.sqrt(np.maximum(values, 0.0)))
-    columns[:, :, 6:] = payload
     return Residuals(
         old,
         new,
         wrench,
         known.variance + inverse**2 @ sensor.noise_array**2,
         known.variance + nominal_inverse**2 @ sensor.noise_array**2,
-        columns,
+        log.payload,
+        known.carried,
+        by_payload,
+        by_tilt,
         known.begin,
         known.lagged,
         float(np.median(np.diff(log.time[known.rows]))),
         known.time_offset,
+        known.tilt,
         known.rows,
     )
 
@@ -97,31 +106,47 @@ class _Known:
     rows: Integers
     wrench: Array  # (M, 6)
     variance: Array  # (M, 6)
-    payload: Array  # (M, 6, k) of its errors, those that the payload brings
     begin: tuple[int, ...]
     lagged: Array
     time_offset: float
+    by_payload: Array
+    by_tilt: Array
+    tilt: Array = field(default_factory=lambda: np.zeros(2))
+    carried: Carried | None = None
 
 
 def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
-    sensor = rig.sensor
-    tau = calibration.time_offset + log.advance()
-    motion = InertialMotion(rig, log)
-    chunks = _compared(motion, log, tau)
-    if sensor.time_offset_prior > 0.0:
-        inverse = np.nan_to_num(calibration.inverse)
-        tau += _time_offset(chunks, log.raw, inverse, sensor.noise_array, sensor.time_offset_prior)
-        chunks = _compared(motion, log, tau)
-    rows, wrench, variance, twist, acceleration, gravity = (
-        np.concatenate([getattr(chunk, name) for chunk in chunks])
-        for name in ("rows", "wrench", "variance", "twist", "acceleration", "gravity")
+    """With gravity's tilt and the clock as the log's own residuals ask for them, under their priors."""
+    sensor, inverse = rig.sensor, np.nan_to_num(calibration.inverse)
+    body = carried(calibration, rig, log.payload)
+    motion = InertialMotion(rig, log, body.body)
+    at = calibration.time_offset + log.advance()
+    moved = _moved(rig, log, motion, body, at)
+    prior = np.array([rig.gravity_tilt_prior, rig.gravity_tilt_prior, sensor.time_offset_prior])
+    own, P = fitted(
+        joint_covariance(calibration, [body]),
+        prior,
+        log.raw[moved.rows] @ inverse.T - moved.wrench,
+        moved.wrench,
+        moved.by_payload,
+        np.concatenate([moved.by_tilt, moved.rate[..., None]], axis=2),
+        moved.variance + inverse**2 @ sensor.noise_array**2,
     )
-    lags = min(chunk.covariance.shape[1] for chunk in chunks)
-    lagged = np.zeros((LONGEST_LAG + 1, 6))
-    lagged[:lags] = np.mean([chunk.covariance[:, :lags].mean(axis=0) for chunk in chunks], axis=0)
-    payload = _payload_columns(rig, calibration, log.payload, twist, acceleration, gravity)
-    begin = np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()
-    return _Known(rows, wrench, variance, payload, tuple(begin), lagged, tau)
+    tilt, at = own[:2], at + own[2]
+    if own[2] != 0.0:
+        moved = _moved(rig, log, motion, body, at)
+    return _Known(
+        moved.rows,
+        moved.wrench + moved.by_tilt @ tilt,
+        moved.variance,
+        moved.begin,
+        moved.lagged,
+        at,
+        moved.by_payload,
+        moved.by_tilt @ factor(P[:2, :2]),
+        tilt,
+        body if body.covariance.any() else None,
+    )
 
 
 def _by_reference(calibration: Calibration, rig: Rig, log: Log) -> _Known:
@@ -137,7 +162,52 @@ def _by_reference(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     lagged = np.zeros((LONGEST_LAG + 1, 6))
     lagged[0] = variance[0]
     none = np.zeros((rows.size, 6, 0))
-    return _Known(rows, log.reference[rows], variance, none, (0,), lagged, calibration.time_offset)
+    wrench, time_offset = log.reference[rows], calibration.time_offset
+    return _Known(rows, wrench, variance, (0,), lagged, time_offset, none, none)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Moved:
+    """The wrench of a body by its motion at M rows of a log, and its derivatives."""
+
+    rows: NDArray[np.int64]
+    wrench: Array  # (M, 6)
+    variance: Array  # (M, 6)
+    rate: Array  # (M, 6) by time
+    by_payload: Array  # (M, 6, 10)
+    by_tilt: Array  # (M, 6, 2) by gravity's tilt, zero on orbit
+    begin: tuple[int, ...]
+    lagged: Array
+
+
+def _moved(rig: Rig, log: Log, motion: InertialMotion, body: Carried, time_offset: float) -> _Moved:
+    chunks = _compared(motion, log, time_offset)
+    rows, wrench, variance, rate, twist, acceleration, gravity = (
+        np.concatenate([getattr(chunk, name) for chunk in chunks])
+        for name in ("rows", "wrench", "variance", "rate", "twist", "acceleration", "gravity")
+    )
+    lags = min(chunk.covariance.shape[1] for chunk in chunks)
+    lagged = np.zeros((LONGEST_LAG + 1, 6))
+    lagged[:lags] = np.mean([chunk.covariance[:, :lags].mean(axis=0) for chunk in chunks], axis=0)
+    by_payload = payload_rates(rig, log.payload, twist, acceleration, gravity)
+    by_tilt = np.zeros((rows.size, 6, 2))
+    if rig.in_gravity:
+        at = log.time[rows] + time_offset
+
+        def felt(nu: Array, a: Array, g: Array) -> Array:
+            return payload_wrench(rig, log.payload, nu, a, g, body.body)
+
+        by_tilt = tilt_rates(rig, log, at, twist, acceleration, gravity, felt)
+    return _Moved(
+        rows,
+        wrench,
+        variance,
+        rate,
+        by_payload * rig.sensor.range_array[:, None],
+        by_tilt,
+        tuple(np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()),
+        lagged,
+    )
 
 
 def _compared(motion: InertialMotion, log: Log, time_offset: float) -> list[InertialChunk]:
@@ -170,43 +240,21 @@ def _compared(motion: InertialMotion, log: Log, time_offset: float) -> list[Iner
     return trimmed
 
 
-def _time_offset(
-    chunks: Sequence[InertialChunk], raw: Array, inverse: Array, noise: Array, prior: float
-) -> float:
-    """Change of the time offset that the residuals ask for, to first order, under its prior."""
-    rows, wrench, rate, variance = (
-        np.concatenate([getattr(chunk, name) for chunk in chunks])
-        for name in ("rows", "wrench", "rate", "variance")
-    )
-    residual = raw[rows] @ inverse.T - wrench
-    residual, rate = residual - residual.mean(axis=0), rate - rate.mean(axis=0)
-    weight = 1.0 / (variance + inverse**2 @ noise**2)
-    return float(np.sum(weight * rate * residual) / (np.sum(weight * rate**2) + prior**-2.0))
+def systematic_columns(calibration: Calibration, parts: Sequence[Residuals]) -> Iterator[Array]:
+    """Of each wrench axis (M, k) of all logs: columns whose squares add up to the variance by what is common.
 
-
-def _payload_columns(
-    rig: Rig, calibration: Calibration, payload: str, twist: Array, acceleration: Array, gravity: Array
-) -> Array:
-    """(M, 6, 10) change of the wrench for 1 sigma of mass, centre of mass and inertia; none if exact.
-
-    The payload that the gain was found with cannot contradict it: its errors are in both.
+    Errors of the gain are common to all logs, those of a payload to all that carry it, those of gravity's
+    tilt to one.
     """
-    spec = rig.payloads[payload]
-    if spec.exact or payload in {report.payload for report in calibration.logs}:
-        return np.zeros((len(twist), 6, 0))
-    rates = payload_rates(rig, payload, twist, acceleration, gravity)
-    return np.asarray(rates * rig.sensor.range_array[:, None] * spec.uncertainty.of_each)
-
-
-def joined_columns(parts: Sequence[Array]) -> Array:
-    """Systematic columns of all logs: those of the gain are common, each payload's its own."""
-    total = 6 + sum(part.shape[2] - 6 for part in parts)
-    joined, column = [], 6
-    for part in parts:
-        wide = np.zeros((*part.shape[:2], total))
-        wide[:, :, :6] = part[:, :, :6]
-        own = part.shape[2] - 6
-        wide[:, :, column : column + own] = part[:, :, 6:]
-        column += own
-        joined.append(wide)
-    return np.concatenate(joined)
+    payloads = {part.payload: part.carried for part in parts if part.carried is not None}
+    names, joint = list(payloads), joint_covariance(calibration, list(payloads.values()))
+    for axis in range(6):
+        rates, of_tilt = [], []
+        for part in parts:
+            of_payloads = np.zeros((len(part.new), len(names), 10))
+            if part.carried is not None:
+                of_payloads[:, names.index(part.payload)] = part.by_payload[:, axis]
+            rates.append(np.column_stack([part.wrench, of_payloads.reshape(len(part.new), -1)]))
+            of_tilt.append(part.by_tilt[:, axis])
+        L = factor(axis_covariance(joint, axis))
+        yield np.column_stack([np.concatenate(rates) @ L, block_diag(*of_tilt)])
