@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +16,13 @@ from scipy.stats import chi2
 from tool_cases import a_rig
 
 import truewrench as tw
+from truewrench.correction.contact.log import contact as contact_of
 from truewrench.model.errors import InputError
+from truewrench.model.files import write_yaml
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.tool.exports import tool_exports
 from truewrench.tool.model import Tool
 from truewrench.tool.solve import REPEATABILITY, WALK
 
@@ -221,3 +226,48 @@ def test_two_records_of_a_workpiece_share_the_offset_that_walked() -> None:
     cut = tw.identify_tool(RIG, parts, on=tool)
     assert cut.mass == pytest.approx(whole.mass, abs=0.5 * whole.mass_std)
     assert cut.mass_std == pytest.approx(whole.mass_std, rel=0.15)
+
+
+def test_what_is_below_is_in_contact_wrenches_exports_and_what_sits_on_top(tmp_path: Path) -> None:
+    """A pose of both is no contact, controllers are told of both, and a third body is weighed on both."""
+    both = Both(8)
+    first = tw.identify_tool(RIG, both.logs[0])
+    tool = tw.identify_tool(RIG, both.logs[1], on=first)
+    tool.write_yaml(tmp_path / "tool.yaml")
+    read = tw.read_tool(tmp_path / "tool.yaml")
+    assert read.covariance.tobytes() == tool.covariance.tobytes()
+    assert tool.mass == pytest.approx(np.exp(both.theta[PIECE][0]), abs=4 * tool.mass_std)
+
+    masses = np.exp([both.theta[TOOL][0], both.theta[PIECE][0]])
+    centers = np.array([both.theta[TOOL][1:], both.theta[PIECE][1:]])
+    for one in (tool.whole, read.whole):
+        assert one.mass == pytest.approx(masses.sum(), abs=4 * one.mass_std)
+        away = one.center_of_mass - masses @ centers / masses.sum()
+        assert (np.abs(away) < 4 * one.center_of_mass_std).all()
+    assert tool.exported.mass == pytest.approx(tool.whole.mass)
+    assert np.allclose(tool.exported.center_of_mass, tool.whole.center_of_mass)
+    held = json.loads(tool_exports(read, ["franka"])["tool_franka.json"])
+    assert held["mass"] == tool.exported.mass
+    assert f"the tool below it, of {np.exp(read.below[0]):.6g} kg" in held["comment"]
+
+    contact = contact_of(both.logs[1], read)
+    assert np.nanmax(contact.chi2) < 40.0  # no contact; the lower tool's weight were 8 to 25 N of it
+    assert np.nanmax(np.abs(contact.wrench[:, :3])) < 2.0
+
+    third = tw.identify_tool(RIG, replace(both.logs[1], time_ns=both.logs[1].time_ns + 10**12), on=read)
+    assert third.mass < 0.05  # nothing sits on both
+    assert np.exp(third.below[0]) == pytest.approx(masses.sum(), rel=0.05)
+
+
+def test_a_file_that_says_what_is_below_without_its_covariance_is_refused(tmp_path: Path) -> None:
+    both = Both(9)
+    tool = tw.identify_tool(RIG, both.logs[1], on=tw.identify_tool(RIG, both.logs[0]))
+    data = tool.to_mapping()
+    alone = data["covariance"]
+    data["covariance"] = {"names": alone["names"][:57], "matrix": alone["matrix"][:57, :57]}
+    write_yaml(tmp_path / "tool.yaml", data)
+    with pytest.raises(InputError, match=r"covariance\.names.*67 names.*below"):
+        tw.read_tool(tmp_path / "tool.yaml")
+    del data["below"]  # a file from before there was one: the upper body alone
+    write_yaml(tmp_path / "tool.yaml", data)
+    assert tw.read_tool(tmp_path / "tool.yaml").whole.mass == tool.mass

@@ -1,5 +1,6 @@
 """Bodies as ten numbers: one made of several, what it weighs, and its nearest physical one."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,25 +15,46 @@ _CLOSE = 1e-7  # of a squared distance in units of sigma: tolerance
 _STEP = 1e-30  # of the complex step
 
 
-def _total(bodies: Any) -> Any:
-    """(..., 10) (log m, c, inertia) of bodies (..., B, 10) of (log m, c, S); any number type."""
+def _one(bodies: Any) -> Any:
+    """(..., 10) (log m, c, S) of all bodies (..., B, 10) of the same; any number type."""
     masses = np.exp(bodies[..., 0])
     mass = masses.sum(axis=-1)[..., None]
     center = (masses[..., None] * bodies[..., 1:4]).sum(axis=-2) / mass
     away = bodies[..., 1:4] - center[..., None, :]
     moments = (masses[..., None] * (bodies[..., 4:] + away[..., ROWS] * away[..., COLUMNS])).sum(axis=-2)
+    return np.concatenate([np.log(mass), center, moments / mass], axis=-1)
+
+
+def _total(bodies: Any) -> Any:
+    """The same as (log m, c, inertia)."""
+    one = _one(bodies)
+    moments = np.exp(one[..., :1]) * one[..., 4:]
     inertia = moments[..., :3].sum(axis=-1)[..., None] * (ROWS == COLUMNS) - moments
-    return np.concatenate([np.log(mass), center, inertia], axis=-1)
+    return np.concatenate([one[..., :4], inertia], axis=-1)
 
 
-def total_body(bodies: Array) -> tuple[Array, Array]:
-    """One rigid body made of B, as (log m, c, inertia about c) (10,), and its derivative (10, 10 B).
+def one_body(bodies: Array) -> tuple[Array, Array]:
+    """One rigid body made of B, as (log m, c, S) (10,), and its derivative (10, 10 B).
 
     The bodies (B, 10) are log mass, centre of mass, S about it, in the order of `ELEMENTS`.
     """
+    return _with_derivative(_one, bodies)
+
+
+def total_body(bodies: Array) -> tuple[Array, Array]:
+    """The same as (log m, c, inertia about c)."""
+    return _with_derivative(_total, bodies)
+
+
+def _with_derivative(of: Callable[[Any], Any], bodies: Array) -> tuple[Array, Array]:
     steps = 1j * _STEP * np.eye(bodies.size).reshape(-1, *bodies.shape)  # complex: exact to rounding
-    jacobian = _total(bodies + steps).imag.T / _STEP
-    return np.asarray(_total(bodies), dtype=np.float64), jacobian
+    return np.asarray(of(bodies), dtype=np.float64), of(bodies + steps).imag.T / _STEP
+
+
+def inertia_std(body: Array, P: Array) -> Array:
+    """1 sigma (6,) of the inertia's elements about the centre of mass, of (log m, c, S) (10,)."""
+    _, J = total_body(body.reshape(1, 10))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J[4:], P, J[4:]), 0.0)))
 
 
 def weight(mass: float, center: Array, fall: Array) -> Array:

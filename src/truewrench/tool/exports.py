@@ -109,11 +109,15 @@ def _reads_wrenches(tool: Tool) -> bool:
 def _held(tool: Tool) -> _Held:
     body = tool.exported
     center, inertia = flange_body(body.center_of_mass, body.inertia_matrix, tool.flange)
+    whole = tool.whole
     words = [
-        f"truewrench {tool.version}, {tool.created}: mass {tool.mass:.6g} kg, 1 sigma {tool.mass_std:.2g} kg",
+        f"truewrench {tool.version}, {tool.created}: mass {whole.mass:.6g} kg, "
+        f"1 sigma {whole.mass_std:.2g} kg",
         "Flange axes; the sensor frame stands at x y z roll pitch yaw = "
         + " ".join(f"{value:.6g}" for value in tool.flange),
     ]
+    if tool.below is not None:
+        words.append(f"With the tool below it, of {np.exp(tool.below[0]):.6g} kg.")
     if tool.housing[0] > 0.0:
         words.append(f"With the sensor's housing of {tool.housing[0]:.6g} kg.")
     if not tool.verdict.usable:

@@ -19,7 +19,7 @@ from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
-from truewrench.tool.bodies import joined, nearest_physical, total_body
+from truewrench.tool.bodies import inertia_std, joined, nearest_physical, one_body
 from truewrench.tool.checks import check_known, check_logs, check_options, check_session
 from truewrench.tool.held_out import held_out
 from truewrench.tool.judge import Judged, judge, misfit_of_motion
@@ -139,7 +139,7 @@ def identify_tool(
         judged = replace(judged, verdict=replace(judged.verdict, usable=False, reasons=reasons))
     if evidence is not None:
         evidence(Evidence(solution, motion, left.details))
-    return _tool(rig, solution, motion, judged, left.figures, flange, housing, records, split.end_ns)
+    return _tool(rig, solution, motion, judged, left.figures, flange, housing, records, split.end_ns, on)
 
 
 def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, MotionFit | None]:
@@ -202,12 +202,6 @@ def _start_from(problem: Problem, body: Array) -> Array:
     return x
 
 
-def inertia_std(x: Array, P: Array) -> Array:
-    """1 sigma (6,) of the inertia's elements about the centre of mass, of (log m, c, S) (10,)."""
-    _, J = total_body(x.reshape(1, 10))
-    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J[4:], P, J[4:]), 0.0)))
-
-
 def _determined(solution: Solution) -> dict[str, Any]:
     v = solution.problem.vector
     place, x = v.layout.body, solution.x
@@ -239,10 +233,12 @@ def _tool(
     housing: npt.ArrayLike | None,
     logs: Sequence[Log],
     end_ns: Sequence[int],
+    on: Tool | None,
 ) -> Tool:
     v = solution.problem.vector
     layout, n = v.layout, v.n
-    x, P = solution.x[: layout.size], solution.covariance[: layout.size, : layout.size]
+    size = v.before.stop  # theta, and after it what the tool sits on
+    x, P = solution.x[:size], solution.covariance[:size, :size]
     P = 0.5 * (P + P.T)
     std = np.sqrt(np.diag(P))
     mass, body = float(np.exp(x[layout.log_mass])), x[layout.body]
@@ -250,6 +246,11 @@ def _tool(
     shell = np.zeros(4) if housing is None else np.asarray(housing, dtype=np.float64)
     scale = rig.sensor.channel_scale
     determined = _determined(solution)
+    carried, of_carried, told = body, P[layout.body, layout.body], all(determined["inertia"])
+    if on is not None:
+        both = [*range(layout.body.start, layout.body.stop), *range(v.before.start, v.before.stop)]
+        carried, J = one_body(x[both].reshape(2, 10))
+        of_carried, told = J @ P[np.ix_(both, both)] @ J.T, told and not on.exported.inertia_assumed
     return Tool(
         mass=mass,
         mass_std=mass * float(std[layout.log_mass]),
@@ -269,9 +270,10 @@ def _tool(
         tilt_std=std[layout.tilt],
         gain=x[layout.gain].reshape(n, 6).copy(),
         covariance=P,
-        exported=exported_body(body, P[layout.body, layout.body], all(determined["inertia"]), shell),
+        exported=exported_body(carried, of_carried, told, shell),
         verdict=judged.verdict,
         rig=rig,
+        below=None if on is None else x[v.before].copy(),
         held_out=left,
         flange=place,
         housing=shell,

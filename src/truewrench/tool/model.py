@@ -1,9 +1,9 @@
 """What is known of a tool and of the sensor that carries it, with their joint uncertainty (tool.yaml)."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -14,10 +14,13 @@ from truewrench.model.rig import Rig
 from truewrench.model.rig.elsewhere import within
 from truewrench.model.rig.fields import Fields
 from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.tool.bodies import inertia_std, one_body
 from truewrench.tool.parameters import (
+    BELOW,
     ELEMENTS,
     Layout,
     channel_turn,
+    inertia_of,
     second_moments,
     tilted,
 )
@@ -32,6 +35,9 @@ FORMAT = "truewrench-tool/1"
 @dataclass(frozen=True, slots=True, eq=False)
 class Tool:
     """A tool on a sensor, raw = gain R(mounting) w(body, motion, gravity) + offset, and how well it is known.
+
+    One that sits on another (`--on`) is the upper body alone, with the lower one beside it: what the sensor
+    carries is `whole`.
 
     Attributes:
         mass: [kg].
@@ -51,10 +57,12 @@ class Tool:
         tilt: (2,) of gravity against the rig's [rad].
         tilt_std: (2,) 1 sigma.
         gain: (n, 6) posterior, w in the rig's sign, channel axes.
-        covariance: (7n + 15, 7n + 15) of theta, in the order of `Layout`.
-        exported: the physical body that exports hold, with the sensor's housing where one was stated.
+        covariance: of theta, in the order of `Layout`: 7n + 15, and ten more of `below`.
+        exported: the physical body that exports hold: all that the sensor carries, and its housing where one
+            was stated.
         verdict: whether and why (not) to use it.
         rig: the settings it was made with, `payloads` and `required` passed over.
+        below: (10,) log mass, centre of mass, S of what it sits on; None: on the sensor itself.
         held_out: beside the usual recipe.
         flange: (6,) x, y, z, roll, pitch, yaw of the sensor frame on the flange [m, rad].
         housing: (4,) mass and centre of mass of the sensor's housing, sensor axes [kg, m]; zeros: none.
@@ -88,6 +96,7 @@ class Tool:
     exported: Body
     verdict: ToolVerdict
     rig: Rig
+    below: Array | None = None
     held_out: HeldOut = field(default_factory=HeldOut)
     flange: Array = field(default_factory=lambda: np.zeros(6))
     housing: Array = field(default_factory=lambda: np.zeros(4))
@@ -116,9 +125,34 @@ class Tool:
 
     @property
     def theta(self) -> Array:
-        """(7n + 15,) the estimate in the order of `covariance`."""
+        """The estimate in the order of `covariance`."""
         body = np.concatenate([[np.log(self.mass)], self.center_of_mass, self.S])
-        return np.concatenate([self.gain.ravel(), body, self.offset, self.mounting, self.tilt])
+        below = np.zeros(0) if self.below is None else self.below
+        return np.concatenate([self.gain.ravel(), body, self.offset, self.mounting, self.tilt, below])
+
+    @property
+    def whole(self) -> Self:
+        """The same with all that the sensor carries as one body: this tool and what it sits on."""
+        if self.below is None:
+            return self
+        layout = self.layout
+        body, J = one_body(np.stack([self.theta[layout.body], self.below]))
+        T = np.eye(layout.size, layout.below.stop)
+        T[layout.body, layout.body], T[layout.body, layout.below] = J[:, :10], J[:, 10:]
+        P = T @ self.covariance @ T.T
+        P = 0.5 * (P + P.T)
+        mass, std = float(np.exp(body[0])), np.sqrt(np.diag(P))
+        return replace(
+            self,
+            mass=mass,
+            mass_std=mass * float(std[layout.log_mass]),
+            center_of_mass=body[1:4],
+            center_of_mass_std=std[layout.center_of_mass],
+            inertia=inertia_of(mass, body[4:]),
+            inertia_std=inertia_std(body, P[layout.body, layout.body]),
+            covariance=P,
+            below=None,
+        )
 
     @property
     def gain_std(self) -> Array:
@@ -187,6 +221,7 @@ class Tool:
             "tilt_std": self.tilt_std,
             "time_offset": self.time_offset,
             "time_offset_std": self.time_offset_std,
+            **({} if self.below is None else {"below": self._of_below()}),  # `on` is true in YAML 1.1
             "exported": asdict(self.exported) | {"inertia": _by_element(self.exported.inertia)},
             "flange": self.flange,
             "housing": self.housing,
@@ -198,8 +233,27 @@ class Tool:
             "gain": self.gain,
             "gain_std": self.gain_std,
             "rig": {key: value for key, value in self.rig.to_mapping().items() if key != "payloads"},
-            "covariance": {"names": list(self.layout.names), "matrix": self.covariance},
+            "covariance": {"names": _names(self.layout, self.below is not None), "matrix": self.covariance},
         }
+
+    def _of_below(self) -> dict[str, Any]:
+        """What it sits on, by the keys of a body."""
+        assert self.below is not None
+        place, mass = self.layout.below, float(np.exp(self.below[0]))
+        P = self.covariance[place, place]
+        std = np.sqrt(np.diag(P))
+        return {
+            "mass": mass,
+            "mass_std": mass * float(std[0]),
+            "center_of_mass": self.below[1:4],
+            "center_of_mass_std": std[1:4],
+            "inertia": _by_element(inertia_of(mass, self.below[4:])),
+            "inertia_std": _by_element(inertia_std(self.below, P)),
+        }
+
+
+def _names(layout: Layout, on: bool) -> list[str]:
+    return [*layout.names, *(BELOW if on else ())]
 
 
 def _by_element(values: Array) -> dict[str, float]:
@@ -248,6 +302,7 @@ def _from_fields(top: Fields) -> Tool:
         tilt_std=top.sizes("tilt_std", 2),
         gain=top.array("gain", (n, 6)),
         covariance=_covariance(top, Layout(n)),
+        below=_below(top),
         exported=Body(
             mass=exported.positive("mass"),
             center_of_mass=exported.array("center_of_mass", (3,)),
@@ -288,6 +343,14 @@ def _check_consistent(top: Fields, tool: Tool) -> None:
         if not np.allclose(found, expected, rtol=1e-6, atol=1e-15):
             raise top.error(key, "what `covariance` says")
 
+    if tool.below is not None:
+        below, expected = top.section("below"), tool._of_below()
+        for key in ("mass_std", "center_of_mass_std"):
+            if not np.allclose(
+                below.array(key, np.shape(expected[key])), expected[key], rtol=1e-6, atol=1e-15
+            ):
+                raise below.error(key, "what `covariance` says")
+
 
 def _std(tool: Tool, place: slice) -> Array:
     std: Array = np.sqrt(np.diag(tool.covariance)[place])
@@ -306,12 +369,21 @@ def _verdict(verdict: Fields) -> ToolVerdict:
 
 
 def _covariance(top: Fields, layout: Layout) -> Array:
-    section = top.section("covariance")
-    if tuple(section.texts("names")) != layout.names:
+    section, names = top.section("covariance"), _names(layout, "below" in top.data)
+    if section.texts("names") != names:
         found = f"{len(section.data['names'])} names, or another order"
-        expected = f"the {layout.size} names of gain, log_mass, center_of_mass, S, offset, mounting, tilt"
-        raise section.error("names", expected, found)
-    return section.covariance("matrix", layout.size)
+        expected = f"the {len(names)} names of gain, log_mass, center_of_mass, S, offset, mounting, tilt"
+        raise section.error("names", expected + (", below" if "below" in top.data else ""), found)
+    return section.covariance("matrix", len(names))
+
+
+def _below(top: Fields) -> Array | None:
+    """What the tool sits on; None where that is the sensor, as in files from before there was a key."""
+    if "below" not in top.data:
+        return None
+    below = top.section("below")
+    mass, center = below.positive("mass"), below.array("center_of_mass", (3,))
+    return np.concatenate([[np.log(mass)], center, second_moments(mass, _elements(below, "inertia"))])
 
 
 def _elements(top: Fields, key: str, least: float | None = None) -> Array:

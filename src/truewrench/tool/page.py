@@ -71,6 +71,9 @@ def _figure(svg: str, caption: str) -> str:
 def _table(tool: Tool) -> str:
     known = tool.determined
     rows = [("mass [kg]", tool.mass, tool.mass_std, known["mass"])]
+    if tool.below is not None:
+        whole = tool.whole
+        rows.append(("mass with what it sits on [kg]", whole.mass, whole.mass_std, known["mass"]))
     for k, axis in enumerate("xyz"):
         rows.append(
             (
@@ -96,10 +99,10 @@ def _table(tool: Tool) -> str:
 
 
 def _body_caption(tool: Tool) -> str:
-    size = 1e3 * float(tool.center_of_mass_std.max())
+    size = 1e3 * float(tool.whole.center_of_mass_std.max())
     kind = "assumed: not determined" if tool.exported.inertia_assumed else "of equal inertia"
     return (
-        f"The tool on its sensor, side views [mm]: the ellipsoid ({kind}) about the centre of mass, whose "
+        f"What the sensor carries, side views [mm]: the ellipsoid ({kind}) about the centre of mass, whose "
         f"1 sigma is at most {size:.2g} mm (bars: 3 sigma)."
     )
 
@@ -107,6 +110,7 @@ def _body_caption(tool: Tool) -> str:
 def _body(tool: Tool) -> str:
     """Two side views of the solid ellipsoid of equal inertia: semi-axes^2 = 5 x second moments per mass."""
     inertia, center = symmetric(tool.exported.inertia), tool.exported.center_of_mass
+    std = tool.whole.center_of_mass_std
     S = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / tool.exported.mass
     values, axes = np.linalg.eigh(S)
     half = (axes * np.sqrt(5.0 * np.maximum(values, 1e-9))) @ axes.T
@@ -126,7 +130,7 @@ def _body(tool: Tool) -> str:
             'fill="#0072B2" fill-opacity=".25" stroke="#0072B2"/>'
         )
         for k, (dx, dy) in ((i, (1, 0)), (j, (0, 1))):
-            bar = max(3.0 * scale * float(tool.center_of_mass_std[k]), 2.0)
+            bar = max(3.0 * scale * float(std[k]), 2.0)
             out.append(
                 f'<line x1="{cx - bar * dx:.1f}" y1="{cy - bar * dy:.1f}" x2="{cx + bar * dx:.1f}" '
                 f'y2="{cy + bar * dy:.1f}" stroke="#D55E00" stroke-width="2"/>'

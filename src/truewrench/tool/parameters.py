@@ -16,6 +16,7 @@ from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS
 from truewrench.motion.spatial import cross
 
 __all__ = [
+    "BELOW",
     "COLUMNS",
     "ELEMENTS",
     "ROWS",
@@ -27,6 +28,16 @@ __all__ = [
     "symmetric",
     "tilted",
 ]
+
+
+_BODY = (
+    "log_mass",
+    *(f"center_of_mass_{axis}" for axis in "xyz"),
+    *(f"S_{element}" for element in ELEMENTS),
+)
+
+BELOW = tuple(f"below_{name}" for name in _BODY)
+"""Names of the ten of a body that a tool sits on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +96,17 @@ class Layout:
         """One name a parameter: `gain_0_0` ... (channel, wrench axis), `log_mass`, ..., `tilt_1`."""
         return (
             *(f"gain_{i}_{j}" for i in range(self.n) for j in range(6)),
-            "log_mass",
-            *(f"center_of_mass_{axis}" for axis in "xyz"),
-            *(f"S_{element}" for element in ELEMENTS),
+            *_BODY,
             *(f"offset_{i}" for i in range(self.n)),
             *(f"mounting_{angle}" for angle in ("roll", "pitch", "yaw")),
             "tilt_0",
             "tilt_1",
         )
+
+    @property
+    def below(self) -> slice:
+        """Ten of a body that this one sits on, where there is one: they come last."""
+        return slice(self.size, self.size + 10)
 
 
 def symmetric(elements: Array) -> Array:

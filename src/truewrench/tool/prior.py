@@ -115,6 +115,7 @@ def _on(
 
     Else the offset starts anew: a sensor may have been zeroed, or off, in between.
     """
+    tool = tool.whole
     more = 10 + layout.n * same_session
     size = layout.size
     out, P = np.append(mean, np.zeros(more)), np.zeros((size + more, size + more))

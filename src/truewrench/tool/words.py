@@ -24,6 +24,8 @@ def _lines(tool: Tool) -> Iterator[str]:
         yield f"mass            {tool.mass:.5g} kg +- {tool.mass_std:.2g}"
     else:
         yield "mass            not determined"
+    if tool.below is not None:
+        yield f"sits on         {np.exp(tool.below[0]):.5g} kg; together {tool.whole.mass:.5g} kg"
     for axis, value, std, told in zip(
         "xyz", tool.center_of_mass, tool.center_of_mass_std, known["center_of_mass"], strict=True
     ):

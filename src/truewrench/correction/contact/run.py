@@ -263,7 +263,7 @@ def contact_settings(
     tool: Tool, calibration: Calibration | None, motion: MotionColumns
 ) -> _core.ContactSettings:
     """What the core needs to know; InputError if tool and calibration are of two sensors."""
-    sensor = tool.rig.sensor
+    sensor, tool = tool.rig.sensor, tool.whole
     slope = tool.offset_temperature
     settings = _core.ContactSettings()
     settings.set_sensor(

@@ -14,7 +14,8 @@ from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
-from truewrench.tool.identify import DETERMINED, identify_tool, inertia_std
+from truewrench.tool.bodies import inertia_std
+from truewrench.tool.identify import DETERMINED, identify_tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.parameters import ELEMENTS, second_moments
 from truewrench.tool.poses import SETTLE, Poses
