@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import truewrench as tw
 from truewrench.judging.validation import Validation
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.model.rig import Rig
+from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.free_body import simulate
 
 WIDE = {"mass": 1e-2, "center_of_mass": 2e-3, "inertia": 5e-2}
@@ -106,6 +108,16 @@ def test_another_body_of_the_same_name_is_as_its_rig_states_it() -> None:
     found = validated(calibrated(rig, 0), other, 0)
     assert not found.payload_seen
     assert max(axis.nis for axis in found.axes.values()) < 2.0
+
+
+def test_stretches_of_finer_knots_do_not_colour_the_others(arm_rig: Callable[..., Rig]) -> None:
+    """One in four, with ten times the variance of the others: its correlation was expected of all."""
+    late = {"simulate": {"time_offset": 5e-3}, "sensor": {"time_offset_prior": 5e-3, "discrepancy": 0}}
+    rig = arm_rig("panda_ground", plan={"duration": 15}, gravity_tilt_prior=0, **late)
+    log = simulate_arm(rig, seed=1).log
+    found = tw.validate(tw.calibrate(rig, log, held_out=False), rig, log)
+    assert found.verdict.usable, found.verdict.reasons
+    assert max(abs(axis.autocorrelation) for axis in found.axes.values()) < 0.1
 
 
 @pytest.mark.parametrize("prior", [0.0, 3.5e-3])

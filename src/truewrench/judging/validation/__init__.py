@@ -359,7 +359,7 @@ def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
                 count += end - begin - lag
             pairs[lag] /= max(1, count)
         found += size * pairs
-        expected += size * part.lagged[:, i] / np.mean(part.noise[:, i])
+        expected += size * part.lagged[:, i]
         total += size
     expected /= total
     expected[0] = 1.0

@@ -47,7 +47,7 @@ class Residuals:
     by_payload: Array  # (M, 6, 10 or none) derivative of the wrench by it, without its mean
     by_tilt: Array  # (M, 6, 2) of 1 sigma of what is left of gravity's tilt, likewise
     begin: tuple[int, ...]  # where chunks begin
-    lagged: Array  # (LONGEST_LAG + 1, 6) mean motion covariance at 0, 1, ... rows
+    lagged: Array  # (LONGEST_LAG + 1, 6) mean of the motion's covariance at 0, 1, ... rows over the noise
     period: float  # [s]
     time_offset: float
     tilt: Array  # (2,) of gravity, that the residuals ask for, under its prior [rad]
@@ -121,7 +121,8 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     body = carried(calibration, rig, log.payload)
     motion = InertialMotion(rig, log, body.body)
     at = calibration.time_offset + log.advance()
-    moved = _moved(rig, log, motion, body, at)
+    of_sensor = inverse**2 @ sensor.noise_array**2
+    moved = _moved(rig, log, motion, body, at, of_sensor)
     prior = np.array([rig.gravity_tilt_prior, rig.gravity_tilt_prior, sensor.time_offset_prior])
     own, P = fitted(
         joint_covariance(calibration, [body]),
@@ -130,11 +131,11 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
         moved.wrench,
         moved.by_payload,
         np.concatenate([moved.by_tilt, moved.rate[..., None]], axis=2),
-        moved.variance + inverse**2 @ sensor.noise_array**2,
+        moved.variance + of_sensor,
     )
-    tilt, at = own[:2], at + own[2]
+    tilt, at = own[:2], at + float(own[2])
     if own[2] != 0.0:
-        moved = _moved(rig, log, motion, body, at)
+        moved = _moved(rig, log, motion, body, at, of_sensor)
     return _Known(
         moved.rows,
         moved.wrench + moved.by_tilt @ tilt,
@@ -159,8 +160,7 @@ def _by_reference(calibration: Calibration, rig: Rig, log: Log) -> _Known:
         found = f"{rows.size} rows with raw channels and reference"
         raise InputError.at(log.path, "", found, f"at least {2 * _FEWEST}")
     variance = np.broadcast_to(np.square(rig.reference_noise), (rows.size, 6))
-    lagged = np.zeros((LONGEST_LAG + 1, 6))
-    lagged[0] = variance[0]
+    lagged = np.zeros((LONGEST_LAG + 1, 6))  # white
     none = np.zeros((rows.size, 6, 0))
     wrench, time_offset = log.reference[rows], calibration.time_offset
     return _Known(rows, wrench, variance, (0,), lagged, time_offset, none, none)
@@ -180,7 +180,9 @@ class _Moved:
     lagged: Array
 
 
-def _moved(rig: Rig, log: Log, motion: InertialMotion, body: Carried, time_offset: float) -> _Moved:
+def _moved(
+    rig: Rig, log: Log, motion: InertialMotion, body: Carried, time_offset: float, of_sensor: Array
+) -> _Moved:
     chunks = _compared(motion, log, time_offset)
     rows, wrench, variance, rate, twist, acceleration, gravity = (
         np.concatenate([getattr(chunk, name) for chunk in chunks])
@@ -188,7 +190,11 @@ def _moved(rig: Rig, log: Log, motion: InertialMotion, body: Carried, time_offse
     )
     lags = min(chunk.covariance.shape[1] for chunk in chunks)
     lagged = np.zeros((LONGEST_LAG + 1, 6))
-    lagged[:lags] = np.mean([chunk.covariance[:, :lags].mean(axis=0) for chunk in chunks], axis=0)
+    lagged[:lags] = np.average(
+        [_correlation(chunk, of_sensor, lags) for chunk in chunks],
+        axis=0,
+        weights=[len(chunk.rows) for chunk in chunks],
+    )
     by_payload = payload_rates(rig, log.payload, twist, acceleration, gravity)
     by_tilt = np.zeros((rows.size, 6, 2))
     if rig.in_gravity:
@@ -208,6 +214,14 @@ def _moved(rig: Rig, log: Log, motion: InertialMotion, body: Carried, time_offse
         tuple(np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()),
         lagged,
     )
+
+
+def _correlation(chunk: InertialChunk, of_sensor: Array, lags: int) -> Array:
+    """(lags, 6) covariance by the motion over the noise, which in chunks of finer knots is many times as large."""
+    noise = chunk.variance + of_sensor
+    there = noise[np.minimum(chunk.lagged[:, None] + np.arange(lags), len(noise) - 1)]
+    correlation: Array = chunk.covariance[:, :lags] / np.sqrt(noise[chunk.lagged][:, None] * there)
+    return correlation.mean(axis=0)
 
 
 def _compared(motion: InertialMotion, log: Log, time_offset: float) -> list[InertialChunk]:
