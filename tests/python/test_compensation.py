@@ -10,16 +10,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tool_cases import a_rig, apart, swing_log
 
 from truewrench.calibrating.pipeline import calibrate
+from truewrench.correction.contact.log import contact
 from truewrench.io.tables import read_log, write_table
+from truewrench.judging.validation import validate
+from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist
+from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.motion.trajectory import HarmonicTwist, attitude
 from truewrench.planning.planner import plan
-from truewrench.robot.compensation import uncompensated
+from truewrench.robot.compensation import subtracted, uncompensated
 from truewrench.simulation.free_body import simulate
+from truewrench.tool.identify import identify_tool
 
 BODY = {"mass": 1.5, "center_of_mass": [0.02, -0.03, 0.11]}
 FALL = [3.0, -5.0, 7.0]
@@ -66,11 +72,77 @@ def test_compensated_log_calibrates_to_the_gain_of_the_raw_one(settings: dict[st
     weight = BODY["mass"] * np.hstack([log.gravity, np.cross(BODY["center_of_mass"], log.gravity)])
     given = log.raw - weight  # payload on sensor, and the identity is nominal
     compensated = replace(log, raw=given.copy())
-    found = calibrate(rig_with(settings, BODY), compensated, held_out=False)
+    found = calibrate(rig_with(settings, BODY, time_offset_prior=0), compensated, held_out=False)
     np.testing.assert_array_equal(compensated.raw, given)
+    raw_rig = rig_with(settings, False, time_offset_prior=0)
     expected = calibrate(raw_rig, log, held_out=False)
     np.testing.assert_allclose(found.gain, expected.gain, atol=1e-9)
     np.testing.assert_allclose(found.offset, expected.offset, atol=1e-7)
+
+
+class Late:
+    """A log whose sensor reads 5 ms late, with the whole wrench and as a driver leaves it."""
+
+    def __init__(self, settings: dict[str, Any], seed: int) -> None:
+        self.body = {"mass": 5.0, "center_of_mass": [0.02, 0.03, 0.1]}
+        changed = deepcopy(settings)
+        changed["payloads"]["default"] = self.body | {
+            "inertia": {"xx": 0.04, "yy": 0.03, "zz": 0.02},
+            "uncertainty": {"mass": 0, "center_of_mass": 0, "inertia": 0},
+        }
+        changed |= {"motion": {"noise": [1e-4] * 6}, "plan": {"duration": 12}, "required": 0.5}
+        changed |= {"gravity_tilt_prior": 0, "simulate": {"time_offset": 5e-3}}
+        good = {"noise": [0.1] * 3 + [0.01] * 3, "discrepancy": 0}
+        self.plain, self.rig = (rig_with(changed, weight, **good) for weight in (False, self.body))
+        self.run = simulate(self.plain, seed=seed)
+        # free fall in sensor axes at the moments that the sensor shows
+        fall = np.array(FALL) @ attitude(self.run.trajectory, self.run.log.time + 5e-3)
+        weight = 5.0 * np.hstack([fall, np.cross(self.body["center_of_mass"], fall)])
+        self.log = replace(self.run.log, raw=self.run.log.raw - weight)
+
+    def nees(self, found: Calibration) -> float:
+        error = (found.gain - self.run.truth.gain).ravel()
+        return float(error @ np.linalg.solve(found.covariance[:36, :36], error)) / 36
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_weight_of_a_sensor_that_is_late_comes_back_where_the_sensor_felt_it(
+    settings: dict[str, Any], seed: int
+) -> None:
+    late = Late(settings, seed)
+    whole = calibrate(late.plain, late.run.log, held_out=False)
+    found = calibrate(late.rig, late.log, held_out=False)
+    assert found.verdict.usable, found.verdict.reasons
+    assert late.nees(found) < late.nees(whole) + 0.2
+    assert found.time_offset == pytest.approx(whole.time_offset, abs=2e-5)
+    assert [one.what.split(",")[0] for one in found.assumed] == ["clock"]  # no filter, nothing slow
+    judged = validate(found, late.rig, late.log)
+    assert judged.verdict.usable, judged.verdict.reasons
+    assert judged.time_offsets[0] == pytest.approx(5e-3, abs=1e-4)
+
+
+def test_weight_comes_back_once_where_a_part_is_held_out(settings: dict[str, Any]) -> None:
+    late = Late(settings, 0)
+    found = calibrate(late.rig, late.log)
+    assert all(axis.held_out for axis in found.improvement.values())
+    assert max(found.figures["held_out"]["nis"].values()) < 1.5
+
+
+def test_a_tool_that_moves_on_a_late_sensor_is_that_of_its_raw_channels() -> None:
+    """Nearly all that moves the channels is weight: they hardly tell the clock while it is added on time."""
+    rig, weighed = (
+        tool_rig(a_rig(motion={"source": "twist", "of": "sensor", "noise": [1e-3] * 6}, sensor=sensor))
+        for sensor in ({}, {"compensated": {"mass": 1.4, "center_of_mass": [0.0, 0.01, 0.09]}})
+    )
+    log = swing_log(rig, 1.5, np.array([0.01, -0.02, 0.08]), 0.004 * np.eye(3), seed=2)
+    assert log.gravity is not None
+    driven = apart(replace(log, raw=log.raw - subtracted(weighed, log.gravity)), 6_000_000)
+    whole, found = identify_tool(rig, apart(log, 6_000_000)), identify_tool(weighed, driven)
+    assert found.verdict.usable, found.verdict.reasons
+    assert found.time_offset == pytest.approx(whole.time_offset, abs=2e-4)
+    assert found.mass == pytest.approx(whole.mass, abs=0.3 * whole.mass_std)
+    chi2 = contact(driven, found).chi2
+    assert np.nanmean(chi2) == pytest.approx(np.nanmean(contact(apart(log, 6_000_000), whole).chi2), rel=0.2)
 
 
 def test_raw_logs_stay_as_they_are(settings: dict[str, Any]) -> None:

@@ -44,8 +44,9 @@ def test_a_weight_that_the_driver_subtracted_is_part_of_the_tool(seed: int, movi
     whole = tw.identify_tool(PLAIN, log)
     tool = tw.identify_tool(tool_rig(a_rig(sensor=SUBTRACTED)), without_weight(log))
     assert tool.verdict.usable
-    assert tool.mass == pytest.approx(whole.mass, rel=1e-6)
-    np.testing.assert_allclose(tool.center_of_mass, whole.center_of_mass, atol=1e-6)
+    sigma = 0.2 if moving else 1e-3  # a motion's clock is found with the weight that was there
+    assert tool.mass == pytest.approx(whole.mass, abs=sigma * whole.mass_std)
+    assert (np.abs(tool.center_of_mass - whole.center_of_mass) < sigma * whole.center_of_mass_std).all()
 
 
 def warm(log: Log, temperature: Array) -> Log:

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.calibrating.hopeless import hopeless, plain_gain
@@ -37,9 +38,11 @@ from truewrench.judging.validation.comparison import (
 from truewrench.model.calibration import Calibration, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.robot.compensation import with_weight_on_time
 
 _RATES = 3  # times that clocks are set
 
+Array = NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
 Show = Callable[[Evidence], None]
 
@@ -65,7 +68,9 @@ def calibrate_from_motion(
     if refused:
         pooled = Pooled(unsolved(rig, logs), places)
     else:
-        logs, pooled = _at_one_rate(rig, logs, threads or 0, online)
+        logs, pooled = with_weight_on_time(
+            rig, logs, lambda weighed: _at_one_rate(rig, weighed, threads or 0, online), _time_offsets
+        )
     estimate = pooled.estimate
     clock.append(time.perf_counter())
     provisional = assemble_motion(rig, logs, estimator, estimate, Verdict(True))
@@ -140,6 +145,13 @@ def _compare_on_unseen(
     left_out = {k: found.rows[k].rows[found.rows[k].masked] for k in known}
     whole = [undisturbed(logs[k], left_out[k], found.steps[k]) for k in known]
     return compare_held_out(rig, whole, without_the_part)
+
+
+def _time_offsets(found: tuple[Sequence[Log], Pooled]) -> tuple[Array, Array]:
+    """Of the logs as they are estimated from, and their 1 sigma."""
+    estimate = found[1].estimate
+    late = np.array([clocks[0].late if clocks else 0.0 for clocks in estimate.clocks])
+    return -late, estimate.time_offsets_std
 
 
 def _at_one_rate(rig: Rig, logs: Sequence[Log], threads: int, online: bool) -> tuple[Sequence[Log], Pooled]:

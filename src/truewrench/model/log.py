@@ -97,6 +97,8 @@ class Log:
         tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
         whitened: fields of which a filter has been undone, as the estimate reads them.
         clock_rate: how much faster than the motion's the sensor's clock ran, undone.
+        weight_offset: how much later than the sensor's stamps the motion was taken by which a weight that the
+            driver had subtracted was added back [s]; None where none was.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
         dropped_rows: rows without any measurement, which are not among the N.
         notes: what is no fault of the log but worth a look.
@@ -123,6 +125,7 @@ class Log:
     tracking: Tracking | None = None
     whitened: Mapping[str, Whitened] = field(default_factory=dict)
     clock_rate: float = 0.0
+    weight_offset: float | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
     notes: tuple[str, ...] = ()

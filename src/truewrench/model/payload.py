@@ -32,8 +32,8 @@ def payload_wrench(
     """Wrench (N, 6) as the sensor feels it, at its origin and with the sign of `sensor.feels`.
 
     The twist (N, 6) and its component-wise derivative are of the logged point (`motion.of`), and like gravity
-    (N, 3), the acceleration of free fall, along the sensor axes. The payload is as stated, or the `body` that it
-    was found to be.
+    (N, 3), the acceleration of free fall, along the sensor axes. The payload is as stated, or the `body` that
+    it was found to be.
     """
     body = body or core_payload(rig.payloads[payload])
     e = lever(rig, payload, body)  # v_C = v + Omega x e, and so for the derivatives

@@ -16,7 +16,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
-from truewrench.robot.compensation import uncompensated
+from truewrench.robot.compensation import uncompensated, with_weight_on_time
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
 from truewrench.tool.bodies import inertia_std, joined, nearest_physical, one_body
@@ -27,7 +27,7 @@ from truewrench.tool.model import Body, Tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.motion import MotionFit, body_start, motion_information
 from truewrench.tool.parameters import ELEMENTS, channel_turn, inertia_of
-from truewrench.tool.poses import split_poses
+from truewrench.tool.poses import Split, split_poses
 from truewrench.tool.prior import make_prior, settings_of, widening, with_known_wrenches
 from truewrench.tool.setup import mistakes_of_motion
 from truewrench.tool.solve import Solution, solve
@@ -114,14 +114,18 @@ def identify_tool(
         rig_or_calibration, rig, mounting_sigma=mounting_sigma, tilt_sigma=tilt_sigma, on=on, known=known
     )
     prior = with_known_wrenches(rig, prior, weighed)
-    split = split_poses(rig, records)
-    if not len(split.poses) and not split.moves:
-        expected = "rows of zero twist seconds apart, dwells of 1.5 s, or two seconds of motion"
-        raise InputError.at(records[0].path, "", "neither poses nor motion", expected)
-    problem = Problem(rig, prior, split.poses, split.end_ns, split.moves)
     report("estimating", None)
+
+    def estimated(whole: Sequence[Log]) -> tuple[Split, Problem, Solution, MotionFit | None]:
+        split = split_poses(rig, whole)
+        if not len(split.poses) and not split.moves:
+            expected = "rows of zero twist seconds apart, dwells of 1.5 s, or two seconds of motion"
+            raise InputError.at(records[0].path, "", "neither poses nor motion", expected)
+        return split, *_solved(Problem(rig, prior, split.poses, split.end_ns, split.moves), threads)
+
     with threadpool_limits(1, "blas"):  # of small matrices: on two cores threads take 15 times as long
-        problem, solution, motion = _solved(problem, threads)
+        found = with_weight_on_time(rig, records, estimated, lambda found: _time_offsets(found[-1]))
+        split, problem, solution, motion = found
         solution = replace(solution, covariance=solution.covariance * widening(prior.gain_std))
         report("holding poses out", None)
         left = held_out(problem, solution)
@@ -140,6 +144,12 @@ def identify_tool(
     if evidence is not None:
         evidence(Evidence(solution, motion, left.details))
     return _tool(rig, solution, motion, judged, left.figures, flange, housing, records, split.end_ns, on)
+
+
+def _time_offsets(motion: MotionFit | None) -> tuple[FloatArray, FloatArray]:
+    """One for all logs, and its 1 sigma [s]; at rest none is felt."""
+    at, std = (0.0, 0.0) if motion is None else motion.time_offset
+    return np.array([at]), np.array([std])
 
 
 def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, MotionFit | None]:

@@ -15,7 +15,8 @@ from truewrench.robot.arm import BaseMotion, robot_of, rotation_of
 
 Columns = Mapping[str, Array]
 
-_HELD = 0.1  # [s] that positions of joints are carried on by velocities
+HELD = 0.1
+"""[s] that positions of joints are carried on by velocities, and a direction of gravity by Omega."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +119,7 @@ class MotionColumns:
                 self._q, self._q_time = q[k].copy(), int(time_ns[k])
             elif np.isfinite(qd[k]).all():
                 since = 1e-9 * (int(time_ns[k]) - self._q_time)
-                q[k] = self._q + since * qd[k] if since <= _HELD else np.nan
+                q[k] = self._q + since * qd[k] if since <= HELD else np.nan
         twist, fall = np.full((count, 6), np.nan), np.full((count, 3), np.nan)
         turn, noise = np.full((count, 9), np.nan), np.full((count, 36), np.nan)
         told = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)

@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from truewrench import _core
-from truewrench.correction.contact.motion import Columns, MotionColumns
+from truewrench.correction.contact.motion import HELD, Columns, MotionColumns, MotionRows
 from truewrench.correction.warmth import Warmth
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
+from truewrench.robot.compensation import subtracted
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import channel_turn
 
@@ -23,6 +25,7 @@ DELAY = 0.01
 CAPACITY = 32768
 """Rows after which one that has no wrench will never have one."""
 
+_UNTOLD = (0, np.full(3, np.nan), np.zeros(3))  # stamp, free fall, Omega
 NEWEST_WINDOW = 0.02  # [s] of the kernels without delay
 LONGEST = 1.0  # [s] of a delay
 
@@ -147,7 +150,8 @@ class ContactRun:
             raise InputError.at(None, "--delay", f"{delay:g}", f"seconds from 0 to {LONGEST:g}")
         self.motion = MotionColumns(tool.rig, names, place)
         self._view, self._n, self._rig = view or View(), tool.n, tool.rig
-        self._place, self._delay = place, delay
+        self._place, self._delay, self._time_offset = place, delay, tool.time_offset
+        self._told = _UNTOLD
         if self._view.axes == "base" and not self.motion.attitude_known:
             expected = "joints, or the attitude qw qx qy qz: gravity alone leaves the turn about it open"
             raise InputError.at(place, "--axes", "`base` without an attitude", expected)
@@ -200,12 +204,28 @@ class ContactRun:
             expected = f"less than {_core.FARTHEST_NS} ns on either side of zero"
             raise InputError.at(self._place, "time", f"{time_ns[late[0]]} ns", expected)
         motion = self.motion.read(time_ns, columns)
-        raw = self._with_weight(raw, motion.fall)
+        if self._rig.sensor.subtracted is not None:
+            raw = raw + subtracted(self._rig, self._fall_felt(time_ns, motion))
         untold = np.full(len(time_ns), np.nan)
         celsius = self._warmth.held(columns.get("temperature", untold) if self._warm else untold)
         args = (raw, motion.twist, motion.fall, motion.turn, celsius, motion.noise)
         stamps = np.ascontiguousarray(time_ns, dtype=np.int64)
         return self._seen(self._rows.feed(stamps, *map(np.ascontiguousarray, args)))
+
+    def _fall_felt(self, time_ns: NDArray[np.int64], motion: MotionRows) -> Array:
+        """Free fall (N, 3) where the motion was at the sensor's stamps, turned on from its last row."""
+        known = np.isfinite(motion.fall).all(axis=1) & np.isfinite(motion.twist[:, 3:]).all(axis=1)
+        stamps = np.append(self._told[0], time_ns)
+        fall, omega = (
+            np.vstack([before, values])
+            for before, values in zip(self._told[1:], (motion.fall, motion.twist[:, 3:]), strict=True)
+        )
+        last = np.maximum.accumulate(np.append(0, np.where(known, np.arange(1, known.size + 1), 0)))
+        self._told = stamps[last[-1]], fall[last[-1]], omega[last[-1]]
+        last = last[1:]
+        since = 1e-9 * (time_ns - stamps[last])
+        turned = Rotation.from_rotvec(-omega[last] * (since + self._time_offset)[:, None]).apply(fall[last])
+        return np.where(since[:, None] <= HELD, turned, np.nan)
 
     def finish(self) -> Contacts:
         """Those of the rows that still waited for others.
@@ -223,6 +243,7 @@ class ContactRun:
         """As if no row had come yet, where stamps begin again; what tares have taught stays."""
         self._rows.restart()
         self.motion.restart()
+        self._told = _UNTOLD
 
     def events(self) -> list[ContactEvent]:
         """Contacts that have ended since the last call."""
@@ -247,16 +268,6 @@ class ContactRun:
             wrench = np.einsum("kij,kj->ki", X, wrench)
             covariance = X @ covariance @ X.transpose(0, 2, 1)
         return Contacts(rows.astype(np.int64), time_ns.astype(np.int64), wrench, covariance, chi2)
-
-    def _with_weight(self, raw: Array, fall: Array) -> Array:
-        """The channels with the weight that the driver has subtracted."""
-        sensor = self._rig.sensor
-        body = sensor.subtracted
-        if body is None:
-            return raw
-        weight = np.hstack([body.mass * fall, body.mass * np.cross(np.array(body.center_of_mass), fall)])
-        whole: Array = raw + sensor.sign * weight @ sensor.nominal_gain_array.T
-        return whole
 
 
 def contact_settings(

@@ -26,7 +26,6 @@ from truewrench.model.files import write_yaml
 from truewrench.model.log import Log
 from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
-from truewrench.robot.compensation import uncompensated
 from truewrench.robot.track import tracked
 
 FORMAT = "truewrench-validation/1"
@@ -168,7 +167,7 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
         if rig.payloads[log.payload].unknown:
             expected = "a known payload, by which the gains are compared"
             raise InputError.at(rig.path, f"payloads.{log.payload}", "an unknown body", expected)
-    records = uncompensated(rig, tracked(rig, records))
+    records = tracked(rig, records)
     parts = [residuals(calibration, rig, log) for log in records]
     used = {report.sha256 for report in calibration.logs if report.sha256}
     axes = _axes(calibration, parts, seed)

@@ -101,7 +101,7 @@ def axis_covariance(joint: Array, axis: int) -> Array:
     return joint[np.ix_(at, at)]
 
 
-def _at(axis: int, size: int) -> NDArray[np.int64]:
+def _at(axis: int, size: int) -> Integers:
     return np.append(np.arange(6 * axis, 6 * axis + 6), np.arange(36, size))
 
 

@@ -25,6 +25,7 @@ from truewrench.model.log import Log
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
+from truewrench.robot.compensation import subtracted, uncompensated
 
 LONGEST_LAG = 60
 """Rows over which the correlation in time, which the motion brings, is followed."""
@@ -65,15 +66,15 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     Against the wrench by the motion, or against reference wrenches where the log has them.
     """
     log, _ = with_reference_on_time(rig, log)
-    compensated = at_reference_temperature(calibration.offset_temperature, calibration.rig, log)
     by_another = _by_motion if log.reference is None else _by_reference
+    compensated = at_reference_temperature(calibration.offset_temperature, calibration.rig, log)
     known = by_another(calibration, rig, compensated)
     sensor = rig.sensor
     inverse = np.nan_to_num(calibration.inverse)
     nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
     wrench, by_payload, by_tilt = known.wrench, known.by_payload, known.by_tilt
-    old = log.raw[known.rows] @ nominal_inverse.T - wrench
-    new = compensated.raw[known.rows] @ inverse.T - wrench
+    old = (log.raw[known.rows] + known.weight) @ nominal_inverse.T - wrench
+    new = (compensated.raw[known.rows] + known.weight) @ inverse.T - wrench
     if tared(rig):
         old, new, wrench, by_payload, by_tilt = (
             x - x.mean(axis=0) for x in (old, new, wrench, by_payload, by_tilt)
@@ -104,6 +105,7 @@ class _Known:
     """The payload's wrench at M rows of a log, by something else than the sensor."""
 
     rows: Integers
+    weight: Array  # (M, n) channels of what the driver subtracted
     wrench: Array  # (M, 6)
     variance: Array  # (M, 6)
     begin: tuple[int, ...]
@@ -119,30 +121,33 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     """With gravity's tilt and the clock as the log's own residuals ask for them, under their priors."""
     sensor, inverse = rig.sensor, np.nan_to_num(calibration.inverse)
     body = carried(calibration, rig, log.payload)
-    motion = InertialMotion(rig, log, body.body)
     at = calibration.time_offset + log.advance()
+    [whole] = uncompensated(rig, [log], at)
+    motion = InertialMotion(rig, whole, body.body)
     of_sensor = inverse**2 @ sensor.noise_array**2
     moved = _moved(rig, log, motion, body, at, of_sensor)
+    rate = moved.rate - subtracted(rig, moved.fall_rate) @ inverse.T
     prior = np.array([rig.gravity_tilt_prior, rig.gravity_tilt_prior, sensor.time_offset_prior])
     own, P = fitted(
         joint_covariance(calibration, [body]),
         prior,
-        log.raw[moved.rows] @ inverse.T - moved.wrench,
+        whole.raw[moved.rows] @ inverse.T - moved.wrench,
         moved.wrench,
         moved.by_payload,
-        np.concatenate([moved.by_tilt, moved.rate[..., None]], axis=2),
+        np.concatenate([moved.by_tilt, rate[..., None]], axis=2),
         moved.variance + of_sensor,
     )
-    tilt, at = own[:2], at + float(own[2])
-    if own[2] != 0.0:
-        moved = _moved(rig, log, motion, body, at, of_sensor)
+    tilt, later = own[:2], float(own[2])
+    if later != 0.0:
+        moved = _moved(rig, log, motion, body, at + later, of_sensor)
     return _Known(
         moved.rows,
+        (whole.raw - log.raw)[moved.rows] + later * subtracted(rig, moved.fall_rate),
         moved.wrench + moved.by_tilt @ tilt,
         moved.variance,
         moved.begin,
         moved.lagged,
-        at,
+        at + later,
         moved.by_payload,
         moved.by_tilt @ factor(P[:2, :2]),
         tilt,
@@ -155,25 +160,27 @@ def _by_reference(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     if rig.reference_noise is None:
         expected = "six numbers, 1 sigma of ref_fx ... ref_mz, which the log has"
         raise InputError.at(rig.path, "reference_noise", "nothing", expected)
-    rows = np.flatnonzero(np.isfinite(log.raw).all(axis=1) & np.isfinite(log.reference).all(axis=1))
+    [whole] = uncompensated(rig, [log])
+    rows = np.flatnonzero(np.isfinite(whole.raw).all(axis=1) & np.isfinite(log.reference).all(axis=1))
     if rows.size < 2 * _FEWEST:
         found = f"{rows.size} rows with raw channels and reference"
         raise InputError.at(log.path, "", found, f"at least {2 * _FEWEST}")
     variance = np.broadcast_to(np.square(rig.reference_noise), (rows.size, 6))
     lagged = np.zeros((LONGEST_LAG + 1, 6))  # white
     none = np.zeros((rows.size, 6, 0))
-    wrench, time_offset = log.reference[rows], calibration.time_offset
-    return _Known(rows, wrench, variance, (0,), lagged, time_offset, none, none)
+    wrench, time_offset, weight = log.reference[rows], calibration.time_offset, (whole.raw - log.raw)[rows]
+    return _Known(rows, weight, wrench, variance, (0,), lagged, time_offset, none, none)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moved:
     """The wrench of a body by its motion at M rows of a log, and its derivatives."""
 
-    rows: NDArray[np.int64]
+    rows: Integers
     wrench: Array  # (M, 6)
     variance: Array  # (M, 6)
     rate: Array  # (M, 6) by time
+    fall_rate: Array  # (M, 3) of free fall in sensor axes, likewise
     by_payload: Array  # (M, 6, 10)
     by_tilt: Array  # (M, 6, 2) by gravity's tilt, zero on orbit
     begin: tuple[int, ...]
@@ -209,6 +216,7 @@ def _moved(
         wrench,
         variance,
         rate,
+        np.cross(gravity, twist[:, 3:]),
         by_payload * rig.sensor.range_array[:, None],
         by_tilt,
         tuple(np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()),
@@ -217,11 +225,11 @@ def _moved(
 
 
 def _correlation(chunk: InertialChunk, of_sensor: Array, lags: int) -> Array:
-    """(lags, 6) covariance by the motion over the noise, which in chunks of finer knots is many times as large."""
+    """(lags, 6) covariance by the motion over the noise: chunks of finer knots have many times as much."""
     noise = chunk.variance + of_sensor
     there = noise[np.minimum(chunk.lagged[:, None] + np.arange(lags), len(noise) - 1)]
-    correlation: Array = chunk.covariance[:, :lags] / np.sqrt(noise[chunk.lagged][:, None] * there)
-    return correlation.mean(axis=0)
+    correlation = chunk.covariance[:, :lags] / np.sqrt(noise[chunk.lagged][:, None] * there)
+    return np.asarray(correlation.mean(axis=0))
 
 
 def _compared(motion: InertialMotion, log: Log, time_offset: float) -> list[InertialChunk]:
