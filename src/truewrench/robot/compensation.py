@@ -40,11 +40,12 @@ def uncompensated(rig: Rig, logs: Sequence[Log], time_offset: float | Array = 0.
 
         raw += nominal_gain @ w,     w = feels * m [g; c x g]                    (METHOD 3 without motion)
 
-    with g in sensor axes where the motion was at the sensor's stamp, t_motion = t_sensor + `time_offset` of all
-    logs or one each [s], interpolated between the rows that tell it. How late the driver was with its own g is
-    not known. Samples at which g is not known (before its first row, after its last, in a gap) become NaN, and
-    a note says how many; that nothing tells it anywhere is an InputError. Logs that are given stay as they are;
-    one that has the weight at another time offset gets it at this one. Those of joints have their tracking.
+    with g in sensor axes where the motion was at the sensor's stamp, t_motion = t_sensor + `time_offset` of
+    all logs or one each [s], interpolated between the rows that tell it. How late the driver was with its
+    own g is not known. Samples at which g is not known (before its first row, after its last, in a gap)
+    become NaN, and a note says how many; that nothing tells it anywhere is an InputError. Logs that are given
+    stay as they are; one that has the weight at another time offset gets it at this one. Those of joints
+    have their tracking.
     """
     if rig.sensor.subtracted is None:
         return list(logs)

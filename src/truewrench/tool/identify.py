@@ -146,7 +146,7 @@ def identify_tool(
     return _tool(rig, solution, motion, judged, left.figures, flange, housing, records, split.end_ns, on)
 
 
-def _time_offsets(motion: MotionFit | None) -> tuple[FloatArray, FloatArray]:
+def _time_offsets(motion: MotionFit | None) -> tuple[Array, Array]:
     """One for all logs, and its 1 sigma [s]; at rest none is felt."""
     at, std = (0.0, 0.0) if motion is None else motion.time_offset
     return np.array([at]), np.array([std])

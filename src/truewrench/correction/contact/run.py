@@ -212,7 +212,7 @@ class ContactRun:
         stamps = np.ascontiguousarray(time_ns, dtype=np.int64)
         return self._seen(self._rows.feed(stamps, *map(np.ascontiguousarray, args)))
 
-    def _fall_felt(self, time_ns: NDArray[np.int64], motion: MotionRows) -> Array:
+    def _fall_felt(self, time_ns: Integers, motion: MotionRows) -> Array:
         """Free fall (N, 3) where the motion was at the sensor's stamps, turned on from its last row."""
         known = np.isfinite(motion.fall).all(axis=1) & np.isfinite(motion.twist[:, 3:]).all(axis=1)
         stamps = np.append(self._told[0], time_ns)

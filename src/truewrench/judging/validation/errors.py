@@ -4,25 +4,19 @@ The payload that a calibration was made with is taken as the calibration found i
 the body is in its gain as well, so that the two are held against a log with their covariance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from truewrench import _core
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.payload import core_payload
 from truewrench.model.rig import Rig
 from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS
-
-__all__ = ["Carried", "axis_covariance", "carried", "factor", "fitted", "joint_covariance", "was_seen"]
-
-Array = NDArray[np.float64]
 
 _BODY = {f"{key}{std}" for key in ("mass", "center_of_mass", "inertia") for std in ("", "_std")}
 _TOGETHER = {"covariance", "covariance_with_gain"}
@@ -98,7 +92,7 @@ def joint_covariance(calibration: Calibration, payloads: Sequence[Carried]) -> A
 def axis_covariance(joint: Array, axis: int) -> Array:
     """Of the errors that act on one wrench axis: (6 + 10 k, ...)."""
     at = _at(axis, len(joint))
-    return joint[np.ix_(at, at)]
+    return np.asarray(joint[np.ix_(at, at)])
 
 
 def _at(axis: int, size: int) -> Integers:
