@@ -492,3 +492,12 @@ def test_on_orbit_a_motion_is_planned_whose_promise_logs_of_mujoco_keep(tmp_path
         error = [tool.mass - spec.mass, *(tool.center_of_mass - spec.center_of_mass_array)]
         error += list(tool.inertia - inertia)
         assert (np.abs(error) < 4.0 * promised).all(), np.array(error) / promised
+
+
+def test_a_body_that_turns_far_keeps_to_its_limits_between_the_nodes() -> None:
+    """Made smaller, this motion turns faster about x: it is planned anew within tighter limits."""
+    limits = {"velocity": [0.38] * 3 + [2.49] * 3, "acceleration": [2.52] * 3 + [3.9] * 3}
+    plan = {"duration": 6, "rate": 100, "harmonics": 3, "seed": 2}
+    motion = {"noise": [1e-3] * 6}
+    found = plan_tool(tool_rig(a_rig(limits=limits, plan=plan, motion=motion)), motion=True)
+    assert found.violations == ()

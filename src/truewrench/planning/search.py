@@ -95,13 +95,18 @@ def search(
         )
     best, tight = min(optima, key=lambda optimum: optimum.merit), limits
     iterations = sum(optimum.iterations for optimum in optima) - best.iterations
+
+    def looked(solution: Solution) -> list[Usage]:
+        return check(motion_of(solution))
+
     seen: list[tuple[float, Solution]] = []
     for k in range(_ROUNDS + 1):
-        usage = check(motion_of(best))
-        size = _size_within(usage, check(motion_of(_scaled(best, 0.0))))
+        usage = looked(best)
+        size = _size_within(usage, looked(_scaled(best, 0.0)))
+        within = _shrunk(best, looked) if size >= 1.0 - effort.excess else None
         # sigma grows as the motion is made smaller until it keeps to the limits
-        seen.append((best.value - float(np.log(max(size, 1e-3))), best))
-        if size >= 1.0 - effort.excess or k == _ROUNDS:
+        seen.append((best.value - float(np.log(max(size, 1e-3))), within or best))
+        if within is not None or k == _ROUNDS:
             break
         progress("limits between the nodes", k / _ROUNDS)
         exceeded = {use.limit for use in usage if use.share > 1.0} & set(_KINDS)
@@ -112,8 +117,9 @@ def search(
             tight = tight.tightened(usage)
         best = solve(problem, best, tight, iterations=effort.again, warm=True, rounds=effort.rounds + 2)
     iterations += best.iterations
-    best = min(seen, key=lambda found: found[0])[1]  # a round may end further from the limits than it began
-    best = _shrunk(best, lambda solution: check(motion_of(solution)))
+    # a round may end further from the limits than it began
+    likely = [solution for _, solution in sorted(seen, key=lambda found: found[0])]
+    best = next((kept for kept in (_shrunk(one, looked) for one in likely) if kept is not None), likely[0])
     return Found(
         motion_of(best),
         tuple(optimum.criterion for optimum in optima),
@@ -122,10 +128,11 @@ def search(
     )
 
 
-def _shrunk(solution: Solution, check: Callable[[Solution], list[Usage]]) -> Solution:
+def _shrunk(solution: Solution, check: Callable[[Solution], list[Usage]]) -> Solution | None:
     """The motion, smaller about its start where it exceeds a limit, as little as keeps to all of them.
 
-    As it is where it would have to be much smaller.
+    None where it would have to be much smaller, or does not come nearer: a body that turns far may turn
+    faster about an axis of its own.
     """
     rest = check(_scaled(solution, 0.0))
 
@@ -139,11 +146,13 @@ def _shrunk(solution: Solution, check: Callable[[Solution], list[Usage]]) -> Sol
     for k in range(_TRIES):  # where use falls more slowly than linearly, equal steps would never arrive
         low *= (1.0 - min(2.0**k * more, 1.0)) * (1.0 - _SPARE)
         if low < _SMALLEST:
-            return solution
+            return None
         more = room(low)
         if more == 0.0:
             break
         high = low
+    else:
+        return None
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if room(middle) == 0.0 else (low, middle)
