@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from truewrench.model.log import Log
     from truewrench.model.rig import Rig, load_rig
     from truewrench.model.rig.ati_cal import AtiCalibration, read_ati_cal
+    from truewrench.model.rig.tool_rig import load_tool_rig
     from truewrench.planning.planner import plan
     from truewrench.planning.result import Plan
     from truewrench.report.page import write_report
@@ -57,6 +58,7 @@ _HOMES = {
     "identify_tool": "tool.identify",
     "load_calibration": "model.calibration",
     "load_rig": "model.rig",
+    "load_tool_rig": "model.rig.tool_rig",
     "plan": "planning.planner",
     "read_ati_cal": "model.rig.ati_cal",
     "read_log": "io.tables",
@@ -87,6 +89,7 @@ __all__ = [
     "identify_tool",
     "load_calibration",
     "load_rig",
+    "load_tool_rig",
     "plan",
     "read_ati_cal",
     "read_log",

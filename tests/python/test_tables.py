@@ -183,7 +183,7 @@ def test_parquet_cell_is_named_by_row_and_column(cells: Cells, rig: Rig, tmp_pat
         ({"time_ns": None}, r"header: found no time \(nearest column: "),
         ({"raw_6": ["1"] * 10}, r"column `raw_6`: found one raw channel too many, expected the 6 channels"),
         ({"wy": [""] * 10}, r"column `wy`: found not one number"),
-        ({"raw_1": ["nan"] * 10}, r"column `raw_1`: found not one number"),
+        ({f"raw_{i}": ["nan"] * 10 for i in range(6)}, r"column `raw_0`: found not one number"),
     ],
 )
 def test_wrong_columns_are_named(
@@ -192,6 +192,13 @@ def test_wrong_columns_are_named(
     columns = {name: column for name, column in (cells | change).items() if column is not None}
     with pytest.raises(InputError, match=rf"run\.csv: {message}"):
         read_log(csv_of(columns), rig)
+
+
+def test_a_channel_that_is_silent_is_read(cells: Cells, csv_of: CsvOf, rig: Rig) -> None:
+    log = read_log(csv_of(cells | {"raw_1": [""] * 10}), rig)
+    assert np.isnan(log.raw[:, 1]).all()
+    with pytest.raises(InputError, match=r"column `raw_1`: found not one number, expected samples of every"):
+        log.check_channels()
 
 
 @pytest.mark.parametrize(("rows", "found"), [(0, "no row"), (1, "one row")])

@@ -13,7 +13,7 @@ from tool_cases import Array, a_rig, apart, as_imu, pose_log, swing_log, tour_lo
 
 import truewrench as tw
 from truewrench.model.log import Log
-from truewrench.model.rig.tool_rig import load_tool_rig, tool_rig
+from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.model.split import rows_of
 from truewrench.tool.identify import Evidence
 from truewrench.tool.poses import split_poses
@@ -100,7 +100,7 @@ def test_moves_between_poses_walk_with_them() -> None:
 @pytest.mark.parametrize("step", [0.0, 4e-4], ids=["noise", "steps of an encoder"])
 def test_positions_alone_tell_where_an_arm_dwells(step: float) -> None:
     rng = np.random.default_rng(2)
-    rig = load_tool_rig(tw.robots.path("ur10_tool"))
+    rig = tw.load_tool_rig(tw.robots.path("ur10_tool"))
     s = np.linspace(0.0, 1.0, 150)
     there = rng.uniform(-1.0, 1.0, (8, 6))
     q = [np.repeat(there[:1], 250, axis=0)]

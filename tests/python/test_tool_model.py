@@ -17,6 +17,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.files import read_yaml, write_yaml
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import GAIN_PRIOR, TILT_PRIOR, load_tool_rig, tool_rig
+from truewrench.planning.tool.plan import plan_tool
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model import read_tool
 from truewrench.tool.model_rows import about_center
@@ -29,6 +30,7 @@ from truewrench.tool.parameters import (
     symmetric,
     tilted,
 )
+from truewrench.tool.prior import settings_of
 from truewrench.tool.words import correlations
 
 
@@ -139,6 +141,23 @@ def test_a_rig_for_an_unknown_tool_needs_neither_payloads_nor_a_motion(tmp_path:
     )
     stated = tool_rig(a_rig(gravity_tilt_prior=0.01, required="whatever", sensor={"gain_prior": 0.05}))
     assert (stated.sensor.gain_prior, stated.gravity_tilt_prior) == (0.05, 0.01)
+
+
+def test_a_twist_of_the_centre_of_mass_that_nobody_knows_is_refused(tmp_path: Path) -> None:
+    twist = {"source": "twist", "noise": [1e-3] * 6}
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(a_rig(motion={**twist, "of": "com"})))
+    with pytest.raises(InputError, match=r"rig\.yaml: motion\.of: found `com`, expected `sensor`, or no"):
+        load_tool_rig(path)
+    body = {"mass": 1, "center_of_mass": [0, 0, 0.1], "inertia": {"xx": 0.01, "yy": 0.01, "zz": 0.01}}
+    stated, silent = (
+        Rig.from_mapping(a_rig(motion=motion, payloads={"default": body}))
+        for motion in ({**twist, "of": "com"}, twist)
+    )
+    for refuses in (settings_of, plan_tool):
+        with pytest.raises(InputError, match=r"motion\.of: found `com`"):
+            refuses(stated)
+    assert settings_of(silent).motion.of == "sensor"
 
 
 def test_what_widens_the_gain_of_a_motion_leaves_its_most_likely_point_where_it_was() -> None:

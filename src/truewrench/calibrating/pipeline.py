@@ -116,6 +116,8 @@ def _from_known_wrench(
     rig: Rig, logs: Sequence[Log], held_out: bool, report: Progress, show: Show
 ) -> Calibration:
     report("estimating (reference wrenches)", None)
+    for log in logs:
+        log.check_channels()
     clock = [time.perf_counter()]
     on_time = [with_reference_on_time(rig, log) for log in logs]
     logs, clocks = [log for log, _ in on_time], [found for _, found in on_time]

@@ -159,12 +159,17 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     if len(time_ns) < 2:
         found = "no row" if len(time_ns) == 0 else "one row"
         raise InputError.at(path, "", found, "at least two rows below the header")
-    kept = np.zeros(len(time_ns), dtype=np.bool_)
+    kept, said = np.zeros(len(time_ns), dtype=np.bool_), []
     for name, values in columns.items():
         there = ~np.isnan(values)
-        if not there.any():
-            raise InputError.at(path, f"column `{name}`", "not one number", "a number in at least one row")
+        if there.any():
+            said.append(name)
         kept |= there
+    # a channel that is silent beside others is for the verdict
+    any_channel = not set(groups["raw"]).isdisjoint(said)
+    for name in columns:
+        if name not in said and not (any_channel and name in groups["raw"]):
+            raise InputError.at(path, f"column `{name}`", "not one number", "a number in at least one row")
     if kept.sum() < 2:
         raise InputError.at(path, "", "a measurement in one row only", "at least two rows with measurements")
     if not kept.all():

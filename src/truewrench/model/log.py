@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline, CubicSpline
 
 from truewrench.model.arrays import Array, Integers
+from truewrench.model.errors import InputError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +130,17 @@ class Log:
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
     notes: tuple[str, ...] = ()
+
+    def check_channels(self) -> None:
+        """Refuse a channel without any sample where a wrench is needed, which takes all of them.
+
+        Raises:
+            InputError: naming it.
+        """
+        for i, channel in enumerate(self.raw.T):
+            if not np.isfinite(channel).any():
+                expected = "samples of every channel"
+                raise InputError.at(self.path, f"column `raw_{i}`", "not one number", expected)
 
     @property
     def time(self) -> Array:

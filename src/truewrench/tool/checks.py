@@ -62,13 +62,14 @@ def check_options(
 
 
 def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
-    """Refuse units of degrees, free fall of another size than the rig's, joints that no arm moves so."""
+    """Refuse silent channels, degrees, free fall of another size than the rig's, joints of no arm."""
     stated = float(np.linalg.norm(rig.gravity_array))
     if stated == 0.0 and not any(log.twist is not None or log.position is not None for log in logs):
         raise InputError.at(rig.path, "gravity", "0", "gravity, which poses need")
     for log in logs:
         if not len(log.time_ns):
             raise InputError.at(log.path, "", "no row", "poses, or a motion")
+        log.check_channels()
         if log.gravity is not None and log.attitude is None and rig.motion.source != "joints":
             size = float(np.nanmedian(np.linalg.norm(log.gravity, axis=1)))
             if abs(size - stated) > _OTHER_GRAVITY * max(stated, 1.0):

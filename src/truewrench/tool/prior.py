@@ -47,6 +47,7 @@ def settings_of(source: Rig | Calibration) -> Rig:
         data = source.rig.to_mapping()
         if data.get("gravity_tilt_prior") == _RIG_TILT:
             data.pop("gravity_tilt_prior")
+        data.get("motion", {}).pop("of", None)  # of the logs that were calibrated with
         path = source.rig.path
     else:
         if tuple(source.payloads) == (UNKNOWN,):
@@ -56,6 +57,8 @@ def settings_of(source: Rig | Calibration) -> Rig:
             data["sensor"].pop("gain_prior")
         if "gravity_tilt_prior" not in source.model_fields_set:
             data.pop("gravity_tilt_prior")
+        if "of" not in source.motion.model_fields_set:
+            data.get("motion", {}).pop("of", None)
     return tool_rig(data, path)
 
 

@@ -160,6 +160,8 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     _check_same_sensor(calibration, rig)
+    for log in records:
+        log.check_channels()
     moving = [log for log in records if log.reference is None]
     if moving:
         rig.check_motion("by which a calibration is validated")

@@ -27,11 +27,15 @@ _MOTION = {"source": "twist", "of": "sensor", "noise": [1e-3] * 6}  # poses alon
 def tool_rig(data: Any, path: str | Path | None = None) -> Rig:
     """Validate settings for an unknown tool: one payload, a placeholder named `UNKNOWN`.
 
-    A twist is that of the sensor's origin: the point at an unknown centre of mass could not have been logged.
-    `payloads`, `required` and `motion` may be absent.
+    A twist is that of the sensor's origin, stated or not: the point at an unknown centre of mass could not have
+    been logged. `payloads`, `required` and `motion` may be absent; errors as of `Rig.from_mapping`.
     """
     if not isinstance(data, Mapping):
         raise InputError.at(path, "", shown(data), "a mapping with a sensor")
+    motion = data.get("motion")
+    if isinstance(motion, Mapping) and motion.get("of") == "com":
+        expected = "`sensor`, or no `of`: the centre of mass of a tool that is not known cannot be logged"
+        raise InputError.at(path, "motion.of", "`com`", expected)
     return Rig.from_mapping(_relaxed(data), path)
 
 
