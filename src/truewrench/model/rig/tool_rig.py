@@ -27,8 +27,8 @@ _MOTION = {"source": "twist", "of": "sensor", "noise": [1e-3] * 6}  # poses alon
 def tool_rig(data: Any, path: str | Path | None = None) -> Rig:
     """Validate settings for an unknown tool: one payload, a placeholder named `UNKNOWN`.
 
-    A twist is that of the sensor's origin, stated or not: the point at an unknown centre of mass could not have
-    been logged. `payloads`, `required` and `motion` may be absent; errors as of `Rig.from_mapping`.
+    A twist is that of the sensor's origin, stated or not: the point at an unknown centre of mass could not
+    have been logged. `payloads`, `required` and `motion` may be absent; errors as of `Rig.from_mapping`.
     """
     if not isinstance(data, Mapping):
         raise InputError.at(path, "", shown(data), "a mapping with a sensor")
