@@ -47,7 +47,7 @@ UNSEEN = 0.98  # of the prior variance: a direction that uncertain has not been 
 NAMED = 0.05  # share of the odds from which on a hypothesis is worth naming
 MOST = 3  # hypotheses that are named
 NEGLIGIBLE = 20.0  # nats: what is less likely by so much is not pursued: tolerance
-GROSS, SURE = 1.5, 6.0  # of nominal, and of the prior's sigma, that some gain is off: no turn, no late clock
+GROSS, FAR = 1.5, 6.0  # of nominal, and of the prior's sigma, that some gain is off: no turn, no late clock
 LOST = 10.0  # times the stated noise of the sensor, from which on the estimate describes nothing: tolerance
 SAME = 1e-9  # of a determinant: tolerance
 SHORTLIST = 12  # signed permutations of each family that are evaluated in full: tolerance
@@ -136,7 +136,7 @@ def gross_errors(rig: Rig, logs: Sequence[Log], gain: Array, covariance: Array) 
     sensor, names = rig.sensor, list(dict.fromkeys(log.payload for log in logs))
     unit = sensor.range_array / sensor.channel_scale[:, None]
     apart = float(np.abs((gain - sensor.nominal_gain_array) * unit).max())
-    if not apart > max(GROSS, SURE * sensor.gain_prior):
+    if not apart > max(GROSS, FAR * sensor.gain_prior):
         return ()
     n = sensor.n
     P = covariance[: 6 * n, : 6 * n] * np.outer(unit, unit)

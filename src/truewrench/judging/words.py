@@ -324,7 +324,11 @@ def _steps(
         i = int(np.argmax(np.abs(step.size)))
         name, size = rig.sensor.channels[i], float(step.size[i])
         words = f"the offset of {name} steps by {100 * size:.2g}% of range at {step.time:.4g} s"
-        what = _what(("step", *_part_of(estimate, k, size, slow)), "of the offset, fraction of range")
+        part = _part_of(estimate, k, size, slow)
+        if step.time > (1.0 - _core.MOST_LOST) * float(estimate.rows[k].time[-1]):
+            words += "; a contact that lasts to the end looks the same, and the offset is then the one before"
+            part = ("contact", *part[: MOST - 2])
+        what = _what(("step", *part), "of the offset, fraction of range")
         where = f"{log_name(logs, k)}, {step.time:.4g} s, channel {name}"
         yield Assumed(what, where, size, float(step.std[i]), words)
 
