@@ -323,8 +323,11 @@ def test_what_cannot_be_compared_is_refused() -> None:
         validate(calibration, rig_of(sensor={"feels": "sensor_on_payload"}), log)
     with pytest.raises(InputError, match="no twist"):
         validate(calibration, rig, replace(log, twist=None))
-    with pytest.raises(InputError, match="no stretch"):
-        validate(calibration, rig, replace(log, raw=np.full_like(log.raw, np.nan)))
+    silent, short = log.raw.copy(), log.raw.copy()
+    silent[:, 2], short[20:] = np.nan, np.nan
+    for raw, message in ((silent, "column `raw_2`: found not one number"), (short, "no stretch")):
+        with pytest.raises(InputError, match=message):
+            validate(calibration, rig, replace(log, raw=raw))
     with pytest.raises(InputError, match="no log"):
         validate(calibration, rig, [])
     flat = validate(replace(calibration, inverse=np.full((6, 6), np.nan)), rig, log)
