@@ -7,10 +7,10 @@ namespace truewrench {
 
 // [x] with [x] y = x cross y.
 inline Matrix3 cross_matrix(const Vector3& x) {
-  Matrix3 m;
-  m << 0.0, -x.z(), x.y(),  //
-      x.z(), 0.0, -x.x(),   //
-      -x.y(), x.x(), 0.0;
+  Matrix3 m = Matrix3::Zero();
+  m(2, 1) = x[0], m(1, 2) = -x[0];
+  m(0, 2) = x[1], m(2, 0) = -x[1];
+  m(1, 0) = x[2], m(0, 1) = -x[2];
   return m;
 }
 

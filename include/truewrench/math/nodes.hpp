@@ -51,13 +51,17 @@ void diagonalise(double (&a)[N][N], double (&v)[N][N]) {
 template <int kNodes>
 class Nodes {
  public:
-  void reserve(int most) { basis_.resize(static_cast<std::size_t>(most * kNodes)); }
+  void reserve(int most) {
+    basis_.resize(static_cast<std::size_t>(most * kNodes));
+    sampled_.resize(static_cast<std::size_t>(most));
+    count_ = 0;
+  }
   int capacity() const { return static_cast<int>(basis_.size()) / kNodes; }
 
   std::array<double, kNodes> time{}, weight{};
 
   // Orthonormal polynomials at `count` times (Stieltjes), nodes and weights
-  // from their three-term recurrence.
+  // from their three-term recurrence. Those of the same times stand: samples are mostly even.
   template <typename Time>
   void sample(int count, const Time& at) {
     double low = at(0), high = at(0);
@@ -67,6 +71,12 @@ class Nodes {
     }
     const double middle = 0.5 * (low + high), half = std::max(0.5 * (high - low), 1e-12),
                  first = 1.0 / std::sqrt(static_cast<double>(count));
+    bool stands = count == count_;
+    for (int k = 0; stands && k < count; ++k)
+      stands = std::abs(at(k) - sampled_[static_cast<std::size_t>(k)]) < kSame * half;
+    if (stands) return;
+    count_ = count;
+    for (int k = 0; k < count; ++k) sampled_[static_cast<std::size_t>(k)] = at(k);
     double jacobi[kNodes][kNodes] = {}, vectors[kNodes][kNodes] = {};
     for (int k = 0; k < count; ++k) row(k)[0] = first;
     for (int m = 0; m < kNodes; ++m) {
@@ -131,7 +141,10 @@ class Nodes {
   }
 
  private:
-  std::vector<double> basis_;  // (samples, kNodes)
+  static constexpr double kSame = 1e-8;  // of half the window, that times may differ by: rounding of stamps
+  std::vector<double> basis_;            // (samples, kNodes)
+  std::vector<double> sampled_;          // the times that they are of
+  int count_ = 0;
   std::array<double, kNodes> at_node_[kNodes];
 
   double* row(int k) { return basis_.data() + k * kNodes; }

@@ -83,15 +83,22 @@ struct Penalty {
   // x^T R x for column j of coefficients (N, columns).
   double quadratic(const double* x, Eigen::Index size, Eigen::Index columns) const {
     double sum = 0.0;
-    for (Eigen::Index i = 0; i + kLocal <= size; ++i) {
+    const Eigen::Index last = size - kLocal;
+    Gram outer;
+    for (Eigen::Index i = 0; i <= last; ++i) {
+      const bool within = i > 0 && i < last;
+      if (!within) {
+        outer = inside;
+        if (i == 0) outer += start;
+        if (i == last) outer += end;
+      }
+      const Gram& at = within ? inside : outer;
       double local[kLocal];
       for (int k = 0; k < kLocal; ++k)
         local[k] = x[(i + k) * columns] - (of_derivative ? x[i * columns] : 0.0);
       for (int l = 0; l < kLocal; ++l) {
         double row = 0.0;
-        for (int k = 0; k < kLocal; ++k)
-          row += (inside(k, l) + (i == 0 ? start(k, l) : 0.0) + (i + kLocal == size ? end(k, l) : 0.0)) *
-                 local[k];
+        for (int k = 0; k < kLocal; ++k) row += at(k, l) * local[k];
         sum += row * local[l];
       }
     }
