@@ -14,7 +14,7 @@ template <int N>
 Status configure(Corrector<N>& corrector, Incremental& online, const Eigen::VectorXd& channel_scale) {
   const Lag& lag = online.lag();
   const int n = lag.channels(), gain = lag.columns().C, offset = lag.columns().b, quadratic = lag.columns().u,
-            body = lag.columns().body;
+            body = lag.columns().body_in_theta;
   if (!online.ready()) return Status::not_configured;
   if (channel_scale.size() != n) return Status::wrong_size;
   const Eigen::MatrixXd& P = online.theta_covariance();

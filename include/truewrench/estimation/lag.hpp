@@ -238,8 +238,7 @@ class Lag {
   Shape shape_;
   int n_ = 6, nt_ = 0;
   std::size_t streams_ = 0;
-  bool felt_ = false;   // gravity
-  bool known_ = false;  // the body
+  bool felt_ = false;  // gravity
   Products products_;
   RowSums sums_;
   RawSums spare_;

@@ -15,9 +15,8 @@ inline void Lag::carry(const RecordedLog& about) {
   streams_ = about_.motion.size();
   felt_ = (rig_.gravity[0] != 0.0 || rig_.gravity[1] != 0.0 || rig_.gravity[2] != 0.0) &&
           about_.source != Source::imu;
-  known_ = layout_.log(0).body < 0;
   theta = layout_.mean();
-  products_ = Products(n_, columns_.C, columns_.body, nt_, about_.payload, rig_.range);
+  products_ = Products(n_, columns_.C, columns_.body_in_theta, nt_, about_.payload, rig_.range);
   sizes = starting_sizes(about_, n_);
   lagged = rig_.nominal;
 }
@@ -30,9 +29,7 @@ inline void Lag::resize_work() {
   for (Block& b : blocks_) assign(b.panel, kWidth * shape_.ld);
   assign(last_, kWidth * shape_.ld);
   assign(T_, (nt_ + 1) * shape_.ldt);
-  Columns counted = columns_;
-  if (known_) counted.body = -1;
-  sums_.setup(counted, kComponents, 2, felt_);
+  sums_.setup(columns_, kComponents, 2, felt_);
   sums_.reserve(kMostRows);
   sums_.reserve(spare_);
   for (Interval& v : intervals_) sums_.reserve(v.sums);
@@ -169,10 +166,11 @@ inline void Lag::sum_rows(Front& f, const Interval& v, unsigned same, RawSums& o
 
 // d phi (fractions of range) by [x, x'] (6, 12) and by the dense parameters (6, ldx), row by row, at one row.
 inline void Lag::jacobians(const RawRow& row, double* J, double* X) const {
+  const bool known = columns_.body < 0;
   const MotionJacobian j = row_jacobian(products_.body, point_, scale_.data(), gravity_, row.R, row.nu, row.a,
-                                        row.phi, known_, X, sums_.ldx);
+                                        row.phi, known, X, sums_.ldx);
   // the mass and the lever arm are in D: of the centre the point's motion alone
-  for (int r = 0; r < 6 && !known_; ++r) std::fill_n(X + r * sums_.ldx, r < 3 ? 1 : 4, 0.0);
+  for (int r = 0; r < 6 && !known; ++r) std::fill_n(X + r * sums_.ldx, r < 3 ? 1 : 4, 0.0);
   by_splines(j, scale_.data(), about_.source == Source::imu, J);
 }
 

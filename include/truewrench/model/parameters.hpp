@@ -30,8 +30,7 @@ struct Columns {
   Columns in_theta() const {
     Columns out = *this;
     const auto place = [this](int& at) { at = at < 0 ? at : global[static_cast<std::size_t>(at)]; };
-    for (int* at : {&out.C, &out.b, &out.u, &out.slope, &out.tilt, &out.gamma}) place(*at);
-    out.body = body_in_theta;
+    for (int* at : {&out.C, &out.b, &out.u, &out.body, &out.slope, &out.tilt, &out.gamma}) place(*at);
     for (auto* list : {&out.clock, &out.bias, &out.ramps, &out.steps})
       for (int& at : *list) place(at);
     return out;

@@ -7,7 +7,6 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truewrench import _core
 from truewrench.calibrating.hopeless import hopeless, plain_gain
@@ -35,6 +34,7 @@ from truewrench.judging.validation.comparison import (
     compare_in_sample,
     compare_on,
 )
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -42,7 +42,6 @@ from truewrench.robot.compensation import with_weight_on_time
 
 _RATES = 3  # times that clocks are set
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float | None], None]
 Show = Callable[[Evidence], None]
 

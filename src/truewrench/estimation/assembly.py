@@ -135,8 +135,7 @@ def _inverse(rig: Rig, gain: Array) -> Array:
 def _posterior(stated: PayloadSpec, departure: PayloadDeparture) -> dict[str, Any]:
     """What the data say of a payload, in the terms of the rig."""
     inertia = stated.inertia_matrix[ROWS, COLUMNS]
-    root = np.sqrt(np.diag(stated.inertia_matrix))
-    unit = np.concatenate([[stated.mass], np.ones(3), root[ROWS] * root[COLUMNS]])
+    unit = stated.units
     body = np.concatenate([[stated.mass], stated.center_of_mass_array, inertia]) + unit * departure.mean
     std = unit * departure.std
     return {

@@ -16,7 +16,6 @@ from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
-from truewrench.model.rig.sections import COLUMNS, ROWS
 
 FIRST_POSITION_NOISE = 1e-6
 """[rad, m] 1 sigma of logged joint positions without a stated one, from which theirs is found."""
@@ -184,10 +183,7 @@ def statement(assumptions: Assumptions) -> _core.Statement:
 
 def _body_prior(spec: PayloadSpec) -> Array:
     """1 sigma (10,) of log mass, centre of mass [m], inertia elements [kg m^2]."""
-    sigma = spec.uncertainty
-    moment = np.sqrt(np.diag(spec.inertia_matrix))
-    inertia = sigma.inertia * moment[ROWS] * moment[COLUMNS]
-    return np.array([sigma.mass, *[sigma.center_of_mass] * 3, *inertia])
+    return np.asarray(spec.uncertainty.of_each * np.append(1.0, spec.units[1:]))
 
 
 def growth_of(logs: Sequence[Log], *streams: str) -> float:

@@ -11,7 +11,6 @@ from truewrench.estimation.joint import Joint, body_part
 from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
-from truewrench.model.rig.sections import COLUMNS, ROWS
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,8 +278,7 @@ def payload_departure(spec: PayloadSpec, joint: Joint, name: str) -> PayloadDepa
     parts = [part for part in (body_part(name), f"inertia {name}") if part in joint.places]
     found, P = joint.of(["gain", *parts])
     at = slice(joint.at(["gain"]).size, None)
-    root = np.sqrt(np.diag(spec.inertia_matrix))
-    unit = np.append(np.ones(4), 1.0 / (root[ROWS] * root[COLUMNS]))[: found[at].size]
+    unit = np.append(1.0, 1.0 / spec.units[1:])[: found[at].size]  # the mass is told as its logarithm
     mean, covariance = np.zeros(10), spec.uncertainty.inertia**2 * np.eye(10)
     with_gain = np.zeros((10, at.start))
     told = slice(unit.size)

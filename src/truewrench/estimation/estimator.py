@@ -25,6 +25,7 @@ from truewrench.estimation.record import recorded_logs
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.rig.sections import symmetric
 
 _NOTHING = np.zeros(0)
 _SOURCES = ("mass", "center_of_mass", "inertia", "timing", "gravity")
@@ -254,8 +255,7 @@ def _carried(
             continue
         spec, places = rig.payloads[log.payload], c.body_in_theta + np.arange(10)
         mass, center = spec.mass * np.exp(theta[places[0]]), spec.center_of_mass_array + theta[places[1:4]]
-        xx, yy, zz, xy, xz, yz = theta[places[4:]]
-        inertia = spec.inertia_matrix + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        inertia = spec.inertia_matrix + symmetric(theta[places[4:]])
         payload = _core.Payload(float(mass), center, inertia)
         out.append(_core.Carried(places.tolist(), payload, felt.pop(log.payload)))
     return out

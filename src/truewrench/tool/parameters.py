@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truewrench.model.arrays import Array
-from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS
+from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS, symmetric
 from truewrench.motion.spatial import cross
 
 __all__ = [
@@ -107,13 +107,6 @@ class Layout:
     def below(self) -> slice:
         """Ten of a body that this one sits on, where there is one: they come last."""
         return slice(self.size, self.size + 10)
-
-
-def symmetric(elements: Array) -> Array:
-    """(3, 3) of six elements in the order of `ELEMENTS`."""
-    out = np.empty((3, 3))
-    out[ROWS, COLUMNS] = out[COLUMNS, ROWS] = elements
-    return out
 
 
 def _elements(matrix: Array) -> Array:

@@ -227,7 +227,8 @@ def _of_gravity(
         return reasons
     free = rig.model_copy(update={"gravity_tilt_prior": ANY_TILT})
     parts = [residuals(calibration, free, log) for log in logs]
-    explained = [name for name in departing if not _reasons("", _axes(calibration, parts, seed)[name])]
+    tilted = _axes(calibration, parts, seed)
+    explained = [name for name in departing if not _reasons("", tilted[name])]
     if explained:
         angle = max(float(np.linalg.norm(part.tilt)) for part in parts)
         reasons.append(

@@ -16,7 +16,7 @@ from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.payload import core_payload
 from truewrench.model.rig import Rig
-from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS
+from truewrench.model.rig.sections import ELEMENTS, symmetric
 
 _BODY = {f"{key}{std}" for key in ("mass", "center_of_mass", "inertia") for std in ("", "_std")}
 _TOGETHER = {"covariance", "covariance_with_gain"}
@@ -54,11 +54,9 @@ def carried(calibration: Calibration, rig: Rig, payload: str) -> Carried:
     found = calibration.payload_posterior.get(payload, {})
     if not found.keys() >= _BODY:
         return Carried(core_payload(spec), np.zeros((10, 10)), apart)
-    xx, yy, zz, xy, xz, yz = (found["inertia"][element] for element in ELEMENTS)
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    inertia = symmetric(np.array([found["inertia"][element] for element in ELEMENTS]))
     body = _core.Payload(found["mass"], np.array(found["center_of_mass"]), inertia)
-    root = np.sqrt(np.diag(spec.inertia_matrix))
-    unit = np.concatenate([[spec.mass], np.ones(3), root[ROWS] * root[COLUMNS]])
+    unit = spec.units
     if not found.keys() >= _TOGETHER:  # of a file from before there was a covariance
         return Carried(body, np.diag((_std(found) / unit) ** 2), apart)
     covariance = np.array(found["covariance"]) / np.outer(unit, unit)

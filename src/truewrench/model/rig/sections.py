@@ -212,6 +212,13 @@ ROWS, COLUMNS = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]).T
 """Where they stand in the matrix."""
 
 
+def symmetric(elements: Array) -> Array:
+    """(3, 3) of six elements in the order of `ELEMENTS`."""
+    out = np.empty((3, 3))
+    out[ROWS, COLUMNS] = out[COLUMNS, ROWS] = elements
+    return out
+
+
 class UncertaintySpec(Section):
     """1 sigma of what is known of a payload; 0 means exact."""
 
@@ -268,6 +275,12 @@ class PayloadSpec(Section):
         """(3, 3) inertia about the centre of mass, sensor axes [kg m^2]."""
         i = self.inertia
         return np.array([[i.xx, i.xy, i.xz], [i.xy, i.yy, i.yz], [i.xz, i.yz, i.zz]])
+
+    @property
+    def units(self) -> Array:
+        """(10,) what departures of mass, centre of mass and inertia are relative to [kg, 1, kg m^2]."""
+        root = np.sqrt(np.diag(self.inertia_matrix))
+        return np.concatenate([[self.mass], np.ones(3), root[ROWS] * root[COLUMNS]])
 
     @property
     def unknown(self) -> bool:
