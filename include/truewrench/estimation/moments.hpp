@@ -10,6 +10,7 @@
 #include <cmath>
 #include <iterator>
 #include <limits>
+#include <utility>
 #include <vector>
 
 namespace truewrench {
@@ -56,9 +57,13 @@ class MomentSums {
       : MomentSums(channels, {std::begin(constants::taus), std::end(constants::taus)}, true) {}
   // With K of these taus; `squares`: and K^2, which add_to() asks for, of all.
   MomentSums(int channels, const std::vector<double>& taus, bool squares)
-      : n_(channels), d_(7 + 2 * channels), squares_(squares), taus_(taus), kernels_(taus.size()) {
-    const auto d = static_cast<std::size_t>(d_);
-    ZZ_.assign(d * d, 0.0);
+      : n_(channels),
+        d_((shared + 2 * channels + 3) & ~3),
+        squares_(squares),
+        taus_(taus),
+        kernels_(taus.size()) {
+    const auto d = static_cast<std::size_t>(d_), n = static_cast<std::size_t>(n_);
+    ZZ_ = {std::vector<double>(shared * d, 0.0), std::vector<double>(3 * n, 0.0)};
     for (Kernel& k : kernels_) {
       k.KZ = k.KKZ = ZZ_;
       for (auto* v : {&k.a, &k.b, &k.c, &k.d}) v->assign(d, 0.0);
@@ -68,11 +73,12 @@ class MomentSums {
   }
 
   void clear() {
-    std::fill(ZZ_.begin(), ZZ_.end(), 0.0);
     rows_ = trace_ = 0.0;
     started_ = false;
+    ZZ_.clear();
     for (Kernel& k : kernels_) {
-      for (auto* v : {&k.KZ, &k.KKZ, &k.a, &k.b, &k.c, &k.d}) std::fill(v->begin(), v->end(), 0.0);
+      for (auto* m : {&k.KZ, &k.KKZ}) m->clear();
+      for (auto* v : {&k.a, &k.b, &k.c, &k.d}) std::fill(v->begin(), v->end(), 0.0);
       k.p0 = k.p1 = k.p2 = k.squares = 0.0;
     }
   }
@@ -83,13 +89,15 @@ class MomentSums {
     for (std::size_t k = 0; k < 6; ++k) z_[k] = c * w[k];
     z_[6] = c;
     for (std::size_t i = 0; i < static_cast<std::size_t>(n_); ++i) {
-      z_[7 + i] = c * cw[i] * cw[i];
-      z_[7 + static_cast<std::size_t>(n_) + i] = c * residual[i];
+      z_[shared + i] = c * cw[i] * cw[i];
+      z_[shared + static_cast<std::size_t>(n_) + i] = c * residual[i];
     }
     const double dt = started_ ? time - time_ : 0.0;
+    const int known =
+        static_cast<int>(shared) + n_;  // columns of X: all that is asked of K^2, and of K by spread()
     time_ = time;
     started_ = true;
-    outer(ZZ_, z_, z_);
+    add(ZZ_, z_, z_, 0.5, d_);
     rows_ += 1.0;
     trace_ += c2;
     for (std::size_t t = 0; t < kernels_.size(); ++t) {
@@ -111,10 +119,10 @@ class MomentSums {
         e_[i] = f_[i] + c2 * z_[i];
         f_[i] += 0.5 * c2 * z_[i];
       }
-      outer(k.KZ, f_, z_);  // halves: made symmetric by found()
+      add(k.KZ, f_, z_, 1.0, squares_ ? d_ : known);
       if (squares_) {
-        outer(k.KKZ, e_, e_, 0.5);
-        outer(k.KKZ, q_, z_);
+        add(k.KKZ, e_, e_, 0.5, known);
+        add(k.KKZ, q_, z_, 1.0, known);
       }
       k.squares += c2 * c2 + 2.0 * c2 * (k.p0 + 2.0 * k.p1 + k.p2);
       for (std::size_t i = 0; i < z_.size(); ++i) {  // what later rows meet
@@ -131,9 +139,9 @@ class MomentSums {
   // What a channel adds to its group.
   void add_to(MomentTotals& totals, int i) const {
     double XX[8][8], V[8][8], length[8], Q[8][8] = {};  // an orthonormal basis of X: X Q
-    for (int k = 0; k < 8; ++k) length[k] = std::sqrt(std::max(entry(ZZ_, k, k, i, false), 1e-300));
+    for (int k = 0; k < 8; ++k) length[k] = std::sqrt(std::max(entry(ZZ_, k, k, i), 1e-300));
     for (int k = 0; k < 8; ++k)
-      for (int l = 0; l < 8; ++l) XX[k][l] = entry(ZZ_, k, l, i, false) / (length[k] * length[l]);
+      for (int l = 0; l < 8; ++l) XX[k][l] = entry(ZZ_, k, l, i) / (length[k] * length[l]);
     diagonalise(XX, V);
     int rank = 0;
     for (int c = 0; c < 8; ++c) {
@@ -143,27 +151,27 @@ class MomentSums {
     }
     double Qr[8] = {};
     for (int c = 0; c < rank; ++c) {
-      for (int k = 0; k < 8; ++k) Qr[c] += Q[k][c] * entry(ZZ_, k, 8, i, false);
+      for (int k = 0; k < 8; ++k) Qr[c] += Q[k][c] * entry(ZZ_, k, 8, i);
       totals.rss -= Qr[c] * Qr[c];
     }
-    totals.rss += entry(ZZ_, 8, 8, i, false);
+    totals.rss += entry(ZZ_, 8, 8, i);
     totals.nu += rows_ - rank;
     for (std::size_t t = 0; t < kernels_.size(); ++t) {
       const Kernel& k = kernels_[t];
       double& num = totals.num[t];
-      num += entry(k.KZ, 8, 8, i, true);
+      num += entry(k.KZ, 8, 8, i);
       totals.t1[t] += trace_;
       totals.t2[t] += k.squares;
       for (int c = 0; c < rank; ++c) {
         double QKr = 0.0;
-        for (int a = 0; a < 8; ++a) QKr += Q[a][c] * entry(k.KZ, a, 8, i, true);
+        for (int a = 0; a < 8; ++a) QKr += Q[a][c] * entry(k.KZ, a, 8, i);
         num -= 2.0 * Qr[c] * QKr;
         for (int d = 0; d < rank; ++d) {
           double S = 0.0, SS = 0.0;
           for (int a = 0; a < 8; ++a)
             for (int b = 0; b < 8; ++b) {
-              S += Q[a][c] * entry(k.KZ, a, b, i, true) * Q[b][d];
-              if (c == d) SS += Q[a][c] * entry(k.KKZ, a, b, i, true) * Q[b][d];
+              S += Q[a][c] * entry(k.KZ, a, b, i) * Q[b][d];
+              if (c == d) SS += Q[a][c] * entry(k.KKZ, a, b, i) * Q[b][d];
             }
           num += Qr[c] * S * Qr[d];
           totals.t2[t] += S * S;
@@ -176,10 +184,10 @@ class MomentSums {
   }
 
   // Elements of X^T X and X^T K X of a channel, X = [w, 1, (C_0 w)_i^2].
-  double product(int i, int k, int l) const { return entry(ZZ_, k, l, i, false); }
+  double product(int i, int k, int l) const { return entry(ZZ_, k, l, i); }
   double correlated(int i, double tau, int k, int l) const {
     const auto at = std::find(taus_.begin(), taus_.end(), tau) - taus_.begin();
-    return entry(kernels_[static_cast<std::size_t>(at)].KZ, k, l, i, true);
+    return entry(kernels_[static_cast<std::size_t>(at)].KZ, k, l, i);
   }
 
   // X^T X and delta^2 X^T K X of [C_i, u_i], added to A and B; the offset, of
@@ -204,32 +212,51 @@ class MomentSums {
   }
 
  private:
+  static constexpr std::size_t shared = 8;  // places of w, 1 and nothing; then (C_0 w)_i^2 and r_i
+  // Symmetric: the rows of what the channels share; of each channel [(C_0 w)^2]^2, (C_0 w)^2 r, r^2.
+  struct Products {
+    std::vector<double> rows, own;
+    void clear() {
+      std::fill(rows.begin(), rows.end(), 0.0);
+      std::fill(own.begin(), own.end(), 0.0);
+    }
+  };
   struct Kernel {
-    std::vector<double> KZ, KKZ;     // halves: X + X^T
+    Products KZ, KKZ;
     std::vector<double> a, b, c, d;  // A Z; A applied to (A + D) Z, and A A^T Z
     double p0 = 0.0, p1 = 0.0, p2 = 0.0, squares = 0.0;
   };
   int n_, d_;
   bool squares_, started_ = false;
   double time_ = 0.0, rows_ = 0.0, trace_ = 0.0;
-  std::vector<double> ZZ_;  // (d, d)
+  Products ZZ_;
   std::vector<double> taus_;
   std::vector<Kernel> kernels_;
   std::vector<double> z_, f_, q_, e_;
 
-  void outer(std::vector<double>& to, const std::vector<double>& a, const std::vector<double>& b,
-             double scale = 1.0) const {
-    for (std::size_t k = 0; k < a.size(); ++k)
-      dense::add(to.data() + k * a.size(), scale * a[k], b.data(), d_);
+  // scale (a b^T + b a^T)
+  void add(Products& to, const std::vector<double>& a, const std::vector<double>& b, double scale,
+           int columns) const {
+    for (std::size_t k = 0; k < 7; ++k) {
+      const double x = scale * a[k], y = scale * b[k];
+      double* row = to.rows.data() + k * a.size();
+      for (int l = 0; l < columns; l += 4)
+        *reinterpret_cast<dense::Lane*>(row + l) += x * *reinterpret_cast<const dense::Lane*>(b.data() + l) +
+                                                    y * *reinterpret_cast<const dense::Lane*>(a.data() + l);
+    }
+    for (std::size_t i = 0, n = static_cast<std::size_t>(n_); i < n; ++i) {
+      const std::size_t c = shared + i, r = c + n;
+      to.own[i] += 2.0 * scale * a[c] * b[c];
+      to.own[n + i] += scale * (a[c] * b[r] + a[r] * b[c]);
+      to.own[2 * n + i] += 2.0 * scale * a[r] * b[r];
+    }
   }
   // Of channel i: 0 ... 5 w, 6 the constant, 7 (C_0 w)_i^2, 8 the residual.
-  double entry(const std::vector<double>& m, int k, int l, int i, bool half) const {
-    const auto place = [&](int x) {
-      return static_cast<std::size_t>(x < 7 ? x : x == 7 ? 7 + i : 7 + n_ + i);
-    };
-    const auto d = static_cast<std::size_t>(d_);
-    const double x = m[place(k) * d + place(l)];
-    return half ? x + m[place(l) * d + place(k)] : x;
+  double entry(const Products& m, int k, int l, int i) const {
+    if (k > l) std::swap(k, l);
+    if (k >= 7) return m.own[static_cast<std::size_t>((k + l - 14) * n_ + i)];
+    const auto at = static_cast<std::size_t>(l < 7 ? l : static_cast<int>(shared) + (l - 7) * n_ + i);
+    return m.rows[static_cast<std::size_t>(k) * static_cast<std::size_t>(d_) + at];
   }
 };
 

@@ -308,7 +308,7 @@ class RowSums {
           const double* a = VJ_.data() + (p * m + j) * n;
           for (int i = 0; i < n; ++i) dense::add<6>(row + C_at_ + 6 * i, a[i], g);
           for (int x = 6; x < nf; ++x) dense::add(row + feature[static_cast<std::size_t>(x)], g[x], a, n);
-          for (int i = 0; i < n; ++i) row[u_at_ + i] += a[i] * g[nf + i];
+          dense::add(row + u_at_, a, g + nf, n);
         }
       }
       for (int j = 0; j < m; ++j) {

@@ -97,7 +97,7 @@ inline std::vector<ScoredBlock> scored_blocks(const Fit& fit, std::size_t l) {
         for (int x = 0; x < W * width; ++x) most = std::max(most, std::abs(here[x]));
         largest = std::max(largest, most);
         block.y.emplace_back(before + static_cast<std::size_t>(at), std::vector<double>(here, next));
-        if (at >= end && most < 1e-7 * largest) break;
+        if (at >= end && most < 1e-5 * largest) break;
         std::copy_n(next, W * width, here);
         std::fill_n(next, W * width, 0.0);
       }

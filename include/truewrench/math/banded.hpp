@@ -2,6 +2,7 @@
 // factor, solve, the band of the inverse.
 #pragma once
 
+#include "truewrench/math/dense.hpp"
 #include "truewrench/math/spline.hpp"
 
 #include <algorithm>
@@ -34,58 +35,61 @@ class Bands {
   // L L^T in place; false where one is not positive definite. The diagonal holds 1 / L_jj.
   bool factor() {
     bool positive = true;
-    for (Eigen::Index j = 0; j < size; ++j) {
-      double* column = at(j, 0);
-      for (int c = 0; c < lanes; ++c) {
-        positive = positive && column[c] > 0.0;
-        column[c] = 1.0 / std::sqrt(column[c]);
+    for (Eigen::Index j = 0; j < size; ++j)
+      for (int c = 0; c < lanes; c += 4) {
+        double* column = at(j, 0) + c;
+        dense::Lane L[kLocal];
+        for (int b = 0; b < 4; ++b) {
+          positive = positive && column[b] > 0.0;
+          L[0][b] = 1.0 / std::sqrt(column[b]);
+        }
+        lane(column) = L[0];
+        for (int i = 1; i < kLocal; ++i) lane(column + i * lanes) = L[i] = lane(column + i * lanes) * L[0];
+        for (int k = 1; k < kLocal; ++k) {
+          double* to = at(j + k, 0) + c;
+          for (int i = k; i < kLocal; ++i) lane(to + (i - k) * lanes) -= L[i] * L[k];
+        }
       }
-      for (int i = 1; i < kLocal; ++i)
-        for (int c = 0; c < lanes; ++c) column[i * lanes + c] *= column[c];
-      for (int k = 1; k < kLocal; ++k) {
-        double* to = at(j + k, 0);
-        for (int i = k; i < kLocal; ++i)
-          for (int c = 0; c < lanes; ++c)
-            to[(i - k) * lanes + c] -= column[i * lanes + c] * column[k * lanes + c];
-      }
-    }
     return positive;
   }
 
   // x (size + 5, lanes), the last five rows 0.
   void solve(std::vector<double>& x) const {
-    for (Eigen::Index j = 0; j < size; ++j) {
-      const double* column = at(j, 0);
-      double* own = x.data() + j * lanes;
-      for (int c = 0; c < lanes; ++c) own[c] *= column[c];
-      for (int i = 1; i < kLocal; ++i)
-        for (int c = 0; c < lanes; ++c) own[i * lanes + c] -= column[i * lanes + c] * own[c];
-    }
+    for (Eigen::Index j = 0; j < size; ++j)
+      for (int c = 0; c < lanes; c += 4) {
+        const double* column = at(j, 0) + c;
+        double* own = x.data() + j * lanes + c;
+        const dense::Lane y = lane(own) = lane(own) * lane(column);
+        for (int i = 1; i < kLocal; ++i) lane(own + i * lanes) -= lane(column + i * lanes) * y;
+      }
     std::fill(x.begin() + size * lanes, x.end(), 0.0);
-    for (Eigen::Index j = size - 1; j >= 0; --j) {
-      const double* column = at(j, 0);
-      double* own = x.data() + j * lanes;
-      for (int i = 1; i < kLocal; ++i)
-        for (int c = 0; c < lanes; ++c) own[c] -= column[i * lanes + c] * own[i * lanes + c];
-      for (int c = 0; c < lanes; ++c) own[c] *= column[c];
-    }
+    for (Eigen::Index j = size - 1; j >= 0; --j)
+      for (int c = 0; c < lanes; c += 4) {
+        const double* column = at(j, 0) + c;
+        double* own = x.data() + j * lanes + c;
+        dense::Lane y = lane(own);
+        for (int i = 1; i < kLocal; ++i) y -= lane(column + i * lanes) * lane(own + i * lanes);
+        lane(own) = y * lane(column);
+      }
   }
 
   // The bands of (L L^T)^-1, in the same form (Takahashi).
   void inverse(Bands& z) const {
     std::fill(z.a.begin(), z.a.end(), 0.0);
-    for (Eigen::Index j = size - 1; j >= 0; --j) {
-      const double* column = at(j, 0);
-      double* out = z.at(j, 0);
-      for (int i = kDegree5; i >= 0; --i) {
-        double* to = out + i * lanes;
-        for (int k = 1; k < kLocal; ++k) {
-          const double* other = i == 0 ? out + k * lanes : z.at(j + std::min(i, k), std::abs(i - k));
-          for (int c = 0; c < lanes; ++c) to[c] -= column[k * lanes + c] * other[c];
+    for (Eigen::Index j = size - 1; j >= 0; --j)
+      for (int c = 0; c < lanes; c += 4) {
+        const double* column = at(j, 0) + c;
+        double* out = z.at(j, 0) + c;
+        dense::Lane L[kLocal], own[kLocal];
+        for (int k = 0; k < kLocal; ++k) L[k] = lane(column + k * lanes);
+        for (int i = kDegree5; i >= 0; --i) {
+          dense::Lane y = {};
+          for (int k = 1; k < kLocal; ++k)
+            y -= L[k] * (i == 0 ? own[k] : lane(z.at(j + std::min(i, k), std::abs(i - k)) + c));
+          own[i] = (i == 0 ? y + L[0] : y) * L[0];
+          lane(out + i * lanes) = own[i];
         }
-        for (int c = 0; c < lanes; ++c) to[c] = (to[c] + (i == 0 ? column[c] : 0.0)) * column[c];
       }
-    }
     std::fill(z.a.begin() + size * kLocal * lanes, z.a.end(), 0.0);
     for (Eigen::Index j = std::max<Eigen::Index>(0, size - kDegree5); j < size; ++j)
       for (int i = static_cast<int>(size - j); i < kLocal; ++i) std::fill_n(z.at(j, i), lanes, 0.0);
@@ -94,26 +98,35 @@ class Bands {
   // Adds d^T A d - 2 d^T b, d = x - from; all (size + 5, lanes); component by component.
   void quadratic(const std::vector<double>& x, const std::vector<double>& from, const std::vector<double>& b,
                  double* sum) const {
-    const auto d = [&](Eigen::Index k, int c) {
-      const auto i = static_cast<std::size_t>(k * lanes + c);
-      return x[i] - from[i];
-    };
-    for (Eigen::Index j = 0; j < size; ++j)
-      for (int c = 0; c < lanes; ++c) {
-        double row = at(j, 0)[c] * d(j, c) - 2.0 * b[static_cast<std::size_t>(j * lanes + c)];
-        for (int i = 1; i < kLocal; ++i) row += 2.0 * at(j, i)[c] * d(j + i, c);
-        sum[c] += row * d(j, c);
+    for (int c = 0; c < lanes; c += 4) {
+      const auto d = [&](Eigen::Index k) {
+        return lane(x.data() + k * lanes + c) - lane(from.data() + k * lanes + c);
+      };
+      dense::Lane all = {};
+      for (Eigen::Index j = 0; j < size; ++j) {
+        const dense::Lane own = d(j);
+        dense::Lane row = lane(at(j, 0) + c) * own - 2.0 * lane(b.data() + j * lanes + c);
+        for (int i = 1; i < kLocal; ++i) row += 2.0 * lane(at(j, i) + c) * d(j + i);
+        all += row * own;
       }
+      lane(sum + c) += all;
+    }
   }
 
   // Adds <A, B> of symmetric bands, component by component.
   void inner(const Bands& other, double* sum) const {
-    for (Eigen::Index j = 0; j < size; ++j)
-      for (int i = 0; i < kLocal; ++i) {
-        const double *x = at(j, i), *y = other.at(j, i), twice = i == 0 ? 1.0 : 2.0;
-        for (int c = 0; c < lanes; ++c) sum[c] += twice * x[c] * y[c];
-      }
+    for (int c = 0; c < lanes; c += 4) {
+      dense::Lane all = {};
+      for (Eigen::Index j = 0; j < size; ++j)
+        for (int i = 0; i < kLocal; ++i)
+          all += (i == 0 ? 1.0 : 2.0) * lane(at(j, i) + c) * lane(other.at(j, i) + c);
+      lane(sum + c) += all;
+    }
   }
+
+ private:
+  static dense::Lane& lane(double* at) { return *reinterpret_cast<dense::Lane*>(at); }
+  static const dense::Lane& lane(const double* at) { return *reinterpret_cast<const dense::Lane*>(at); }
 };
 
 }  // namespace truewrench

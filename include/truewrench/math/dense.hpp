@@ -28,6 +28,11 @@ inline void add(double* __restrict y, double x, const double* __restrict v, int 
   }
 }
 
+// y += u v, element by element.
+inline void add(double* __restrict y, const double* __restrict u, const double* __restrict v, int n) {
+  for (int i = 0; i < n; ++i) y[i] += u[i] * v[i];
+}
+
 // What a product is taken from: what stands, 0, or what stands and then a triangular solve.
 enum class Mode { add, fresh, forward, backward };
 
