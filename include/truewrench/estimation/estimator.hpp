@@ -132,7 +132,7 @@ class Estimator {
     for (std::size_t l = 0; l < alone.size(); ++l) pooled->logs()[l].sizes = alone[l]->logs()[0].sizes;
     pooled->robust = true;
     regress(*pooled, true);
-    pooled->run();
+    pooled->run(nullptr, SpacingSearch::clean);
     pooled->release();
     ++out.fits;
     return pooled;
@@ -209,10 +209,6 @@ class Estimator {
     return unexplained(masked, 0, moments(masked, unmasked_sums(masked, 0)));
   }
 
-  static void clear_mask(LogFit& log) {
-    for (Stretch& s : log.stretches) std::fill(s.raw.masked.begin(), s.raw.masked.end(), char{0});
-  }
-
   std::shared_ptr<Fit> robust_from(const Fit& like, const std::vector<std::vector<double>>& steps,
                                    Estimate& out) const {
     std::vector<LogFit> logs = bare(like);
@@ -268,13 +264,6 @@ class Estimator {
     plain->start_from(like).run();
     ++out.fits;
     return plain;
-  }
-
-  // Masked samples are left in at once where with_masked would end there: they add a tenth at most of what it takes. Of clean
-  // samples the mask hides 0.0003, for which records were fitted twice.
-  static void leave_in(Fit& robust) {
-    for (std::size_t l = 0; l < robust.logs().size(); ++l)
-      if (masked_variance(robust, l) <= 0.1 * (constants::mask_worth - 1.0)) clear_mask(robust.logs()[l]);
   }
 
   // FIT of the masked samples, too, where the noise that it finds is hardly larger; else the one without them. Bursts of jerk that

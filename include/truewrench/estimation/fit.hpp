@@ -7,8 +7,10 @@
 #include "truewrench/parallel.hpp"
 
 #include <algorithm>
+#include <functional>
 #include <limits>
 #include <memory>
+#include <utility>
 
 namespace truewrench {
 
@@ -110,6 +112,19 @@ class Fit {
   // Information and gradient of all rows, the motion eliminated; false where a factorisation fails.
   bool linearise();
 
+  // Share of the squares of a log's unmasked rows that their weights leave, by groups of channels.
+  Eigen::ArrayXd left_by_weights(std::size_t l) const {
+    Eigen::ArrayXd weighted = Eigen::ArrayXd::Zero(raw_groups(n_)), all = weighted;
+    for (const Stretch& s : logs_[l].stretches)
+      for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
+        for (int i = 0; i < n_ && s.raw.masked[static_cast<std::size_t>(k)] == 0; ++i) {
+          const double r = s.now.residual(k, i), x = r * r + s.raw.spread(k, i);
+          weighted[raw_group(i, n_)] += s.raw.weight[k] * x;
+          all[raw_group(i, n_)] += s.raw.size[k] * x;
+        }
+    return (weighted > 0.0).select(weighted / all, 1.0);
+  }
+
   // The step of theta from the last linearisation; `frozen`: with priors and held parameters as they stand.
   bool solve(bool frozen = false) {
     if (!frozen) {
@@ -195,9 +210,10 @@ class Fit {
     }
   }
 
-  // Gauss-Newton and (10.6) until theta moves by less than 0.05 sigma (RMS) and the sizes by less than 5 %, then linearised once
-  // more unless both hardly moved; or until it is as near to where another fit of the same rows has ended.
-  Fit& run(const Fit* known = nullptr) {
+  // Gauss-Newton and (10.6) until theta moves by less than 0.05 sigma (RMS) and the sizes before moved by less than 5 %: the last
+  // linearisation is of the sizes as found; or until it is as near to where another fit of the same rows has ended. `enough`,
+  // asked once: whether the first step is all that is wanted of a robust fit.
+  Fit& run(const Fit* known = nullptr, const std::function<bool(Fit&)>& enough = {}) {
     lagged = Eigen::Map<const RowMatrix>(theta.data() + layout_.C, n_, 6);
     predict();
     reweigh();
@@ -205,28 +221,32 @@ class Fit {
     returns_.assign(active.size(), 0);
     deviance_ = std::numeric_limits<double>::quiet_NaN();
     double resized = std::numeric_limits<double>::infinity();
-    std::vector<Sizes> standing(logs_.size());
-    for (iterations = 1; iterations <= constants::most_iterations; ++iterations) {
+    for (iterations = std::exchange(begun_, false) ? 2 : 1; iterations <= constants::most_iterations;
+         ++iterations) {
       compare_delays();  // a first motion, rough where knots are fine, has rates that nothing imitates
       if (iterations > 1 && !robust) find_slopes();
       const Eigen::VectorXd last = step_;
       if (!find_step()) return *this;
       advance(turned(last) ? 0.5 : 1.0);
       const auto count = static_cast<double>(active_places().size());
-      for (std::size_t l = 0; l < logs_.size(); ++l) standing[l] = logs_[l].sizes;
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
-      // else they are as near as they will be
-      if (std::max(move, resized) >= constants::still) resized = resize();
-      if (resized < constants::move && move < (robust ? constants::robust_move : constants::move) &&
-          iterations > 1 && (robust || slopes_hold())) {
+      const auto settled = [&] {
+        return resized < constants::move && move < (robust ? constants::robust_move : constants::move) &&
+               iterations > 1 && (robust || slopes_hold());
+      };
+      if (!robust && settled()) {
         converged = true;
-        if (std::max(move, resized) >= constants::still) break;
-        for (std::size_t l = 0; l < logs_.size(); ++l) logs_[l].sizes = standing[l];
-        reweigh();
         return end();
       }
+      // else they are as near as they will be
+      if (std::max(move, resized) >= constants::still) resized = resize();
+      if (robust && settled()) {
+        converged = true;
+        return *this;
+      }
+      begun_ = iterations == 1 && enough && enough(*this);
       near_ = known && near(*known);
-      if (near_) return *this;
+      if (near_ || begun_) return *this;
     }
     if (robust) return *this;  // whose deviance is rarely asked for
     if (!find_step()) return *this;
@@ -236,6 +256,7 @@ class Fit {
 
   // -2 log L (10.7) where the fit has ended; nan where it failed, or came near to another.
   double deviance() {
+    if (begun_) run();
     if (robust && !near_ && !failed && std::isnan(deviance_) && linearise() && solve(true))
       deviance_ = likelihood();
     return deviance_;
@@ -284,6 +305,7 @@ class Fit {
       const Sizes& from = other.logs_[l].sizes;
       z.q = from.q;
       z.raw_factor = from.raw_factor;
+      if (other.robust && !robust) z.raw_factor.array() *= other.left_by_weights(l).rsqrt();
       z.motion_factor = from.motion_factor;
       if (z.form != Form::none && z.form == from.form) {
         z.delta = from.delta;
@@ -342,8 +364,8 @@ class Fit {
   std::vector<DelaySums> delays_;  // of each log, at the begin of an iteration
   bool imitated_ = false;
   double deviance_ = std::numeric_limits<double>::quiet_NaN();
-  bool near_ = false, stands_ = false;
-  std::vector<int> returns_;  // of what has been let go, in this run
+  bool near_ = false, stands_ = false, begun_ = false;  // begun_: one step was enough
+  std::vector<int> returns_;                            // of what has been let go, in this run
 
   // The step of a new linearisation, at the sizes of u and of steps that belong to it.
   bool find_step() {

@@ -208,7 +208,17 @@ class SpacingSearch {
 
   // Whether the sensor's noise seems larger than stated.
   static bool noisy(const Fit& fit) {
-    return fit.logs()[0].sizes.raw_factor.maxCoeff() > constants::noise_told;
+    return std::any_of(fit.logs().begin(), fit.logs().end(), [](const LogFit& log) {
+      return log.sizes.raw_factor.maxCoeff() > constants::noise_told;
+    });
+  }
+  // Whether a first step shows nothing to mask and no more noise than is stated: FIT may go on from there.
+  static bool clean(Fit& fit) {
+    if (noisy(fit)) return false;
+    set_mask(fit);
+    const bool kept = leave_in(fit);
+    for (LogFit& log : fit.logs()) clear_mask(log);
+    return !kept;
   }
   // Whether finer knots may be what it asks for.
   static bool shaken(const Fit& fit) { return noisy(fit) && fast_factor(fit) > constants::noise_told; }
@@ -268,7 +278,7 @@ class SpacingSearch {
     fit->robust = true;
     regress(*fit, cauchy);
     if (!cauchy) roughen(*fit);
-    fit->run(known);
+    fit->run(known, i == 0 ? clean : std::function<bool(Fit&)>());
     ++count_;
     return fit->failed ? nullptr : fit;
   }
