@@ -106,7 +106,7 @@ inline double Fit::bend_of_determinant(std::size_t l, Eigen::VectorXd* pull) {
   LogFit& log = logs_[l];
   const Columns& columns = layout_.log(l);
   const Eigen::VectorXd at = local(l);
-  const double e = constants::slope_step;
+  const double e = constants::move;
   std::vector<double> bend(log.stretches.size());
   std::vector<Eigen::VectorXd> pulls(log.stretches.size());
   parallel_for(bend.size(), threads_, [&](std::size_t i) {
@@ -160,8 +160,8 @@ inline void Fit::find_slopes() {
       if (slope_holds(k) || std::abs(step_[k]) > std::sqrt(P_(k, k))) continue;
       if (pull.size() == 0) here = bend_of_determinant(l, &pull);
       const double at = theta[k];
-      theta[k] = at + constants::slope_step;
-      const double noise = 0.5 * (bend_of_determinant(l, nullptr) - here) / constants::slope_step;
+      theta[k] = at + constants::move;
+      const double noise = 0.5 * (bend_of_determinant(l, nullptr) - here) / constants::move;
       theta[k] = slope_at_[k] = at;
       slope_[k] = 2.0 * pull[clock + 1] + noise;
       any = true;

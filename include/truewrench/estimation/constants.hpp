@@ -30,8 +30,6 @@ inline constexpr double most_lost =
     0.2;  // share of the samples that are masked, or of the raw output that no motion explains, beyond which a result is
 // refused: 9 of 476 imperfect records; explained by none at most 0.05 in 150 of them, with a foreign motion 0.26 to 1
 inline constexpr double filter_prior = 0.5;  // 1 sigma of kappa and gamma
-inline constexpr double slope_step =
-    0.05;  // of kappa and of the smoothness, for what x adds to kappa's score: tolerance
 inline constexpr double undetermined =
     0.5;  // of the prior's sigma, from which on nothing was told: words (METHOD 6); kappa and gamma are held: NEES 27 -> 1.1
 inline constexpr double delay_left =
@@ -41,10 +39,9 @@ inline constexpr double size_floor = 0.02;     // of a factor on noise, and of d
 inline constexpr double departure_start = 0.1;   // upsilon and alpha, fraction of range: tolerance
 inline constexpr double departure_floor = 1e-4;  // likewise: tolerance
 inline constexpr double move =
-    0.05;  // converged: of sigma of theta (RMS), and of the sizes as standard deviations: tolerance
-inline constexpr double robust_move = 0.25;  // of sigma of theta, where another fit begins: tolerance
-inline constexpr double still =
-    0.01;  // of the same as `move`: below it the last linearisation stands, and the sizes with it: tolerance
+    0.05;  // converged: of sigma of theta (RMS), and of the sizes as standard deviations; the step of differences in kappa and in
+// the smoothness: tolerance
+inline constexpr double robust_move = 0.25;        // of sigma of theta, where another fit begins: tolerance
 inline constexpr int most_iterations = 25;         // tolerance
 inline constexpr double taus[] = {0.1, 0.3, 1.0};  // [s] of (10.9): d entered in 1 of 8 clean records
 inline constexpr double discrepancy_cap =

@@ -238,8 +238,7 @@ class Fit {
         converged = true;
         return end();
       }
-      // else they are as near as they will be
-      if (std::max(move, resized) >= constants::still) resized = resize();
+      resized = resize();
       if (robust && settled()) {
         converged = true;
         return *this;

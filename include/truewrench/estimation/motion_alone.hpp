@@ -94,7 +94,7 @@ class MotionAlone {
         q[at(j)] = smoothness_found(log, j, h, energy[at(j)], size[at(j)] - trace[at(j)] / z.q[j]);
         move = std::max(move, std::abs(std::log(q[at(j)] / z.q[j])));
       }
-      const bool last = (!held && move < constants::still) || iteration + 1 == most;
+      const bool last = (!held && move < constants::move) || iteration + 1 == most;
       held = held && move >= 0.1 && iteration + 1 < longest_held;
       const double deviance = last ? standing + changing(log, z, energy, size) : 0.0;
       for (std::size_t i = 0; i < streams; ++i)
