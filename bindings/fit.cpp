@@ -93,6 +93,7 @@ void bind_fit(nb::module_& m) {
       .def_ro("body_in_theta", &Columns::body_in_theta)
       .def_ro("slope", &Columns::slope)
       .def_ro("tilt", &Columns::tilt)
+      .def_ro("roots", &Columns::roots)
       .def_ro("gamma", &Columns::gamma)
       .def_ro("clock", &Columns::clock)
       .def_ro("bias", &Columns::bias)

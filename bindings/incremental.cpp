@@ -30,9 +30,10 @@ struct OnlineEstimate {
   std::vector<bool> unresolved;
   std::vector<int> dropped;
   std::vector<double> spacing;
-  std::vector<Sizes> sizes;                   // by log
-  std::vector<Eigen::VectorXd> own;           // by log: theta as its record ended
-  std::vector<std::vector<bool>> masked;      // by log: rows
+  std::vector<Sizes> sizes;                // by log
+  std::vector<Eigen::VectorXd> own;        // by log: theta as its record ended
+  std::vector<std::vector<double>> tilts;  // by log: of gravity, as the root frames before its last one ended
+  std::vector<std::vector<bool>> masked;   // by log: rows
   std::vector<Eigen::VectorXd> history_time;  // by log: [s] ends of blocks
   std::vector<RowMatrix> history_gain;        // (blocks, 6n)
   std::vector<std::int64_t> samples;          // by log: that were used or masked
@@ -46,6 +47,7 @@ RecordedLog without_samples(const RecordedLog& log) {
   out.raw.resize(0, log.raw.cols());
   out.R_sensor_root.resize(0, 9);
   if (out.temperature.size() > 1) out.temperature.conservativeResize(1);
+  if (out.own_roots.size() > 1) out.own_roots.resize(1);  // one at a time
   for (MotionStream& m : out.motion) {
     m.time.resize(0);
     m.value.resize(0, m.value.cols());
@@ -67,8 +69,9 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out,
   if (const Status status = check_samples(online.lag().rig(), log); status != Status::ok) return status;
   std::vector<Eigen::Index> at(log.motion.size(), 0);
   Eigen::Index k = 0;
+  std::size_t root = 1;
   Status worst = Status::ok;
-  std::vector<double> time;
+  std::vector<double> time, tilts;
   std::vector<Eigen::VectorXd> gain;
   std::int64_t blocks = online.blocks();
   const auto note = [&](Status s, double t) {
@@ -91,6 +94,12 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out,
         stream = static_cast<int>(i);
       }
     if (next == 1e300) break;
+    for (; root < log.own_roots.size() && log.own_roots[root] <= next; ++root) {
+      note(online.finish(), next);
+      const int tilt = online.lag().columns().tilt;
+      for (int axis = 0; axis < 2 && tilt >= 0; ++axis) tilts.push_back(online.theta()[tilt + axis]);
+      note(online.next_root(), next);
+    }
     if (stream >= 0) {
       const auto i = static_cast<std::size_t>(stream);
       const Vector6 v = log.motion[i].value.row(at[i]);
@@ -111,6 +120,7 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out,
     RowMatrix all(static_cast<Eigen::Index>(gain.size()), gain.empty() ? 0 : gain[0].size());
     for (std::size_t i = 0; i < gain.size(); ++i) all.row(static_cast<Eigen::Index>(i)) = gain[i].transpose();
     out->history_gain.push_back(std::move(all));
+    out->tilts.push_back(std::move(tilts));
   }
   return worst;
 }
@@ -250,6 +260,7 @@ void bind_incremental(nb::module_& m) {
           nb::arg("log"), nb::call_guard<nb::gil_scoped_release>(),
           "All samples of a log in the order of time, and its end.")
       .def("finish", &Incremental::finish)
+      .def("next_root", &Incremental::next_root)
       .def("next_log",
            [](Incremental& self, const RecordedLog& about) { return self.next_log(without_samples(about)); })
       .def_prop_ro("ready", &Incremental::ready)
@@ -288,6 +299,7 @@ void bind_incremental(nb::module_& m) {
       .def_ro("spacing", &OnlineEstimate::spacing)
       .def_ro("sizes", &OnlineEstimate::sizes)
       .def_ro("own", &OnlineEstimate::own)
+      .def_ro("tilts", &OnlineEstimate::tilts)
       .def_ro("masked", &OnlineEstimate::masked)
       .def_ro("history_time", &OnlineEstimate::history_time)
       .def_ro("history_gain", &OnlineEstimate::history_gain)

@@ -72,7 +72,7 @@ void bind_record(nb::module_& m) {
       .def_rw("time", &RecordedLog::time)
       .def_rw("raw", &RecordedLog::raw)
       .def_rw("R_sensor_root", &RecordedLog::R_sensor_root)
-      .def_rw("own_root", &RecordedLog::own_root)
+      .def_rw("own_roots", &RecordedLog::own_roots)
       .def_rw("temperature", &RecordedLog::temperature)
       .def_rw("motion", &RecordedLog::motion)
       .def(

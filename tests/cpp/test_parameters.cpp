@@ -22,7 +22,7 @@ TEST(Layout, GravityIsTiltedInTheRootFrameOfALogOrInTheOneThatLogsShare) {
   RecordedLog shared, alone;
   shared.motion.resize(1);
   alone = shared;
-  alone.own_root = true;
+  alone.own_roots = {0.0};
   const Layout layout(rig, {&alone, &shared, &alone, &shared}, {});
   const auto tilt = [&](std::size_t l) { return layout.in_theta(l).tilt; };
   EXPECT_EQ(tilt(1), tilt(3));
@@ -37,11 +37,26 @@ TEST(Layout, OfOneLogIsTheSameWhosesoeverItsRootFrameIs) {
   RecordedLog log;
   log.motion.resize(1);
   const Layout shared(rig, {&log}, {});
-  log.own_root = true;
+  log.own_roots = {0.0};
   const Layout alone(rig, {&log}, {});
   EXPECT_EQ(alone.log(0).global, shared.log(0).global);
   EXPECT_EQ(alone.in_theta(0).tilt, shared.in_theta(0).tilt);
   EXPECT_EQ(alone.sigma(), shared.sigma());
+}
+
+TEST(Layout, EveryRootFrameOfALogHasATiltOfItsOwn) {
+  const Statement rig = in_gravity();
+  RecordedLog log, shared;
+  log.motion.resize(1);
+  shared = log;
+  log.own_roots = {0.0, 9.0, 11.0};
+  const Layout layout(rig, {&log, &shared}, {});
+  const int first = layout.in_theta(0).tilt;
+  for (const auto& [time, root] : {std::pair{-0.1, 0}, {8.9, 0}, {9.0, 1}, {12.0, 2}}) {
+    EXPECT_EQ(layout.in_theta(0).in_root(time).tilt, first + 2 * root) << time;
+    EXPECT_EQ(layout.in_theta(1).in_root(time).tilt, layout.tilt) << time;
+  }
+  EXPECT_EQ(layout.tilt, first + 6);
 }
 
 }  // namespace

@@ -123,6 +123,15 @@ def test_a_log_without_attitude_among_others_stands_apart(online: bool) -> None:
         assert apart < 4.0 * np.hypot(same.std.max(), own.std.max())
 
 
+def test_online_knows_the_shared_tilt_after_a_log_that_stands_apart() -> None:
+    for seed in (0, 1, 3):
+        pool = Pool.of(seed, told=(True, False, True))
+        whole, forward = (estimate(pool.rig, pool.logs, online=online) for online in (False, True))
+        for of in (lambda e: np.diag(e.covariance)[:36], lambda e: e.tilts[0].std ** 2):
+            ratio = np.sqrt(of(forward) / of(whole))
+            assert 0.9 < ratio.min() < ratio.max() < 1.4
+
+
 @pytest.mark.parametrize("seed", [1, 3])
 def test_parts_of_a_long_log_without_attitude_begin_anew_as_logs_do(seed: int) -> None:
     pool = Pool.of(seed, told=(False,), seconds=60.0, lean=4.0)

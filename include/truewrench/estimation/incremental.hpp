@@ -86,6 +86,10 @@ class Incremental {
   // The record ends here.
   Status finish() noexcept { return refused_ != Status::ok ? refused_ : close(); }
 
+  // The attitude of the samples from here on has another heading than before, of a log whose root frame is its own: the stretch
+  // ends, and how gravity is tilted is not known.
+  Status next_root() noexcept;
+
   // Another log of the same sensor: theta's shared part goes on, with the
   // information on it; what is the log's own starts anew. Allocates. What
   // check() refuses changes nothing.
@@ -365,11 +369,13 @@ class Incremental {
   // theta: incremental_theta.hpp
   void resize_theta();
   void begin_log();
-  // So many of the first logs share, but for those of a root frame that a log has alone.
-  int shared() const { return lag_.columns().b + (lag_.rig().pool_offsets ? lag_.channels() : 0); }
-  bool own(int i, bool root) const {
+  // Whether a place of theta is of the root frame that the log has alone; whether it is the log's own.
+  bool in_root(int i) const {
     const int tilt = lag_.columns().tilt;
-    return i >= shared() || (root && tilt >= 0 && (i == tilt || i == tilt + 1));
+    return tilt >= 0 && tilt != lag_.layout().tilt && (i == tilt || i == tilt + 1);
+  }
+  bool own(int i) const {
+    return i >= lag_.columns().b + (lag_.rig().pool_offsets ? lag_.channels() : 0) || in_root(i);
   }
   bool factor(bool all, int columns);
   bool invert(bool all);
@@ -379,7 +385,8 @@ class Incremental {
   void imitate(int order) noexcept;
   double resize(const SizeSums& sums);
   void part(const Eigen::MatrixXd& S);
-  Eigen::MatrixXd without_own(const Eigen::MatrixXd& S, bool root) const;
+  template <typename Chosen>
+  void forget(Eigen::MatrixXd& S, const Chosen& chosen) const;
 };
 
 }  // namespace truewrench

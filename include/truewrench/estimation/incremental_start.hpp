@@ -32,7 +32,7 @@ inline double Incremental::fit_first(double origin, double h, bool partial) {
   if (first_stretch_) {  // theta's own part, and for the first log all of it, at
                          // the mean
     for (int i = 0; i < lag_.parameters(); ++i) {
-      if (!first_log_ && !own(i, lag_.about().own_root)) continue;
+      if (!first_log_ && !own(i)) continue;
       lag_.theta[i] = lag_.layout().mean()[i];
       prior_[i] = stated_[i];
     }

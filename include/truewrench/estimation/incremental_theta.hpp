@@ -343,41 +343,52 @@ inline void Incremental::begin_log() {
   log_samples_ = 0.0;
 }
 
-// The information without a log's own parameters, `root`: its root frame's too:
-// what is held at its mean, the rest eliminated with its prior.
-inline Eigen::MatrixXd Incremental::without_own(const Eigen::MatrixXd& S, bool root) const {
+// (M13): information without the chosen parameters, what is held at its mean, the rest eliminated with its prior.
+template <typename Chosen>
+inline void Incremental::forget(Eigen::MatrixXd& S, const Chosen& chosen) const {
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
-  Eigen::MatrixXd full(nt + 1, nt + 1);
-  for (int i = 0; i <= nt; ++i)
-    for (int j = 0; j <= nt; ++j) full(i, j) = S(std::max(i, j), std::min(i, j));
   for (int o = 0; o < nt; ++o) {
-    if (!own(o, root)) continue;
+    if (!chosen(o)) continue;
+    const auto with = [&S, o](int i) -> double& { return S(std::max(i, o), std::min(i, o)); };
     const bool held = active_[static_cast<std::size_t>(o)] == 0;
     if (!held) {
-      full(o, o) += 1.0 / prior_[o];
-      full(nt, o) = full(o, nt) = full(nt, o) + mean[o] / prior_[o];
+      with(o) += 1.0 / prior_[o];
+      with(nt) += mean[o] / prior_[o];
     }
     for (int j = 0; j <= nt; ++j) {
       if (j == o) continue;
       if (held) {
-        if (j < nt) full(nt, j) = full(j, nt) = full(nt, j) - mean[o] * full(o, j);
+        if (j < nt) S(nt, j) -= mean[o] * with(j);
         continue;
       }
-      const double c = full(j, o) / full(o, o);
-      for (int i = 0; i <= nt; ++i)
-        if (i != o) full(i, j) -= full(i, o) * c;
+      const double c = with(j) / with(o);
+      for (int i = j; i <= nt; ++i)
+        if (i != o) S(i, j) -= with(i) * c;
     }
-    for (int j = 0; j <= nt; ++j) full(o, j) = full(j, o) = 0.0;
+    for (int j = 0; j <= nt; ++j) with(j) = 0.0;
   }
-  return full;
+}
+
+inline Status Incremental::next_root() noexcept {
+  if (refused_ != Status::ok) return refused_;
+  const Status status = close();
+  const auto chosen = [this](int i) { return in_root(i); };
+  for (Eigen::MatrixXd* of : {&Z_, &parts_[0], &parts_[1]}) forget(*of, chosen);
+  for (int i = 0; i < lag_.parameters(); ++i)
+    if (in_root(i)) lag_.theta[i] = lag_.layout().mean()[i];
+  Zl_ = Z_;
+  lag_.set_front(past_, Z_);
+  gather(Z_, 0, S_);
+  return status;
 }
 
 inline Status Incremental::next_log(const RecordedLog& about) {
   if (refused_ != Status::ok) return refused_;
   if (const Status refused = check(lag_.rig(), about, settings_); refused != Status::ok) return refused;
   const Status status = close();
-  const int n = lag_.channels(), first = shared(), before = lag_.parameters();
+  const int n = lag_.channels(), before = lag_.parameters();
+  const bool common = lag_.layout().tilt >= 0;
   covariance();
   for (int i = 0; i < n && moments_.rows() > 10.0; ++i) {
     const Moment& m = found_[static_cast<std::size_t>(raw_group(i, n))];
@@ -387,24 +398,27 @@ inline Status Incremental::next_log(const RecordedLog& about) {
   }
   size10_samples_ += log_samples_;
   const Eigen::VectorXd theta = lag_.theta, prior = prior_;
-  // how gravity is tilted in a root frame is known as long as logs follow each other that share it
-  const bool alone = lag_.about().own_root, root = alone || about.own_root;
-  const bool other = about.body != lag_.about().body || (root && !alone);
+  const bool other = about.body != lag_.about().body;
   std::array<Eigen::MatrixXd, 3> old{Z_, parts_[0], parts_[1]};
   for (std::size_t k = 0; k < 3; ++k) {
     if (other) gather(Eigen::MatrixXd(old[k]), k, old[k]);
-    old[k] = without_own(old[k], root);
+    forget(old[k], [this](int i) { return own(i); });
   }
+  std::vector<int> from, shared;  // places of what goes on, before and now
+  for (int i = 0; i < before; ++i)
+    if (!own(i)) from.push_back(i);
   const RowMatrix lagged = lag_.lagged;
   lag_.carry(about);
   lag_.resize_work();
   resize_theta();
-  const int nt = lag_.parameters();
-  const auto moved = [&](const Eigen::MatrixXd& from) {
+  const int nt = lag_.parameters(), tilt = lag_.layout().tilt;
+  for (int i = 0; i < nt; ++i)
+    if (!own(i) && (common || tilt < 0 || (i != tilt && i != tilt + 1))) shared.push_back(i);
+  const auto moved = [&](const Eigen::MatrixXd& all) {
     Eigen::MatrixXd to = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
-    for (int j = 0; j < first; ++j) {
-      for (int i = j; i < first; ++i) to(i, j) = from(i, j);
-      to(nt, j) = from(before, j);
+    for (std::size_t j = 0; j < from.size(); ++j) {
+      for (std::size_t i = j; i < from.size(); ++i) to(shared[i], shared[j]) = all(from[i], from[j]);
+      to(nt, shared[j]) = all(before, from[j]);
     }
     return to;
   };
@@ -420,10 +434,9 @@ inline Status Incremental::next_log(const RecordedLog& about) {
   begin_log();
   if (ready_) lag_.lagged = lagged;
   prior_ = stated_;
-  for (int i = 0; i < first && ready_; ++i) {
-    if (own(i, root)) continue;
-    prior_[i] = prior[i];
-    lag_.theta[i] = theta[i];
+  for (std::size_t i = 0; i < from.size() && ready_; ++i) {
+    prior_[shared[i]] = prior[from[i]];
+    lag_.theta[shared[i]] = theta[from[i]];
   }
   gather(Z_, 0, S_);
   base_ = S_;

@@ -21,7 +21,7 @@ class Intervals {
              const Sizes& sizes, bool alone = false) {
     const int M = s.components(), n = s.channels();
     alone_ = alone;
-    sums.setup(columns, M, s.log().source == Source::mapped ? 3 : 2, s.gravity());
+    sums.setup(s.of_root(columns), M, s.log().source == Source::mapped ? 3 : 2, s.gravity());
     sums.at(theta.data() + columns.C, theta.data() + columns.u, lagged.data());
     further_.resize(static_cast<std::size_t>(sums.nf - 7));
     information_.resize(static_cast<std::size_t>(n));

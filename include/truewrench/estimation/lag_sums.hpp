@@ -9,7 +9,7 @@ namespace truewrench {
 inline void Lag::carry(const RecordedLog& about) {
   about_ = about;
   for (MotionStream& m : about_.motion) m.value.resize(0, kComponents);  // whatever a log without samples has
-  layout_ = Layout(rig_, {&about_}, {});
+  layout_ = Layout(rig_, {&about_}, {}, layout_.tilt >= 0);              // logs to come may share it again
   nt_ = layout_.size();
   columns_ = layout_.in_theta(0);
   streams_ = about_.motion.size();

@@ -13,7 +13,8 @@
 
 namespace truewrench {
 
-// Where a record is cut: where all motion streams, or the sensor, are silent for five periods and six knots (METHOD 10.6).
+// Where a record is cut: where all motion streams, or the sensor, are silent for five periods and six knots (METHOD 10.6), and
+// where a root frame begins.
 struct Piece {
   double begin = 0.0, end = 0.0;
 };
@@ -44,11 +45,14 @@ inline std::vector<Piece> pieces_of(const RecordedLog& log, double h, int& dropp
     for (Eigen::Index k = 0; k < m.time.size(); ++k)
       if (m.value.row(k).array().isFinite().any()) motion.push_back(m.time[k]);
   std::sort(motion.begin(), motion.end());
-  const auto covered = [h](const std::vector<double>& time, double period) {
+  const auto covered = [h, &log](const std::vector<double>& time, double period) {
     std::vector<Piece> out;
+    auto root = log.own_roots.begin();
     for (std::size_t k = 0; k < time.size(); ++k) {
-      if (k == 0 || time[k] - time[k - 1] > std::max(5.0 * period, 6.0 * h))
+      const auto next = std::upper_bound(root, log.own_roots.end(), time[k]);
+      if (k == 0 || time[k] - time[k - 1] > std::max(5.0 * period, 6.0 * h) || next != root)
         out.push_back({time[k], time[k]});
+      root = next;
       out.back().end = time[k];
     }
     return out;

@@ -340,8 +340,9 @@ class Stretch {
     return out;
   }
   Gravity gravity_of(const Columns& columns, const Eigen::VectorXd& theta) const {
-    return {*rig_, columns, theta.data(), gravity()};
+    return {*rig_, of_root(columns), theta.data(), gravity()};
   }
+  Columns of_root(const Columns& columns) const { return columns.in_root(0.5 * (begin_ + end_)); }
   double warmth(Eigen::Index k) const {
     const double t =
         log_->temperature.size() > 0 ? log_->temperature[raw.source[static_cast<std::size_t>(k)]] : 0.0;

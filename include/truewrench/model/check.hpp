@@ -94,7 +94,9 @@ inline Status check(const Statement& rig, const RecordedLog& log) {
     if (const Status status = checked::stream(m, M); status != Status::ok) return status;
   if (!log.point.allFinite()) return Status::not_finite;
   // a table's rounding, and the solver's of principal moments
-  return checked::first({check(log.payload, 1e-6), checked::walk(log)});
+  return checked::first(
+      {check(log.payload, 1e-6), checked::walk(log),
+       checked::increasing(log.own_roots.data(), static_cast<Eigen::Index>(log.own_roots.size()))});
 }
 
 // And of its samples: as many of each as there are stamps, which increase; the attitude where gravity is felt along it.

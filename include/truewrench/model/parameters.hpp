@@ -23,6 +23,7 @@ struct Columns {
   std::vector<double> knots;  // [s]
   std::vector<int> steps;
   std::vector<double> step_times;  // [s]
+  std::vector<double> roots;       // [s] from which on root frames hold, each with two places from `tilt` on
   std::vector<int> global;         // place in theta of each of them
 
   int size() const { return static_cast<int>(global.size()); }
@@ -35,6 +36,12 @@ struct Columns {
       for (int& at : *list) place(at);
     return out;
   }
+  // With `tilt` at that of the root frame at a time.
+  Columns in_root(double time) const {
+    Columns out = *this;
+    for (std::size_t j = 1; tilt >= 0 && j < roots.size() && roots[j] <= time; ++j) out.tilt += 2;
+    return out;
+  }
   // Share of a ramp at a time.
   double ramped(std::size_t j, double time) const {
     return std::clamp((time - knots[j]) / (knots[j + 1] - knots[j]), 0.0, 1.0);
@@ -45,8 +52,9 @@ struct Columns {
 class Layout {
  public:
   Layout() = default;
+  // `common`: with the root frame that logs share, whether or not one of these has it.
   Layout(const Statement& rig, const std::vector<const RecordedLog*>& logs,
-         const std::vector<std::vector<double>>& steps) {
+         const std::vector<std::vector<double>>& steps, bool common = false) {
     const int n = static_cast<int>(rig.noise.size());
     const bool gravity = rig.gravity[0] != 0.0 || rig.gravity[1] != 0.0 || rig.gravity[2] != 0.0;
     const bool warm = rig.slope_prior > 0.0 &&
@@ -62,11 +70,12 @@ class Layout {
     if (warm) slope = add(n, rig.slope_prior);
     // gravity is tilted about axes of a root frame: of the one that logs share, and of those that a log has alone
     std::vector<int> tilts(logs.size(), -1);
-    int shared = -1;
+    if (gravity && common) tilt = add(2, rig.tilt_prior);
     for (std::size_t l = 0; gravity && l < logs.size(); ++l) {
-      int& tilt = logs[l]->own_root ? tilts[l] : shared;
-      if (tilt < 0) tilt = add(2, rig.tilt_prior);
-      tilts[l] = tilt;
+      const auto own = static_cast<int>(logs[l]->own_roots.size());
+      int& at = own > 0 ? tilts[l] : tilt;
+      if (at < 0) at = add(2 * std::max(own, 1), rig.tilt_prior);
+      tilts[l] = at;
     }
     int pooled = -1;
     for (std::size_t l = 0; l < logs.size(); ++l) {
@@ -102,7 +111,8 @@ class Layout {
           c.bias.push_back(-1);
         }
       }
-      if (gravity) c.tilt = take(tilts[l], 2);
+      c.roots = log.own_roots;
+      if (gravity) c.tilt = take(tilts[l], 2 * std::max(static_cast<int>(c.roots.size()), 1));
       if (gravity && log.source == Source::twist) {
         c.gamma = take(add(1, constants::filter_prior), 1);
         set(mean_, &rig.gamma_mean, 1);
@@ -130,7 +140,7 @@ class Layout {
   const Columns& in_theta(std::size_t l) const { return in_theta_[l]; }
   std::size_t logs() const { return logs_.size(); }
 
-  int C = 0, u = 0, slope = -1;
+  int C = 0, u = 0, slope = -1, tilt = -1;  // tilt: in the root frame that logs share
   std::vector<int> bodies;
 
  private:

@@ -65,8 +65,9 @@ struct RecordedLog {
   RowMatrix raw;            // (K, n)
   RowMatrix R_sensor_root;  // (K, 9) row by row, or empty: no gravity, or a mapped motion that brings its own
   Eigen::VectorXd temperature;  // (K) above the reference [K], or empty
-  // whether the attitude begins with a heading of its own: the axes about which gravity is tilted are then this log's alone
-  bool own_root = false;
+  // [s] from which on the attitude has headings that nothing tells to others: gravity is tilted about axes of a root frame of
+  // this log alone, anew from each of these times on, where stretches begin and end; empty: the root frame that logs share
+  std::vector<double> own_roots;
   std::vector<MotionStream> motion;
   MotionMap map;  // of a mapped motion
   // of rows that stand for more than a sample, else empty:

@@ -35,7 +35,7 @@ from truewrench.model.arrays import Array
 from truewrench.model.calibration import LogReport
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-from truewrench.robot.attitude import own_root
+from truewrench.robot.attitude import own_roots
 from truewrench.tool.poses import stands_still
 
 T = TypeVar("T")
@@ -103,8 +103,8 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
         std = np.tile(rig.sensor.offset_prior_array, (len(at_rest), 1))
         return Pooled(_spread(found, len(logs), moving, offsets, std), moving, parts=parts)
     largest = logs[max(zip(moving, found.rows, strict=True), key=lambda pair: pair[1].samples)[0]]
-    one_root = not any(own_root(rig, log, twists=online) for log in in_motion)
-    one_root &= not any(own_root(rig, logs[k]) for k in at_rest)
+    one_root = not any(len(own_roots(rig, log, twists=online)) for log in in_motion)
+    one_root &= not any(len(own_roots(rig, logs[k])) for k in at_rest)
     before = Known.of_motion(rig, found.joint, largest.payload, one_root=one_root)
     still_logs = [logs[k] for k in at_rest]
     still = estimate_still(rig, still_logs, before)

@@ -150,7 +150,7 @@ class Estimate:
     clocks: tuple[tuple[Clock, ...], ...]  # per log, of each motion stream
     payloads: dict[str, PayloadDeparture]  # by name
     # of gravity, one of each root frame: of the one that logs share, and of those that a log whose attitude
-    # is not logged has alone, a long one in its last part; none without gravity
+    # is not logged has alone, in its last part or after its last gap; none without gravity
     tilts: tuple[Tilt, ...]
     offset_temperature: Array | None  # (n,) raw units per K, None without a slope
     quadratic: Array  # (n,) u of (10.3), fraction of range; quadratic_std likewise

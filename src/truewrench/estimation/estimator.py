@@ -295,13 +295,17 @@ def _joint(
 
 
 def _root_frames(columns: Sequence[Any]) -> list[tuple[tuple[int, ...], Integers]]:
-    """Which logs have each root frame in which gravity may be tilted, and where in theta that tilt stands."""
+    """Which logs end in each root frame that gravity may be tilted in, and where in theta its tilt stands."""
     found: dict[tuple[int, ...], tuple[int, ...]] = {}
     for k, c in enumerate(columns):
-        if c.tilt >= 0:
-            at = tuple(c.at[c.tilt : c.tilt + 2])
+        if at := tuple(_tilts(c)[-2:]):
             found[at] = (*found.get(at, ()), k)
     return [(logs, np.array(at)) for at, logs in found.items()]
+
+
+def _tilts(c: Any) -> list[int]:
+    """Where in theta the tilts of gravity in a log's root frames stand, two of each; none without gravity."""
+    return list(c.at[c.tilt : c.tilt + 2 * max(len(c.roots), 1)]) if c.tilt >= 0 else []
 
 
 def _sources(
@@ -319,8 +323,7 @@ def _sources(
             places["timing"] |= {int(at[clock]), int(at[clock + 1])}
         if c.gamma >= 0:
             places["timing"].add(int(at[c.gamma]))
-        if c.tilt >= 0:
-            places["gravity"] |= set(at[c.tilt : c.tilt + 2].tolist())
+        places["gravity"] |= set(_tilts(c))
     gains = np.diag(covariance)[: 6 * n]
 
     found = {name: explained(covariance, 6 * n, at) for name, at in places.items()}

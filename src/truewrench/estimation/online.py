@@ -12,7 +12,7 @@ from truewrench.model.arrays import Array, Integers
 # of a record, but for its motion
 _FIELDS = (
     "source", "payload", "point", "body", "offset_knots", "offset_walk", "time", "raw", "R_sensor_root",
-    "own_root", "temperature",
+    "own_roots", "temperature",
 )  # fmt: skip
 
 
@@ -85,13 +85,14 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
     moved = [_at_clocks(record, s) for record, s in zip(records, late, strict=True)]
     fit = _core.make_fit(statement, moved, list(found.spacing), [[] for _ in records], cauchy=False)
     theta = np.array(fit.theta)
-    for k, own in enumerate(found.own):
-        theta[np.array(fit.columns(k).at)] = np.asarray(own)[at[k]]
+    for k, (own, c) in enumerate(zip(found.own, found.columns, strict=True)):
+        theta[np.array(fit.columns(k).at)] = np.insert(np.asarray(own)[at[k]], max(c.tilt, 0), found.tilts[k])
         sizes, found_sizes = fit.sizes(k), found.sizes[k]
         sizes.raw_factor, sizes.motion_factor = found_sizes.raw_factor, found_sizes.motion_factor
     # C, u and all payloads come first in either theta; of the rest the last log has told what it has
     shared = 7 * n + 10 * len(statement.body_prior)
     last = np.array(fit.columns(len(records) - 1).at)
+    last = np.delete(last, max(found.columns[-1].tilt, 0) + np.arange(len(found.tilts[-1])))
     here, there = (np.r_[:shared, places[places >= shared]] for places in (last, at[-1]))
     theta[here] = np.asarray(found.theta)[there]
     fit.theta = theta

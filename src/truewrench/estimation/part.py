@@ -61,7 +61,7 @@ class Part:
     found: Found | None  # by the core, without the fit; None where nothing could be solved
     fit: _core.Part | None  # put away; likewise
     estimate: Estimate  # the same in SI units
-    record: SimpleNamespace  # its streams' names and sizes, and whether its root frame is its own
+    record: SimpleNamespace  # its streams' names and sizes
 
     @property
     def samples(self) -> int:
@@ -115,7 +115,7 @@ def part_of(
         _without_fit(found) if ok else None,
         _core.put_away(found) if ok else None,
         replace(estimate, rows=(_some(held, origin, place.begin, every),)),
-        SimpleNamespace(source=record.source, motion=streams, own_root=record.own_root),
+        SimpleNamespace(source=record.source, motion=streams),
     )
 
 
@@ -187,8 +187,9 @@ def told_by(part: Part, rig: Rig) -> Told:
     for name, place in (("slope", columns.slope), ("tilt", columns.tilt), ("b", columns.b)):
         begin = int(at[place]) if place >= 0 else first
         keys |= {j: (name, j - begin) for j in range(begin, first)}
-    if part.record.own_root:  # attitudes of parts begin anew as those of logs do
-        keys = {j: key for j, key in keys.items() if j not in at[columns.tilt : columns.tilt + 2]}
+    # attitudes of parts begin anew as those of logs do
+    own = at[columns.tilt : columns.tilt + 2 * len(columns.roots)]
+    keys = {j: key for j, key in keys.items() if j not in own}
     keys |= {int(at[place + 1]): ("kappa", part.log, i) for i, place in enumerate(columns.clock)}
     if columns.gamma >= 0:
         keys[int(at[columns.gamma])] = ("gamma", part.log)

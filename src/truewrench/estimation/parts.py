@@ -320,7 +320,7 @@ def _columns_at(part: Part, place: Integers) -> SimpleNamespace:
     """Where the parameters of a log stand in theta of all."""
     assert part.found is not None
     columns = part.found.columns
-    names = ("C", "b", "u", "slope", "tilt", "gamma", "clock", "bias", "steps", "step_times")
+    names = ("C", "b", "u", "slope", "tilt", "roots", "gamma", "clock", "bias", "steps", "step_times")
     return SimpleNamespace(
         **{name: getattr(columns, name) for name in names},
         body_in_theta=int(place[columns.body_in_theta]),

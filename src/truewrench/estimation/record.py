@@ -20,16 +20,15 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.motion import ACCELEROMETER_BIAS_PRIOR
 from truewrench.model.temperature import temperature_at
-from truewrench.motion.smooth import segments
+from truewrench.motion.smooth import SILENT, segments
 from truewrench.robot.arm import robot_of
-from truewrench.robot.attitude import attitude_of, own_root
+from truewrench.robot.attitude import attitude_of, own_roots
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import chain_of
 from truewrench.robot.track import measured_twists
 
 _NO_BIAS = 1e-9  # 1 sigma that holds a constant at zero
 _SHORTEST_GAP = 0.05  # [s] that the attitude is not interpolated over, where it is more than 5 periods too
-_SILENT = 0.3  # [s] six knots: shorter silences do not cut a record
 _LINEAR, _ANGULAR = slice(0, 3), slice(3, 6)
 
 
@@ -82,12 +81,14 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = Fal
         if rig.in_gravity:
             R_sensor_root = _attitude(rig, log)
             fall = R_sensor_root.reshape(-1, 3, 3) @ assumptions.gravity
-            known = np.isfinite(R_sensor_root[:, 0])
+            known, roots = np.isfinite(R_sensor_root[:, 0]), own_roots(rig, log, twists=twists)
+            if len(roots):
+                known &= ((log.time[:, None] >= roots[:, 0]) & (log.time[:, None] <= roots[:, 1])).any(axis=1)
             _leave_out(
                 notes, log, known, "gx gy gz, qw qx qy qz", "the direction of gravity is not known then"
             )
             out.R_sensor_root = np.nan_to_num(R_sensor_root)
-            out.own_root = own_root(rig, log, twists=twists)
+            out.own_roots = roots[:, 0].tolist()
         if joints:
             out.motion = _jacobian_streams(rig, assumptions, log)
         else:
@@ -253,7 +254,7 @@ def _from_start(
     rows = np.flatnonzero(np.isfinite(velocity).all(axis=1))
     if not rows.size:
         raise InputError.at(log.path, "dq_*", "no row with all joints", "velocities of all joints")
-    rows = rows[_stretches(log.time[rows])[0]]
+    rows = rows[segments(log.time[rows], SILENT)[0]]
     known = velocity.copy()
     known[rows[-1] + 1 :] = np.nan
     lost = int(np.count_nonzero(np.isfinite(velocity[rows[-1] + 1 :]).any(axis=1)))
@@ -266,7 +267,7 @@ def _from_start(
     period = float(np.median(np.diff(time))) if rows.size > 1 else 0.0
     sensed = log.time[np.isfinite(log.raw).any(axis=1)]
     starts = []
-    for piece in _stretches(sensed):
+    for piece in segments(sensed, SILENT):
         first = int(np.searchsorted(time, sensed[piece][0]))
         if first == rows.size:
             break
@@ -275,11 +276,6 @@ def _from_start(
         walked = sigma * np.sqrt(period * (time[first] - time[0]))
         starts.append((position, np.hypot(FIRST_POSITION_NOISE, walked)))
     return known, starts
-
-
-def _stretches(time: Array) -> list[slice]:
-    """As `segments`, by the estimator's own rule: silent for five periods and for six knots."""
-    return _pieces(time, _SILENT)
 
 
 def _attitude(rig: Rig, log: Log) -> Array:
@@ -300,24 +296,13 @@ def _between(time: Array, R: Array, at: Array) -> Array:
     turned = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
     quaternion[1:] *= np.cumprod(np.where(turned, -1.0, 1.0))[:, None]
     out: Array = np.full((at.size, 9), np.nan)
-    for piece in _pieces(time, _SHORTEST_GAP):
+    for piece in segments(time, _SHORTEST_GAP):
         known = time[piece]
         inside = (at >= known[0]) & (at <= known[-1])
         if inside.any() and known.size > 1:
             path = make_interp_spline(known, quaternion[piece], k=min(3, known.size - 1))
             out[inside] = Rotation.from_quat(path(at[inside])).as_matrix().reshape(-1, 9)
     return out
-
-
-def _pieces(time: Array, shortest: float) -> list[slice]:
-    """As `segments`, gaps shorter than this not counted [s]."""
-    found: list[slice] = []
-    for piece in segments(time):
-        if found and time[piece.start] - time[found[-1].stop - 1] < shortest:
-            found[-1] = slice(found[-1].start, piece.stop)
-        else:
-            found.append(piece)
-    return found
 
 
 def _leave_out(notes: list[str], log: Log, known: Mask, columns: str, why: str) -> None:

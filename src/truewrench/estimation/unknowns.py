@@ -13,7 +13,7 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.sections import COLUMNS, ROWS
 from truewrench.motion.spatial import cross_matrix
-from truewrench.robot.attitude import attitude_at, attitude_of, own_root
+from truewrench.robot.attitude import attitude_at, attitude_of, own_roots
 
 Motion = Callable[[Array], tuple[Array, Array, Array]]
 """Of times (M,): twist (M, 6) of the logged point, its derivative, free fall (M, 3) in sensor axes."""
@@ -30,7 +30,7 @@ class Unknown:
 
     group: str  # mass, center_of_mass, inertia, timing, gravity
     prior: float  # 1 sigma, greater than zero
-    place: int  # which of the group's numbers: of a payload's ten, of the tilt's two
+    place: int  # which of the group's numbers: of a payload's ten, of the tilt's two in each root frame
     payload: str | None = None  # whose it is, None for clocks and gravity
     log: int | None = None  # the number of the log whose clock, or whose own root frame, it is of; else None
 
@@ -50,8 +50,9 @@ def unknowns_of(rig: Rig, logs: Sequence[Log]) -> list[Unknown]:
         ]
     found += [Unknown("timing", rig.sensor.time_offset_prior, 0, log=k) for k in range(len(logs))]
     if rig.in_gravity:
-        roots = dict.fromkeys(_root(rig, log, k) for k, log in enumerate(logs))
-        found += [Unknown("gravity", rig.gravity_tilt_prior, k, log=root) for root in roots for k in range(2)]
+        roots = {_root(rig, log, k): max(len(own_roots(rig, log)), 1) for k, log in enumerate(logs)}
+        sigma = rig.gravity_tilt_prior
+        found += [Unknown("gravity", sigma, k, log=root) for root in roots for k in range(2 * roots[root])]
     return [u for u in found if u.prior > 0.0]
 
 
@@ -88,8 +89,8 @@ def wrench_rates(
 
 
 def _root(rig: Rig, log: Log, number: int) -> int | None:
-    """Which log's own root frame a log has, None where it is the one that logs share."""
-    return number if own_root(rig, log) else None
+    """Which log's own root frames a log has, None where it is the one that logs share."""
+    return number if len(own_roots(rig, log)) else None
 
 
 def payload_rates(rig: Rig, payload: str, nu: Array, a: Array, gravity: Array) -> Array:
@@ -128,18 +129,20 @@ def horizontal_axes(gravity: Array) -> Array:
 
 
 def tilt_rates(rig: Rig, log: Log, at: Array, nu: Array, a: Array, gravity: Array, wrench: Wrench) -> Array:
-    """Derivatives (M, 6, 2) of a wrench by gravity's tilt; zero where nothing tells the attitude.
+    """Derivatives (M, 6, 2R) of a wrench by gravity's tilt in each root frame; 0 where no attitude is told.
 
     A tilt about e changes free fall in sensor axes by R (e x g). Arguments as of `wrench_rates`, and its
     motion.
     """
-    rates = np.zeros((at.size, 6, 2))
+    roots = own_roots(rig, log)
+    rates = np.zeros((at.size, 6, max(len(roots), 1), 2))
     told = attitude_of(rig, log)
     if told is None:
-        return rates
+        return rates.reshape(at.size, 6, -1)
     R_sensor_root = attitude_at(*told, at)
+    root = np.searchsorted(roots[1:, 0], at, side="right")
     here = wrench(nu, a, gravity)
     for k, axis in enumerate(horizontal_axes(rig.gravity_array)):
         change = R_sensor_root @ np.cross(axis, rig.gravity_array)
-        rates[:, :, k] = wrench(nu, a, gravity + change) - here  # linear in gravity: exact
-    return rates
+        rates[np.arange(at.size), :, root, k] = wrench(nu, a, gravity + change) - here  # linear in g: exact
+    return rates.reshape(at.size, 6, -1)

@@ -13,6 +13,8 @@ DEGREE = 5
 
 _SAMPLES_PER_COEFFICIENT = 3.0
 _GAP = 5.0  # nominal periods
+SILENT = 0.3
+"""[s] six knots: shorter silences do not cut a record, METHOD 10.6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +27,14 @@ class SmoothTwist:
     chi_square: Array  # (6,) of the residuals, per degree of freedom
 
 
-def segments(time: Array) -> list[slice]:
-    """Pieces of a record that no gap of more than five nominal (median) periods interrupts."""
+def segments(time: Array, shortest: float = 0.0) -> list[slice]:
+    """Pieces of a record that no gap of more than five nominal (median) periods and so many s interrupts."""
     steps = np.diff(time)
     if steps.size == 0:
         return [slice(0, time.size)]
-    ends = np.concatenate([[0], np.flatnonzero(steps > _GAP * np.median(steps)) + 1, [time.size]])
+    ends = np.concatenate(
+        [[0], np.flatnonzero(steps > max(_GAP * np.median(steps), shortest)) + 1, [time.size]]
+    )
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 

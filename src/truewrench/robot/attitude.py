@@ -4,8 +4,8 @@ What it is for: gravity's direction in the root frame is uncertain by a small ti
 of the root moves g in sensor axes by R_sensor_root (tilt x g_root). Free fall itself is exact in every row.
 The turn about the vertical comes from the integrated angular velocity and drifts slowly (a gyroscope of
 1e-3 rad/s: a degree in 17 s): that mixes the tilt's two axes as slowly, which no fit of seconds to minutes
-notices. It begins anew, with no turn, in every log, whose root frame is then its own (`own_root`): a tilt is
-told of each. A gap adds whatever happened in it.
+notices. It begins anew in every log, and after every gap, in which anything may have happened: root frames
+that are this log's alone (`own_roots`), with a tilt of each.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments
+from truewrench.motion.smooth import SILENT, segments
 from truewrench.motion.spatial import cross_matrix, rotated, turns_between
 
 _NO_RATE = 1e6  # [rad/s]: tolerance
@@ -50,17 +50,28 @@ def attitude_of(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     return log.time[known], _followed(down, fall, turns)
 
 
-def own_root(rig: Rig, log: Log, *, twists: bool = False) -> bool:
-    """Whether the root frame of a log's attitude is that log's alone: nothing tells its heading to others.
+def own_roots(rig: Rig, log: Log, *, twists: bool = False) -> Array:
+    """Root frames of a log's attitude that are that log's alone: nothing tells their headings to others.
+
+    One holds as long as the angular velocity does: five periods and six knots of silence end it.
 
     Args:
         rig: with the direction of gravity.
         log: whose attitude is asked for.
         twists: of a log of joints, those that its tachometers measure: its joints do not tell the attitude.
+
+    Returns:
+        (R, 2) from when to when each holds [s since the first row], none where logs share the root frame; the
+        first from 0 on and the last to infinity.
     """
     integrated = rig.motion.source == "twist" or (rig.motion.source == "joints" and twists)
     told = log.attitude is not None and bool(np.isfinite(log.attitude).all(axis=1).any())
-    return rig.in_gravity and integrated and not told
+    if told or not (rig.in_gravity and integrated):
+        return np.zeros((0, 2))
+    time, _ = _angular_velocity(log)
+    pieces = segments(time, SILENT)
+    begins = [0.0, *(time[piece.start] for piece in pieces[1:])]
+    return np.column_stack([begins, [*(time[piece.stop - 1] for piece in pieces[:-1]), np.inf]])
 
 
 def attitude_at(time: Array, R_sensor_root: Array, at: Array) -> Array:
@@ -110,7 +121,7 @@ def _turns(time: Array, omega_time: Array, omega: Array) -> Array:
     The identity where Omega is not known all the way between the two.
     """
     turns = np.tile(np.eye(3), (len(time) - 1, 1, 1))
-    for piece in segments(omega_time):
+    for piece in segments(omega_time, SILENT):
         at = omega_time[piece]
         inside = np.flatnonzero((time >= at[0]) & (time <= at[-1])) if at.size > 1 else np.empty(0, np.int64)
         if inside.size < 2:

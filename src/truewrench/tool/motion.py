@@ -122,7 +122,7 @@ def _taken(
                 pick[np.arange(n), np.array(c.at)[b : b + n]] += 1.0
             rows.append(pick * scale[:, None])
     # a tool has the tilt of one root frame: where each log has its own, they are integrated out
-    one = len({tuple(c.at[c.tilt : c.tilt + 2]) for c in columns}) == 1
+    one = len({tuple(c.at[c.tilt : c.tilt + 2]) for c in columns}) == 1 and len(columns[0].roots) < 2
     tilt = columns[0].tilt if tilts and one else -1
     if tilt >= 0:
         rows.append(np.eye(theta.size)[at[tilt : tilt + 2]])

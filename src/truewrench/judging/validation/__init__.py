@@ -187,7 +187,7 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
         block=_longest_block(parts) * parts[0].period,
         tared=is_tared(rig),
         time_offsets=tuple(part.time_offset for part in parts),
-        tilts=tuple(float(np.linalg.norm(part.tilt)) for part in parts),
+        tilts=tuple(float(np.linalg.norm(part.tilt, axis=1).max()) for part in parts),
         logs=tuple("" if log.path is None else str(log.path) for log in records),
         held_out=not any(log.sha256 in used for log in records),
         payload_seen=all(was_seen(calibration, rig, log.payload) for log in records),
@@ -217,7 +217,7 @@ def _of_gravity(
     stated = rig.gravity_tilt_prior
     for log, part in zip(logs, parts, strict=True):
         if np.abs(part.tilt).max() > TILTED * stated > 0.0:
-            angle = float(np.linalg.norm(part.tilt))
+            angle = float(np.linalg.norm(part.tilt, axis=1).max())
             reasons.append(
                 f"gravity: in {log.path or 'a log'} it is tilted by {np.degrees(angle):.2g} deg, "
                 f"{angle / stated:.2g} sigma of `gravity_tilt_prior`"
@@ -230,7 +230,7 @@ def _of_gravity(
     tilted = _axes(calibration, parts, seed)
     explained = [name for name in departing if not _reasons("", tilted[name])]
     if explained:
-        angle = max(float(np.linalg.norm(part.tilt)) for part in parts)
+        angle = max(float(np.linalg.norm(part.tilt, axis=1).max()) for part in parts)
         reasons.append(
             f"gravity: tilted by {np.degrees(angle):.2g} deg it would explain {', '.join(explained)}; "
             f"`gravity_tilt_prior` is {np.degrees(stated):.2g} deg"

@@ -46,12 +46,13 @@ class Residuals:
     payload: str  # that it carries
     carried: Carried | None  # the same as the calibration knows it; None where it brings no error
     by_payload: Array  # (M, 6, 10 or none) derivative of the wrench by it, without its mean
-    by_tilt: Array  # (M, 6, 2) of 1 sigma of what is left of gravity's tilt, likewise
+    # (M, 6, 2R) of 1 sigma of what is left of gravity's tilt in each root frame, likewise
+    by_tilt: Array
     begin: tuple[int, ...]  # where chunks begin
     lagged: Array  # (LONGEST_LAG + 1, 6) mean of the motion's covariance at 0, 1, ... rows over the noise
     period: float  # [s]
     time_offset: float
-    tilt: Array  # (2,) of gravity, that the residuals ask for, under its prior [rad]
+    tilt: Array  # (R, 2) of gravity, that the residuals ask for, under its prior [rad]
     rows: Integers  # (M,) of the log
 
 
@@ -113,7 +114,7 @@ class _Known:
     time_offset: float
     by_payload: Array
     by_tilt: Array
-    tilt: Array = field(default_factory=lambda: np.zeros(2))
+    tilt: Array = field(default_factory=lambda: np.zeros((1, 2)))
     carried: Carried | None = None
 
 
@@ -127,7 +128,8 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     of_sensor = inverse**2 @ sensor.noise_array**2
     moved = _moved(rig, log, motion, body, at, of_sensor)
     rate = moved.rate - subtracted(rig, moved.fall_rate) @ inverse.T
-    prior = np.array([rig.gravity_tilt_prior, rig.gravity_tilt_prior, sensor.time_offset_prior])
+    tilts = [rig.gravity_tilt_prior] * moved.by_tilt.shape[2]
+    prior = np.array([*tilts, sensor.time_offset_prior])
     own, P = fitted(
         joint_covariance(calibration, [body]),
         prior,
@@ -137,7 +139,7 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
         np.concatenate([moved.by_tilt, rate[..., None]], axis=2),
         moved.variance + of_sensor,
     )
-    tilt, later = own[:2], float(own[2])
+    tilt, later = own[:-1], float(own[-1])
     if later != 0.0:
         moved = _moved(rig, log, motion, body, at + later, of_sensor)
     return _Known(
@@ -149,8 +151,8 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
         moved.lagged,
         at + later,
         moved.by_payload,
-        moved.by_tilt @ factor(P[:2, :2]),
-        tilt,
+        moved.by_tilt @ factor(P[:-1, :-1]),
+        tilt.reshape(-1, 2),
         body if body.covariance.any() else None,
     )
 
@@ -182,7 +184,7 @@ class _Moved:
     rate: Array  # (M, 6) by time
     fall_rate: Array  # (M, 3) of free fall in sensor axes, likewise
     by_payload: Array  # (M, 6, 10)
-    by_tilt: Array  # (M, 6, 2) by gravity's tilt, zero on orbit
+    by_tilt: Array  # (M, 6, 2R) by gravity's tilt, zero on orbit
     begin: tuple[int, ...]
     lagged: Array
 
