@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from test_still_poses import poses, settings_of
+from test_still_poses import SEVERAL, poses, settings_of
 
 import truewrench as tw
 from truewrench.calibrating.pooled import estimate_pooled
+from truewrench.calibrating.still_poses import estimate_still
 from truewrench.estimation.bound import information
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.estimator import estimate
@@ -174,3 +175,30 @@ def test_a_tilt_is_told_of_the_log_that_has_it() -> None:
     ]
     notes = tw.calibrate(pool.rig, pool.logs).figures["notes"]
     assert not any("attitude" in note for note in notes)
+
+
+@pytest.mark.parametrize("alike", [False, True])
+def test_poses_of_unknown_headings_are_at_least_as_good_as_they_say(alike: bool) -> None:
+    settings = settings_of(SEVERAL, uncertainty=1e-3) | {"gravity_tilt_prior": TILT}
+    settings["sensor"]["noise"] = [2e-3] * 3 + [2e-4] * 3
+    rig, nees, furthest = Rig.from_mapping(settings), [], []
+    for seed in range(10):
+        # at any heading the tilt has any direction: by chance, or alike in all poses
+        logs, gain = poses(rig, seed, walk=1e-5)
+        draw = np.random.default_rng(100 + seed)
+        lean = TILT * np.linalg.norm(draw.normal(size=2))
+        for k, log in enumerate(logs):
+            assert log.gravity is not None
+            to = np.array([0.3, 0.5, 0.8]) if alike else draw.normal(size=log.gravity.shape)
+            axis = np.cross(log.gravity, np.cross(to, log.gravity))
+            axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+            stated_fall = Rotation.from_rotvec(-lean * axis).apply(log.gravity)
+            logs[k] = replace(log, gravity=stated_fall)
+        told = estimate_still(rig, logs)
+        assert told.unturned == len(told.poses)
+        found = told.estimate
+        off, P = (found.gain - gain).ravel(), found.covariance[:36, :36]
+        nees.append(off @ np.linalg.solve(P, off) / 36)
+        furthest.append(np.abs(off / np.sqrt(np.diag(P))).max())
+    assert np.mean(nees) < 1.05
+    assert max(furthest) < 4.0

@@ -19,6 +19,7 @@ from truewrench.calibrating.known_wrench import BLOCKS, FOLDS, FREEDOM, improvem
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
 from truewrench.estimation.estimate import Estimate, of_joint, without_motion
+from truewrench.estimation.unknowns import horizontal_axes
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation.comparison import Comparison
 from truewrench.model.arrays import Array
@@ -26,10 +27,11 @@ from truewrench.model.calibration import BlindTo, LogReport
 from truewrench.model.errors import UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.robot.attitude import own_roots
 from truewrench.tool.bodies import weight
 from truewrench.tool.judge import WORST_WALK, misfit_of_poses
 from truewrench.tool.parameters import Layout
-from truewrench.tool.poses import Poses, split_poses, stands_still
+from truewrench.tool.poses import APART, Poses, split_poses, stands_still
 from truewrench.tool.solve import WALK, Solution, solve
 
 FEWEST = 10  # poses, of which a fifth is held out at a time
@@ -45,6 +47,7 @@ class StillEstimate:
     solutions: dict[str, Solution]  # by payload, in the order in which they were solved
     before: Known  # what was known of gain, tilt and bodies before the poses
     known: Known  # the same and the offsets `pose offset K` after them
+    unturned: int  # poses of which nothing tells how they are turned about gravity, where it may be tilted
 
     @property
     def sizes(self) -> dict[str, Array]:
@@ -71,9 +74,32 @@ def estimate_still(
             rig.path, "sensor.pool_offsets", "true", "false: static poses have an offset of each log"
         )
     split = split_poses(rig, logs)
-    begin = before or Known.stated(rig)
-    solutions, known = _solved(rig, logs, split.poses, split.end_ns, begin, sizes)
-    return StillEstimate(_as_estimate(rig, logs, solutions, known), split.poses, solutions, begin, known)
+    (poses, unturned), begin = _tilted(rig, logs, split.poses), before or Known.stated(rig)
+    solutions, known = _solved(rig, logs, poses, split.end_ns, begin, sizes)
+    return StillEstimate(_as_estimate(rig, logs, solutions, known), poses, solutions, begin, known, unturned)
+
+
+def _tilted(rig: Rig, logs: Sequence[Log], poses: Poses) -> tuple[Poses, int]:
+    """With gravity's tilt in poses of which nothing tells how they are turned about it; how many these are.
+
+    Those are of logs without attitude, several or with gaps in their rates of turn. Of N, in each of which
+    the tilt points anywhere, perhaps alike: var sum a_k e_k <= N sum a_k^2 var e_k (Cauchy-Schwarz), so with
+    e the horizontal axes and C the nominal gain, var y += N tilt^2 sum (C w(R (e x g)))^2.
+    """
+    loose = []
+    for k, log in enumerate(logs):
+        known = np.ones(0, bool) if log.twist is None else np.isfinite(log.twist[:, 3:]).all(axis=1)
+        followed = len(logs) == 1 and (np.diff(log.time[known]) < APART).all()
+        loose += [k] * (len(own_roots(rig, log)) > 0 and not followed)
+    count = np.count_nonzero(np.isin(poses.log, loose))
+    variance, nominal = poses.variance.copy(), rig.gravity_tilt_prior * rig.sensor.nominal_gain_array
+    for k in loose:
+        own, spec = poses.log == k, rig.payloads[logs[k].payload]
+        for axis in horizontal_axes(rig.gravity_array):
+            fall = poses.R_sensor_root[own] @ np.cross(axis, rig.gravity_array)
+            wrench = weight(spec.mass, spec.center_of_mass_array, fall)
+            variance[own] += count * (wrench @ nominal.T) ** 2
+    return replace(poses, variance=variance), int(count) if rig.gravity_tilt_prior > 0.0 else 0
 
 
 def _solved(
@@ -148,7 +174,17 @@ def judge_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: C
         rig,
         logs,
     )
-    return replace(judgement, verdict=replace(judgement.verdict, blind_to=_blind_to(rig, found)))
+    unturned: tuple[str, ...] = ()
+    if found.unturned:
+        unturned = (
+            f"nothing tells how {found.unturned} poses are turned about gravity: wherever its tilt "
+            "(`gravity_tilt_prior`) points in each, sigma covers it; log qw qx qy qz for a smaller one",
+        )
+    return replace(
+        judgement,
+        verdict=replace(judgement.verdict, blind_to=_blind_to(rig, found)),
+        notes=(*judgement.notes, *unturned),
+    )
 
 
 def _blind_to(rig: Rig, found: StillEstimate) -> tuple[BlindTo, ...]:
@@ -215,6 +251,7 @@ def still_figures(found: StillEstimate) -> dict[str, Any]:
     """What there is to say of the poses in calibration.yaml."""
     return {
         "poses": len(found.poses),
+        "poses_unturned": found.unturned,
         "chi_square": {name: s.chi_square for name, s in found.solutions.items()},
         "offset_walk": {name: s.rate for name, s in found.solutions.items()},
         "pose_repeatability": {name: s.repeatability for name, s in found.solutions.items()},
