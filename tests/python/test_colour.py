@@ -14,6 +14,7 @@ from scipy.signal import butter, lfilter
 import truewrench as tw
 from truewrench.estimation.colour import FEWEST, colour_of, welch, without_filters
 from truewrench.model.log import Log
+from truewrench.model.split import rows_of
 from truewrench.motion.trajectory import HarmonicTwist
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -65,6 +66,34 @@ def test_lines_steps_and_bursts_are_no_filter() -> None:
         assert colour_of(time, noisy + disturbance) is None
 
 
+def with_holes(
+    seed: int, hz: float | None, rows: float, cells: float, late: float = 0.0
+) -> tuple[Array, Array]:
+    """Without this share of the rows and of the cells, filtered or not, stamps off by so many periods."""
+    time, _, noisy = samples(seed, 6_000)
+    rng = np.random.default_rng(seed + 2)
+    values = noisy if hz is None else one_pole(noisy, hz)
+    kept = rng.random(time.size) >= rows
+    kept[:SETTLED] = False
+    values = np.where(rng.random(values.shape) < cells, np.nan, values)
+    return (time + late / RATE * rng.uniform(-1, 1, time.size))[kept], values[kept]
+
+
+@pytest.mark.parametrize(
+    ("rows", "cells", "late"),
+    [(0.003, 0, 0), (0.01, 0, 0), (0.03, 0, 0.1), (0, 0.01, 0), (0, 0.03, 0), (0, 0, 0.3)],
+)
+def test_lost_rows_and_missing_cells_are_no_filter_and_hide_none(
+    rows: float, cells: float, late: float
+) -> None:
+    white = [colour_of(*with_holes(seed, None, rows, cells, late)) for seed in range(12)]
+    assert white == [None] * 12
+    filtered = [colour_of(*with_holes(seed, 20.0, rows, cells, late)) for seed in range(12)]
+    assert all(
+        found is not None and found.corner * RATE == pytest.approx(20.0, rel=0.2) for found in filtered
+    )
+
+
 @pytest.mark.parametrize("length", [3, 5, 8, 16, 20])
 def test_of_a_mean_of_samples_one_is_kept(length: int) -> None:
     time, _, noisy = samples(length)
@@ -106,8 +135,10 @@ def filtered(log: Log, stream: str, order: int, hz: float) -> Log:
 
 
 @pytest.mark.parametrize(("stream", "sign"), [("raw", -1.0), ("twist", 1.0)])
-@pytest.mark.parametrize(("order", "hz"), [(1, 20.0), (2, 50.0)])
-def test_filtered_records_are_honest_and_named(stream: str, sign: float, order: int, hz: float) -> None:
+@pytest.mark.parametrize(("order", "hz", "lost"), [(1, 20.0, 0.0), (2, 50.0, 0.0), (1, 20.0, 0.01)])
+def test_filtered_records_are_honest_and_named(
+    stream: str, sign: float, order: int, hz: float, lost: float
+) -> None:
     """Their noise taken for white: NEES 1.9, one of eight usable, or ten times the time."""
     rig = light_rig(seconds=20, rate=RATE, discrepancy=0)
     errors, usable = [], 0
@@ -117,6 +148,7 @@ def test_filtered_records_are_honest_and_named(stream: str, sign: float, order: 
         size, phase = 0.25 * rng.uniform(0.2, 0.7, (6, 6)), rng.uniform(0, 2 * np.pi, (6, 6))
         run = tw.simulate(rig, HarmonicTwist(size, frequency, phase, 20), seed=seed)
         log = filtered(run.log, stream, order, hz)
+        log = rows_of(log, rng.random(len(log.time_ns)) >= lost)
         assert stream in without_filters(log).whitened
         found = tw.calibrate(rig, log, held_out=False)
         error = (found.gain - run.truth.gain).ravel()

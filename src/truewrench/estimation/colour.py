@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
-from truewrench.model.arrays import Array
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log, Whitened
 from truewrench.motion.smooth import segments
 
@@ -25,6 +26,7 @@ LINES = 15  # bins of a running median, which passes over spectral lines
 FEWEST = 512  # samples of a stretch, and of a spectrum
 MOST = 131_072  # that are looked at
 LONGEST = 64  # samples of a mean
+HOLES = 0.04  # of a column, up to which they are filled: 0 of 60 white logs were coloured, 7 of 24 with 0.05
 FASTER, SLOWEST = 1.5, 50.0  # what is kept of an autoregressive stream: to so many times the corner, and [Hz]
 
 TOLD = 30.0
@@ -86,7 +88,8 @@ def without_filters(log: Log) -> Log:
             continue
         out = np.full_like(values, np.nan)
         for piece in segments(time):
-            out[rows[piece]] = colour.whitened(values[rows[piece]])
+            places = _places(time[piece])
+            out[rows[piece]] = colour.whitened(_at_places(places, values[rows[piece]]))[places]
         period = float(np.median(np.diff(time)))
         changed[name] = out
         corner = colour.corner / period
@@ -140,8 +143,7 @@ def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] |
     total: Array = np.zeros((int(use.sum()), values.shape[1]))
     count = 0
     for piece in pieces:
-        part = values[piece][:MOST]
-        part = part[np.isfinite(part).all(axis=1)]
+        part = _filled(_at_places(_places(time[piece]), values[piece])[:MOST])
         if len(part) >= FEWEST + 2:
             twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast
             total += welch(twice, period)[use] * len(part)
@@ -152,6 +154,43 @@ def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] |
     power: Array = _without_lines(total / count / (2.0 - 2.0 * np.cos(omega))[:, None] ** 2)
     power = power[:, (power > 0.0).all(axis=0)]
     return (omega, power, count / FEWEST, period) if power.size else None
+
+
+def _places(time: Array) -> Integers:
+    """Numbers (N,) of samples of a piece that are taken evenly: those of lost ones are passed over.
+
+    A sample was lost where a stamp, and the median of the nine from there on, come a period late; stamps that
+    jitter do not stay late.
+    """
+    rows = np.arange(time.size)
+    if time.size < 3:
+        return rows
+    late = (time - time[0]) * (time.size - 1) / (time[-1] - time[0]) - rows  # periods
+    stays = median_filter(late, 9, mode="nearest")
+    stays = stays[np.minimum(rows[1:] + 4, rows[-1])] - stays[np.maximum(rows[:-1] - 4, 0)]
+    lost = np.where(stays > 0.5, np.rint(np.diff(late)), 0.0)
+    return np.concatenate([[0], np.cumsum(1.0 + np.maximum(lost, 0.0))]).astype(np.int64)
+
+
+def _at_places(places: Integers, values: Array) -> Array:
+    out: Array = np.full((int(places[-1]) + 1, values.shape[1]), np.nan)
+    out[places] = values
+    return out
+
+
+def _filled(values: Array) -> Array:
+    """Samples with cubics in place of the missing ones; none where these are too many.
+
+    Left out, they would bring what is slow on both sides together: a step that looks like coloured noise.
+    """
+    out, missing = values.copy(), ~np.isfinite(values)
+    if missing.mean(axis=0).max() > HOLES:
+        return out[:0]
+    for column, holes in zip(out.T, missing.T, strict=True):
+        if holes.any():
+            known = np.flatnonzero(~holes)
+            column[holes] = make_interp_spline(known, column[known], k=3)(np.flatnonzero(holes))
+    return out
 
 
 def welch(values: Array, period: float) -> Array:
