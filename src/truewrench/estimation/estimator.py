@@ -213,6 +213,8 @@ def _clocks(
     gamma = at[columns.gamma] if columns.gamma >= 0 and at[columns.gamma] in active else None
     out = []
     for k, (place, stream) in enumerate(zip(columns.clock, _streams(rig, record), strict=True)):
+        if k > 0 and len(record.motion[k].time) == 1:  # where velocities start, which no clock stamped
+            continue
         s, kappa = at[place], at[place + 1]
         free = kappa in active
         gravity = gamma if k == 0 else None

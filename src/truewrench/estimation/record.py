@@ -229,10 +229,11 @@ def _joint_streams(
         streams.append(_stream(assumptions, log, position, assumptions.position_noise, together))
     if velocity is not None and np.isfinite(velocity).any() and assumptions.motion_noise is not None:
         sigma = assumptions.motion_noise
+        starts: list[tuple[Array, Array]] = []
         if not told:
             velocity, starts = _from_start(rig, log, velocity, sigma, notes)
-            streams += [_stream(assumptions, log, at, of, together) for at, of in starts]
         streams.append(_stream(assumptions, log, velocity, sigma, together, derivative=1))
+        streams += [_stream(assumptions, log, at, of, together) for at, of in starts]
     if not streams:
         _measured(log, None, "positions `q_*`, or velocities `dq_*` with `motion.noise`")
     return streams
