@@ -167,7 +167,7 @@ def test_velocities_alone_go_on_from_a_known_start_until_a_gap(arm_rig: RigOf) -
 
 
 def test_the_time_offset_of_velocities_alone_is_theirs(arm_rig: RigOf) -> None:
-    """Where they start no clock stamped: taken for one it was 0 +- 5 ms, or 56 +- 5 and 82 +- 91 ms of nothing."""
+    """Where they start no clock stamped: taken for one it was 0 +- 5, 56 +- 5 or 82 +- 91 ms of nothing."""
     rig = arm_with(arm_rig, "panda", position_noise=None)
     for seed in range(3):
         run = simulate_arm(arm_with(arm_rig, "panda"), seed=seed)

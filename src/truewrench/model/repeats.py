@@ -33,22 +33,21 @@ _STREAMS = {
     "specific_force": "accel_*",
     "position": "q_*",
     "velocity": "dq_*",
+    "gravity": "gx gy gz",
+    "attitude": "qw ... qz",
+    "base_twist": "base_vx ... base_wz",
+    "base_attitude": "base_qw ... base_qz",
     "reference": "ref_*",
 }
-_MOTION = ("twist", "angular_velocity", "specific_force", "position", "velocity", "gravity", "attitude")
 
 
 def without_repeats(log: Log) -> Log:
     """The log with NaN in place of values that were held, stream by stream, and a note that says so."""
     changed: dict[str, Any] = {}
     notes = []
-    streams = {
-        name: _Stream(values)
-        for name in dict.fromkeys([*_STREAMS, *_MOTION])
-        if (values := getattr(log, name)) is not None
-    }
+    streams = {name: _Stream(values) for name in _STREAMS if (values := getattr(log, name)) is not None}
     for name, stream in streams.items():
-        held = stream.held() if name in _STREAMS else stream.rows[:0]
+        held = stream.held()
         if name == "reference" and not 1e-9 * stream.usual(log.time_ns) <= SAMPLED:
             held = held[:0]
         if held.size:
@@ -58,13 +57,14 @@ def without_repeats(log: Log) -> Log:
                 f"{_STREAMS[name]}: {held.size} of {stream.rows.size} rows repeat the row before in every "
                 "column: left out as held by the driver, no measurements"
             )
-    streams.pop("reference", None)
+    for name in ("base_twist", "base_attitude", "reference"):  # they stay as they are for long
+        streams.pop(name, None)
     for name, hung in _hung_streams(streams, log.time_ns).items():
         changed[name] = changed.get(name, streams[name].values).copy()
         changed[name][hung] = np.nan
         first, last = (int(log.time_ns[k] - log.time_ns[0]) / 1e9 for k in (hung[0], hung[-1]))
         notes.append(
-            f"{_STREAMS.get(name, name)}: {hung.size} rows from {first:.4g} to {last:.4g} s repeat the row "
+            f"{_STREAMS[name]}: {hung.size} rows from {first:.4g} to {last:.4g} s repeat the row "
             "before and then jump: left out as of a stream that hung"
         )
     return replace(log, **changed, notes=(*log.notes, *notes)) if changed else log
