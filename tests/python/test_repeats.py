@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from record_cases import light_rig
+from record_cases import RigOf, light_rig
 
 import truewrench as tw
 from truewrench.model.log import Log
@@ -77,6 +77,74 @@ def test_a_direction_of_gravity_that_is_held_is_not_late() -> None:
     assert usable >= 2
 
 
+def drawn(values: Array, rows: int, rate: float) -> Array:
+    """Linear interpolation to 500 Hz, as who makes a table brings its streams together."""
+    t, of = np.arange(rows) / 500.0, np.arange(len(values)) / rate
+    return np.column_stack([np.interp(t, of, column) for column in values.T])
+
+
+@pytest.mark.parametrize("rate", [50.0, 125.0, 137.0, 200.0, 250.0])
+@pytest.mark.parametrize("noise", [1e-3, 1e-9])
+def test_of_lines_between_samples_one_row_a_sample_is_read(rate: float, noise: float) -> None:
+    t = np.arange(0.0, 10.1, 1.0 / rate)[:, None]
+    smooth = np.sin(2 * np.pi * np.array([0.3, 0.5, 0.7, 0.9, 1.1, 1.3]) * t + np.arange(6.0))
+    values = drawn(smooth + noise * np.random.default_rng(0).normal(size=smooth.shape), 5000, rate)
+    log = Log(None, "default", "", np.arange(5000) * 2_000_000, values)
+    left = without_repeats(log)
+    kept = np.flatnonzero(np.isfinite(left.raw[:, 0]))
+    assert abs(len(kept) - 10.0 * rate) < 0.02 * 10.0 * rate
+    assert np.abs(np.diff(kept) - 500.0 / rate).max() <= 2.5
+    assert "interpolated" in left.notes[-1]
+
+
+def test_of_a_smooth_motion_that_begins_slowly_no_second_is_lost() -> None:
+    """Its lines hardly bend there: of gravity that was read so, the ends and a gap were lost."""
+    t = np.arange(0.0, 10.1, 0.01)[:, None]
+    ramp = np.clip(np.minimum(t, 10 - t) / 3, 0, 1) ** 3
+    values = drawn(ramp * np.sin(2 * np.pi * np.array([0.3, 0.5, 0.7]) * t), 5000, 100.0)
+    log = Log(None, "default", "", np.arange(5000) * 2_000_000, np.full((5000, 6), np.nan), gravity=values)
+    left = without_repeats(log).gravity
+    assert left is not None
+    kept = np.flatnonzero(np.isfinite(left[:, 0]))
+    assert 950 < len(kept) < 1050
+    assert np.diff(kept).max() < 25
+
+
+def test_what_is_straight_by_itself_is_not_interpolated() -> None:
+    """White noise, a smooth motion that nothing disturbs, one that is planned with ramps, and rest."""
+    t, rng = np.arange(5000)[:, None] / 500.0, np.random.default_rng(0)
+    smooth = np.sin(2 * np.pi * np.array([0.3, 0.5, 0.7]) * t)
+    ramps = np.clip(2 * np.abs(t % 2 - 1) - 0.5, 0, 0.6) * [1.0, 0.5, 0.3]
+    for values in (rng.normal(size=(5000, 6)), smooth, ramps, 0 * smooth, smooth[:, :1]):
+        log = Log(
+            None, "default", "", np.arange(5000) * 2_000_000, np.full((5000, 6), np.nan), velocity=values
+        )
+        assert without_repeats(log) is log
+
+
+@pytest.mark.parametrize(("rate", "sensor_rate"), [(500, 125), (500, 137), (60, 500)])
+def test_a_table_of_interpolated_streams_is_as_good_as_the_streams(rate: float, sensor_rate: float) -> None:
+    """Lines taken for measurements, 12 of 12 were refused, for a slow disturbance or vibration."""
+    settings = light_rig(seconds=10, rate=rate, discrepancy=0).to_mapping()
+    settings["simulate"]["sensor_rate"] = sensor_rate
+    rig = tw.Rig.from_mapping(settings)
+    for seed in range(2):
+        run = tw.simulate(rig, seed=seed)
+        time = np.arange(5000) * 2_000_000
+        table = {}
+        for name in ("raw", "twist"):
+            values = getattr(run.log, name)
+            there = np.isfinite(values[:, 0])
+            table[name] = np.column_stack(
+                [np.interp(time, run.log.time_ns[there], column) for column in values[there].T]
+            )
+        apart = tw.calibrate(rig, run.log, held_out=False)
+        found = tw.calibrate(rig, replace(run.log, time_ns=time, **table), held_out=False)
+        assert found.verdict.usable
+        assert np.abs((found.gain - run.truth.gain) / found.gain_std).max() < 4.5
+        np.testing.assert_allclose(found.gain_std, apart.gain_std, rtol=0.25)
+
+
 def test_coarse_readings_are_no_repeats() -> None:
     log = tw.simulate(light_rig(seconds=8, rate=200)).log
     step = 3.0 * np.std(np.diff(log.raw, axis=0), axis=0)
@@ -100,6 +168,21 @@ def test_rows_that_a_slow_stream_held_for_longer_stay() -> None:
     kept = np.isfinite(without_repeats(log).raw[:, 0])
     assert kept[300:400].all()
     assert kept[:300].sum() == 75
+
+
+def test_notes_name_what_was_logged_and_not_what_follows_from_joints(arm_rig: RigOf) -> None:
+    rig = arm_rig("panda", plan={"duration": 4}, simulate={"rate": 400, "sensor_rate": 400})
+    log = tw.simulate_arm(rig, seed=1).log
+    assert log.tracking is not None
+    assert log.twist is not None
+    assert log.position is not None
+    assert log.velocity is not None
+    slow = np.arange(len(log.time_ns)) // 4 * 4
+    held_log = replace(log, position=log.position[slow], velocity=log.velocity[slow], twist=log.twist[slow])
+    left = without_repeats(held_log)
+    assert [note.split(":")[0] for note in left.notes[len(log.notes) :]] == ["q_*", "dq_*"]
+    assert left.twist is not None
+    assert np.isnan(left.twist[1::4]).all()
 
 
 def test_few_rows_and_dead_channels_tell_nothing() -> None:

@@ -137,7 +137,8 @@ def _undetermined(estimate: Estimate, rig: Rig, silent: Sequence[int]) -> tuple[
 def _unsolved(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
     """Why nothing could be solved."""
     dropped = [
-        f"{log_name(logs, k)} has no stretch that tells a motion ({count} are shorter than 12 knots)"
+        f"{log_name(logs, k)}, of {logs[k].time.max(initial=0.0):.3g} s, has no stretch that tells a motion "
+        f"({count} shorter than 12 knots; are its stamps of that unit?)"
         for k, count in enumerate(estimate.dropped)
         if count
     ]
@@ -282,7 +283,9 @@ def _notes(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequenc
         notes.append(f"the gain is ill-conditioned: {condition:.3g} in units of range")
     for k, count in enumerate(estimate.dropped):
         if count and estimate.solved:
-            notes.append(f"{count} stretches of {log_name(logs, k)}, shorter than 12 knots, were dropped")
+            notes.append(
+                f"stretches of {log_name(logs, k)} shorter than 12 knots, which were dropped: {count}"
+            )
     words = Counter(u.words for u in _undetermined(estimate, rig, ()))
     if words and estimate.solved:
         named = "; ".join(word if count == 1 else f"{word} ({count})" for word, count in words.items())
