@@ -260,6 +260,20 @@ def test_each_thing_that_speaks_against_a_result_refuses_it_on_all_axes(
         assert "largest departure: channel" in reason
 
 
+@pytest.mark.parametrize("usable", [True, False])
+def test_a_refused_record_without_its_noise_may_be_smoothed(usable: bool) -> None:
+    """Else a table run through filtfilt was told of an inertia 26 sigma from what the rig states."""
+    rig = rig_of(required=0.02)
+    estimate, log = estimate_of(rig, departed(4))
+    quiet = (FoundNoise("force", 0.3), FoundNoise("moment", 0.04))
+    p_halves = estimate.p_halves if usable else 1e-6
+    reasons = judge(
+        replace(estimate, noise=(quiet,), p_halves=p_halves), Comparisons(), rig, [log]
+    ).verdict.reasons
+    assert len(reasons) == (0 if usable else 2)
+    assert usable or "noise of the moments of the log is 0.04 x the stated: smoothed after" in reasons[0]
+
+
 def test_a_record_most_of_which_was_left_out_is_refused() -> None:
     rig = rig_of(required=0.02)
     estimate, log = estimate_of(rig, departed(5))

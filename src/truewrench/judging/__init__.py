@@ -24,6 +24,7 @@ from truewrench.judging.words import (
     looks_fast,
     looks_slow,
     of_references,
+    plural,
     slow_stands,
 )
 from truewrench.model.arrays import Array, Mask
@@ -46,6 +47,7 @@ __all__ = [
 CONDITION = 100.0  # of the normalised gain, beyond which it is told: words only
 SURE = 20.0  # nats of the odds of a set-up error: the order of words only
 SINGULAR = 1e12  # that only rounding keeps from infinity: tolerance
+QUIET = 0.1  # times the stated noise, below which what is refused may have been smoothed: words only
 LOUD = 2.0  # times the stated noise, from which on a motion stream is the one that departs: words only
 
 
@@ -109,6 +111,8 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
     axes = dict(zip(AXES, (accurate & np.isfinite(required) & (not reasons)).tolist(), strict=True))
     if not accurate.all() and estimate.solved and not unexplained and len(undetermined) < 6 * n:
         reasons.append(_accuracy(estimate, rig, logs, std, required, accurate))
+    if reasons and estimate.solved:
+        reasons = [*_smoothed(estimate, logs), *reasons]
     verdict = Verdict(not reasons, tuple(reasons), undetermined, blind_to(estimate, rig))
     return Judgement(verdict, axes, tuple(_notes(estimate, comparisons, rig, logs)))
 
@@ -184,6 +188,18 @@ def _largest_departure(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> str
             f"{moved[0]:.2g} times as stated all along"
         )
     return words
+
+
+def _smoothed(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
+    """Of a record that is refused, the noise that it should have and has not."""
+    factors = [(found.factor, found.what, k) for k, of in enumerate(estimate.noise) for found in of]
+    factor, what, k = min(factors, default=(1.0, "", 0))
+    if not factor < QUIET:
+        return []
+    return [
+        f"noise of the {plural(what)} of {log_name(logs, k)} is {factor:.2g} x the stated: smoothed after it "
+        "was sampled (a long mean, filtfilt)? Log it as it was sampled, or state the noise that it has"
+    ]
 
 
 def _suspicions(

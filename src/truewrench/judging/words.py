@@ -233,7 +233,7 @@ def _slow(
         words = f"slow disturbance of {size}, {over}: {listed(kinds)}"
         if slow.capped:
             words += "; it ended as large as it may be"
-        meaning = f"slow disturbance of the {_plural(slow.what)}, fraction of range"
+        meaning = f"slow disturbance of the {plural(slow.what)}, fraction of range"
         yield Assumed(_what(kinds, meaning), log_name(logs, k), slow.size, slow.size_std, words)
 
 
@@ -258,8 +258,8 @@ def _noise(
             positions.append(found.factor)
         elif not 1.0 / _core.NOISE_TOLD <= found.factor <= _core.NOISE_TOLD:
             kinds = (*[kind for kind in fast if found.factor > _core.NOISE_TOLD], "noise")
-            words = f"noise of the {_plural(what)} is {found.factor:.2g} x the stated"
-            meaning = f"of the {_plural(what)}, times the stated"
+            words = f"noise of the {plural(what)} is {found.factor:.2g} x the stated"
+            meaning = f"of the {plural(what)}, times the stated"
             yield Assumed(_what(kinds[-MOST:], meaning), where, found.factor, None, words)
     if positions:
         value = FIRST_POSITION_NOISE * max(positions)
@@ -272,7 +272,8 @@ def _positions_unstated(rig: Rig, log: Log) -> bool:
     return logged and rig.motion.position_noise is None
 
 
-def _plural(what: str) -> str:
+def plural(what: str) -> str:
+    """What is noisy, for a sentence."""
     return {"force": "forces", "moment": "moments"}.get(what, what)
 
 
