@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import truewrench as tw
 from truewrench.calibrating.hopeless import hopeless, plain_gain
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
+from truewrench.robot.attitude import attitude_of
 from truewrench.robot.joint_faults import joint_faults
 
 Array = NDArray[np.float64]
@@ -97,6 +100,39 @@ def test_joints_that_no_arm_moves_so_are_named(
     assert len(found) == 1
     assert "panda_joint4" in found[0]
     assert words in found[0]
+
+
+def turned(log: Log) -> Log:
+    """With an attitude that follows gravity and the rate of turn, in place of gravity."""
+    assert log.twist is not None
+    assert log.gravity is not None
+    rows = np.isfinite(log.gravity).all(axis=1)
+    log = rows_of(log, rows)
+    _, R_sensor_root = attitude_of(Rig.from_mapping(TWIST), log) or (None, None)
+    assert R_sensor_root is not None
+    attitude = Rotation.from_matrix(R_sensor_root).inv().as_quat()[:, [3, 0, 1, 2]]
+    return replace(log, gravity=None, attitude=attitude)
+
+
+def test_a_direction_of_gravity_that_turns_otherwise_than_the_twist_is_named(twist_log: Log) -> None:
+    """Refused they were all, as a gain 1e400 to 1 off, or as the motion of another run."""
+    rig = Rig.from_mapping(TWIST)
+    assert twist_log.twist is not None
+    assert twist_log.gravity is not None
+    told = turned(twist_log)
+    assert told.attitude is not None
+    assert hopeless(rig, [told], [told]) == []
+    degrees = twist_log.twist * np.repeat([1.0, 180.0 / np.pi], 3)
+    for log, words in (
+        (replace(twist_log, twist=degrees), "wx wy wz turn otherwise than the direction of gravity"),
+        (replace(twist_log, twist=twist_log.twist * np.repeat([1.0, -1.0], 3)), "turn the other way than"),
+        (replace(told, attitude=told.attitude * [1, -1, -1, -1]), "an attitude from root to sensor"),
+        (replace(twist_log, gravity=twist_log.gravity[::-1].copy()), "tell different turns"),
+        (replace(twist_log, gravity=twist_log.gravity * 0 + [0, 0, -9.81]), "hardly does"),
+        (replace(twist_log, gravity=-twist_log.gravity), "gx gy gz point up, as what an accelerometer reads"),
+    ):
+        (said,) = hopeless(rig, [log], [log])
+        assert words in said
 
 
 def test_joints_in_degrees_are_named_and_a_verdict_says_nothing_else(arm: tuple[Rig, Log]) -> None:

@@ -1,7 +1,8 @@
 """What needs no estimate to be refused: the joints themselves, or least squares on a few seconds, tell it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
 from truewrench.robot.arm import robot_of
-from truewrench.robot.joint_faults import joint_faults
+from truewrench.robot.joint_faults import gravity_faults, joint_faults
 from truewrench.robot.track import tracked
 
 SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator
@@ -39,7 +40,7 @@ def hopeless(rig: Rig, logs: Sequence[Log], known: Sequence[Log]) -> list[str]:
 
     Those that are `known` carry a known payload.
     """
-    found = joint_faults(rig, logs)
+    found = joint_faults(rig, logs) or gravity_faults(rig, logs)
     if found or not known:
         return found
     short = [_middle(log, SECONDS) for log in known]
@@ -89,20 +90,18 @@ def _plain(rig: Rig, logs: Sequence[Log]) -> _Plain | None:
 
 
 def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]:
-    """What was done to the joints, positions and velocities alike: one turned, or all in degrees."""
-    if rig.motion.source != "joints" or not (plain.left > LEFT and plain.chi_square > MISFIT):
+    """What was done to the joints, positions and velocities alike, or to gravity: turned, or in degrees."""
+    if not (plain.left > LEFT and plain.chi_square > MISFIT):
         return []
-    robot = robot_of(rig)
-    revolute = np.array([joint.shortname().startswith("JointModelR") for joint in robot.model.joints[1:]])
-    guesses = {"the joints are in degrees": np.where(revolute, np.pi / 180.0, 1.0)}
-    for j, name in enumerate(robot.joints):
-        words = (
-            f"joint {name}: its sign is turned, or its axis is the other way round in the robot's description"
-        )
-        guesses[words] = np.where(np.arange(robot.n) == j, -1.0, 1.0)
+    guesses: dict[str, Callable[[Log], Log]] = {}
+    if rig.motion.source == "joints":
+        guesses = _of_joints(rig)
+    elif all(log.gravity is not None and log.attitude is None for log in logs):
+        words = "gx gy gz point up, as what an accelerometer reads at rest does"
+        guesses[words] = lambda log: replace(log, gravity=None if log.gravity is None else -log.gravity)
     best, said = min(plain.left / BETTER, FOLLOWED), ""
-    for words, factor in guesses.items():
-        other = _plain(rig, [_scaled(log, factor) for log in logs])
+    for words, logged in guesses.items():
+        other = _plain(rig, [logged(log) for log in logs])
         if other is not None and other.left < best:
             best, said = other.left, words
     if not said:
@@ -111,6 +110,18 @@ def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]
         f"{said}: so the motion explains all but {100 * best:.2g}% of the raw output, as it is logged all "
         f"but {100 * plain.left:.2g}%"
     ]
+
+
+def _of_joints(rig: Rig) -> dict[str, Callable[[Log], Log]]:
+    robot = robot_of(rig)
+    revolute = np.array([joint.shortname().startswith("JointModelR") for joint in robot.model.joints[1:]])
+    guesses = {"the joints are in degrees": np.where(revolute, np.pi / 180.0, 1.0)}
+    for j, name in enumerate(robot.joints):
+        words = (
+            f"joint {name}: its sign is turned, or its axis is the other way round in the robot's description"
+        )
+        guesses[words] = np.where(np.arange(robot.n) == j, -1.0, 1.0)
+    return {words: partial(_scaled, factor=factor) for words, factor in guesses.items()}
 
 
 def _scaled(log: Log, factor: Array) -> Log:
