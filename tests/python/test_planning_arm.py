@@ -43,6 +43,14 @@ def written(planned: Plan, tmp_path_factory: pytest.TempPathFactory) -> list[Pat
     return planned.write(tmp_path_factory.mktemp("plan") / "plan.csv")
 
 
+def test_what_no_limit_holds_back_is_told_in_the_unit_of_a_joint(planned: Plan) -> None:
+    usage = tuple(use for use in planned.usage if use.limit != "acceleration")
+    preview = replace(planned.design.preview, usage=usage)
+    plain = replace(planned, design=replace(planned.design, preview=preview))
+    (note,) = [note for note in plain.notes if "no limit of the acceleration" in note]
+    assert note.endswith(f"the motion reaches {max(plain.unlimited['acceleration']):.3g} rad/s^2")
+
+
 def joints(planned: Plan, path: Path) -> tuple[pin.Model, Array, Array, Array, Array]:
     """Time, positions and derivatives at 1 kHz, from the file: quintic splines by SciPy."""
     table = np.genfromtxt(path, delimiter=",", names=True)

@@ -15,7 +15,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-from truewrench.robot.arm import robot_of
+from truewrench.robot.arm import robot_of, turning
 from truewrench.robot.joint_faults import gravity_faults, joint_faults
 from truewrench.robot.track import tracked
 
@@ -114,8 +114,7 @@ def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]
 
 def _of_joints(rig: Rig) -> dict[str, Callable[[Log], Log]]:
     robot = robot_of(rig)
-    revolute = np.array([joint.shortname().startswith("JointModelR") for joint in robot.model.joints[1:]])
-    guesses = {"the joints are in degrees": np.where(revolute, np.pi / 180.0, 1.0)}
+    guesses = {"the joints are in degrees": np.where(turning(robot), np.pi / 180.0, 1.0)}
     for j, name in enumerate(robot.joints):
         words = (
             f"joint {name}: its sign is turned, or its axis is the other way round in the robot's description"

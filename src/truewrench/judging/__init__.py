@@ -157,7 +157,7 @@ def _unexplained(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]
     return [
         f"the raw output of {log_name(logs, int(k))} does not follow its motion: "
         f"{100 * estimate.unexplained[k]:.0f}% of what it does is explained by no motion of the payload (is "
-        "the motion that of another run? are the clocks far apart? does something else push?); "
+        "the motion that of another run? are the clocks far apart? does something else push? was it tared?); "
         f"{_largest_departure(estimate, rig, logs)}"
         for k in np.flatnonzero(estimate.unexplained > _core.MOST_LOST)
     ]

@@ -19,11 +19,12 @@ from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.check import Preview
 from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures
+from truewrench.robot.arm import robot_of, turning
 
 FORMAT = "truewrench-plan/1"
 """What a plan's file says it is."""
 
-_UNITS = {  # of forces' and moments' axes; joints turn, or their unit is not told
+_UNITS = {  # of what moves along an axis, and of what turns about one
     "position": ("m", "rad"),
     "velocity": ("m/s", "rad/s"),
     "acceleration": ("m/s^2", "rad/s^2"),
@@ -145,9 +146,11 @@ class Plan:
         """What is no fault, but worth a look."""
         notes, found = list(self.design.notes), self.prediction
         for name, reached in self.unlimited.items():
-            parts = [reached] if self.design.joints else [reached[:3], reached[3:]]
+            turns = turning(robot_of(self.rig)) if self.design.joints else np.arange(6) > 2
             values = " and ".join(
-                f"{max(part):.3g} {unit}" for part, unit in zip(parts, _UNITS[name], strict=False)
+                f"{np.max(reached, where=which, initial=0.0):.3g} {unit}"
+                for which, unit in zip((~turns, turns), _UNITS[name], strict=True)
+                if which.any()
             )
             notes.append(f"no limit of the {name} is stated: the motion reaches {values}")
         if found is not None and not found.undetermined:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from truewrench.model.arrays import Array
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.rig import Rig
 from truewrench.model.rig.urdf import model_of, nearest
@@ -154,6 +154,11 @@ def load_robot(urdf: str | Path, sensor_frame: str) -> Robot:
         model=model,
         frame_id=model.getFrameId(whole.frames[sensor].name),
     )
+
+
+def turning(robot: Robot) -> Mask:
+    """(n,) Which joints turn, and do not slide."""
+    return np.array([joint.shortname().startswith("JointModelR") for joint in robot.model.joints[1:]])
 
 
 def robot_of(rig: Rig) -> Robot:

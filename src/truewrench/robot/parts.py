@@ -9,7 +9,7 @@ from truewrench.model.arrays import Array, Mask
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
-from truewrench.robot.arm import robot_of
+from truewrench.robot.arm import robot_of, turning
 
 _POINTS = 4  # of a cubic
 MOVES, SAMPLED = 0.02, 0.1  # [rad, m] that is a motion, [s] between rows at most: others are poses
@@ -26,9 +26,8 @@ def unwrapped(rig: Rig, log: Log) -> Log:
     robot, position, notes = robot_of(rig), log.position.copy(), []
     if position.shape[1] != robot.n:
         return log  # which is told where the joints are read
-    for k, (name, joint) in enumerate(zip(robot.joints, robot.model.joints[1:], strict=True)):
-        if not joint.shortname().startswith("JointModelR"):
-            continue
+    for k in np.flatnonzero(turning(robot)):
+        name = robot.joints[k]
         rows = np.flatnonzero(np.isfinite(position[:, k]))
         angle = position[rows, k]
         position[rows, k] = np.unwrap(angle)
