@@ -170,6 +170,34 @@ def test_rows_that_a_slow_stream_held_for_longer_stay() -> None:
     assert kept[:300].sum() == 75
 
 
+def test_a_drivers_marks_for_no_sample_are_none() -> None:
+    """65535 and -999 in 0.2% of the cells of a motion: the record could not be solved."""
+    rig = light_rig(seconds=12, rate=200, discrepancy=0)
+    for seed in range(3):
+        run, rng = tw.simulate(rig, seed=seed), np.random.default_rng(seed)
+        assert run.log.twist is not None
+        marked = rng.random(run.log.twist.shape) < 2e-3
+        twist = np.where(marked, rng.choice([-999.0, 65535.0], run.log.twist.shape), run.log.twist)
+        found = tw.calibrate(rig, replace(run.log, twist=twist), held_out=False)
+        assert any("mark for no sample" in note for note in found.figures["notes"])
+        assert found.verdict.usable
+        assert np.abs((found.gain - run.truth.gain) / found.gain_std).max() < 4.5
+
+
+def test_knocks_and_starts_are_no_marks() -> None:
+    """A joint that rests for all but 1% of the record, and spikes of ten times the range of a column."""
+    t, rng = np.arange(10_000)[:, None] / 500.0, np.random.default_rng(0)
+    rest = np.sin(np.pi * np.clip((t - 10) / 0.2, 0, 1)) ** 2 * [1.0, 0.3] + 1e-5 * rng.normal(
+        size=(10_000, 2)
+    )
+    spikes = np.sin(t * [1.0, 2.0]) + 1e-3 * rng.normal(size=(10_000, 2))
+    spikes[::500] += 20.0
+    log = Log(None, "default", "", np.arange(10_000) * 2_000_000, np.full((10_000, 6), np.nan))
+    for values in (rest, spikes):
+        some = replace(log, position=values)
+        assert without_repeats(some) is some
+
+
 def test_notes_name_what_was_logged_and_not_what_follows_from_joints(arm_rig: RigOf) -> None:
     rig = arm_rig("panda", plan={"duration": 4}, simulate={"rate": 400, "sensor_rate": 400})
     log = tw.simulate_arm(rig, seed=1).log

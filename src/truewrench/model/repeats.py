@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
@@ -28,6 +29,7 @@ _JUMP = 3.0  # times as large as any other change of a column, with which it the
 # Of white noise 5e-4 of the rows are on the lines of all of three columns, 3e-7 of six.
 _IN_LINE = 0.1  # of the rms change of slope, up to which a row is on the line through its neighbours
 _REGULAR = 0.8  # share of the lines that begin as regularly as samples, from which on they were interpolated
+_MARK = 50.0  # times the range of 98% of a column, by which what is no value stands off the rows around it
 _RESTS = 0.1  # share of the other rows that repeat, from which on repeats are a stream's own way
 
 _STREAMS = {
@@ -50,7 +52,15 @@ def without_repeats(log: Log) -> Log:
     changed: dict[str, Any] = {}
     notes: list[str] = []
     followed = () if log.tracking is None else ("twist", "gravity")  # of joints, whose notes say it
-    streams = {name: _Stream(values) for name in _STREAMS if (values := getattr(log, name)) is not None}
+    logged = {name: values for name in _STREAMS if (values := getattr(log, name)) is not None}
+    for name in [name for name in logged if name not in ("raw", "reference")]:  # whose outliers are found
+        marks = _marks(logged[name])
+        if marks.any():
+            worst = float(max(logged[name][marks], key=abs))
+            changed[name] = logged[name] = np.where(marks, np.nan, logged[name])
+            count = f"{np.count_nonzero(marks)} cells such as {worst:.6g}"
+            notes.append(f"{_STREAMS[name]}: {count}, alone, left out as a driver's mark for no sample")
+    streams = {name: _Stream(values) for name, values in logged.items()}
     for name, stream in streams.items():
         held = stream.held()
         if name == "reference" and not 1e-9 * stream.usual(log.time_ns) <= SAMPLED:
@@ -76,6 +86,18 @@ def without_repeats(log: Log) -> Log:
             "before and then jump: left out as of a stream that hung"
         )
     return replace(log, **changed, notes=(*log.notes, *notes)) if changed else log
+
+
+def _marks(values: Array) -> Mask:
+    """Cells (N, n) that stand off the two rows before and after as nothing else in their column does."""
+    marks: Mask = np.zeros(values.shape, dtype=np.bool_)
+    for column, of in zip(values.T, marks.T, strict=True):
+        rows = np.flatnonzero(np.isfinite(column))
+        if rows.size > _FEWEST:
+            low, high = np.percentile(column[rows], [1.0, 99.0])
+            around = median_filter(column[rows], 5, mode="nearest")
+            of[rows] = np.abs(column[rows] - around) > _MARK * (high - low if high > low else np.inf)
+    return marks
 
 
 class _Stream:
