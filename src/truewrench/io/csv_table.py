@@ -160,7 +160,8 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[bytes, list[str]]:
     try:
         text = line.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError.at(path, "line 1", "bytes that are not text", "a CSV header, or Parquet") from None
+        found = "a gzip file" if line.startswith(b"\x1f\x8b") else "bytes that are not text"
+        raise InputError.at(path, "line 1", found, "a CSV header, or Parquet, unpacked") from None
     if not text.strip():
         found = "an empty line" if line else "an empty file"
         raise InputError.at(path, "line 1", found, "a header with the names of the columns")
@@ -170,6 +171,8 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[bytes, list[str]]:
         names = [name.strip() for name in next(csv.reader([text]))]
     except csv.Error as error:
         raise InputError.at(path, "line 1", str(error), "a header with the names of the columns") from None
+    if text.startswith("#") or names[0].replace(".", "").isdigit():
+        raise InputError.at(path, "line 1", f"{names[0][:60]!r}", "a header with the names of the columns")
     if len(names) == 1:
         raise InputError.at(path, "line 1", f"one column, {names[0][:60]!r}", "columns separated by commas")
     return line, names
