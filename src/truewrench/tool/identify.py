@@ -19,7 +19,7 @@ from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated, with_weight_on_time
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
-from truewrench.tool.bodies import inertia_std, joined, nearest_physical, one_body
+from truewrench.tool.bodies import inertia_std, joined, nearest_physical
 from truewrench.tool.checks import check_known, check_logs, check_options, check_session
 from truewrench.tool.held_out import held_out
 from truewrench.tool.judge import Judged, judge, misfit_of_motion
@@ -256,12 +256,8 @@ def _tool(
     shell = np.zeros(4) if housing is None else np.asarray(housing, dtype=np.float64)
     scale = rig.sensor.channel_scale
     determined = _determined(solution)
-    carried, of_carried, told = body, P[layout.body, layout.body], all(determined["inertia"])
-    if on is not None:
-        both = [*range(layout.body.start, layout.body.stop), *range(v.before.start, v.before.stop)]
-        carried, J = one_body(x[both].reshape(2, 10))
-        of_carried, told = J @ P[np.ix_(both, both)] @ J.T, told and not on.exported.inertia_assumed
-    return Tool(
+    told = all(determined["inertia"]) and (on is None or not on.exported.inertia_assumed)
+    tool = Tool(
         mass=mass,
         mass_std=mass * float(std[layout.log_mass]),
         center_of_mass=x[layout.center_of_mass].copy(),
@@ -280,7 +276,7 @@ def _tool(
         tilt_std=std[layout.tilt],
         gain=x[layout.gain].reshape(n, 6).copy(),
         covariance=P,
-        exported=exported_body(carried, of_carried, told, shell),
+        exported=Body(mass, body[1:4], inertia_of(mass, body[4:])),  # until what it sits on is added
         verdict=judged.verdict,
         rig=rig,
         below=None if on is None else x[v.before].copy(),
@@ -304,6 +300,9 @@ def _tool(
         version=version("truewrench"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
+    carried, of_body = tool.whole, layout.body
+    physical = exported_body(carried.theta[of_body], carried.covariance[of_body, of_body], told, shell)
+    return replace(tool, exported=physical)
 
 
 def _slope(solution: Solution) -> Array | None:
