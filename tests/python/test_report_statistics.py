@@ -12,7 +12,7 @@ import pytest
 import truewrench as tw
 from truewrench.cli import main
 from truewrench.estimation.assembly import assemble_motion, motion_figures
-from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step
+from truewrench.estimation.estimate import Clock, Estimate, Event, FoundNoise, LogRows, Slow, Step, Tilt
 from truewrench.estimation.evidence import Evidence
 from truewrench.judging.validation.comparison import compare_in_sample
 from truewrench.model.calibration import AXES, Calibration, Verdict, load_calibration
@@ -170,6 +170,12 @@ def test_tables_name_what_was_found(rig: Rig) -> None:
     assert "as large as it may be" in rows["slow disturbance, force"][0]
     assert "5.00 ± 0.10 % of range" in rows["step of the offset at 3 s"][0]
     assert "not resolved" in rows["knots of the motion, spacing"][0]
+    held = Clock("twist", -5.7e-15, 1e-9, 0.0)  # what a `time_offset_prior` of 0 leaves
+    level = Tilt((0,), np.array([1e-14, -7e-15]), np.full(2, 1e-9))
+    estimate = dataclasses.replace(evidence.estimate, clocks=((held,),), tilts=(level,))
+    shown = {row.header: [cell.text for cell in row.cells] for row in found_table(calibration, estimate).rows}
+    assert shown["sensor late against twist"][1:] == ["as stated", "± 0 ms", ""]
+    assert shown["gravity turned about axis 1"][1] == "as stated"
 
 
 def test_help_follows_what_limits_and_what_disagrees(rig: Rig) -> None:

@@ -6,12 +6,14 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimation.estimate import Clock, Estimate, Slow
+from truewrench.estimation.joint import EXACT
 from truewrench.model.calibration import Calibration
 from truewrench.report.summary import with_uncertainty
 from truewrench.report.tables import Cell, Row, Table
 
 _LATENESS = {0.0: "a filter of the sensor", 0.5: "a clock", 1.0: "a filter of the velocities"}
 _SURE = 3.0  # sigma
+_HELD = 2.0 * EXACT  # 1 sigma [s, rad]: of a clock, or gravity, that is held where the rig states it
 
 
 def assumed_table(c: Calibration) -> Table | None:
@@ -38,7 +40,8 @@ def found_table(c: Calibration, estimate: Estimate) -> Table:
         every = len(estimate.tilts) == 1
         where = "all" if every else f"log {', '.join(str(k + 1) for k in tilt.logs)}"
         for about, angle, std in zip("12", np.degrees(tilt.angles), np.degrees(tilt.std), strict=True):
-            found = f"{with_uncertainty(float(angle), float(std))}°"
+            held = std < np.degrees(_HELD)
+            found = "as stated" if held else f"{with_uncertainty(float(angle), float(std))}°"
             rows.append(_row(f"gravity turned about axis {about}", where, found, stated, ""))
     caption = "Found by the estimate, ± 1 sigma, beside what the rig states"
     return Table(caption, ("what", "log", "found", "stated", "which means"), tuple(rows))
@@ -57,6 +60,8 @@ def _of_log(c: Calibration, estimate: Estimate, k: int) -> Iterator[Row]:
         yield _row(f"noise, {noise.what}", log, f"{noise.factor:.3g} × stated", "1", means, off=off)
     for clock in estimate.clocks[k]:
         late = f"{with_uncertainty(1e3 * (clock.late + clock.undone), 1e3 * clock.std)} ms"
+        if clock.std < _HELD and clock.undone == 0.0:
+            late = "as stated"
         stated = f"± {1e3 * clock.stated:.3g} ms"
         yield _row(f"sensor late against {clock.stream}", log, late, stated, _lateness(clock))
     for slow in estimate.slow[k]:
