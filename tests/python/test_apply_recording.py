@@ -23,6 +23,7 @@ from truewrench.io.tables import write_table
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
+from truewrench.motion.trajectory import Body
 from truewrench.simulation.free_body import simulate, wrench_on_sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -114,6 +115,30 @@ def test_both_readers_find_raw_corrected_and_predicted(
         body, point, motion.twist(time), motion.acceleration(time), np.zeros((len(time), 3))
     )
     np.testing.assert_allclose(list(predicted.values()), true, atol=0.02 * np.abs(true).max())
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_prediction_is_that_of_the_body_which_the_calibration_found(
+    calibration: Calibration, settings: dict[str, Any], tmp_path: Path, seen: bool
+) -> None:
+    calibration, run = exact(calibration, settings)
+    inertia = {"xx": 1.6, "yy": 1.4, "zz": 0.5, "xy": 0.1, "xz": 0.0, "yz": -0.1}
+    found = {"mass": 53.0, "center_of_mass": [0.21, -0.01, 0.02], "inertia": inertia}
+    stds = {"mass_std": 0.5, "center_of_mass_std": [1e-3] * 3, "inertia_std": dict.fromkeys(inertia, 0.1)}
+    together = {"covariance": np.eye(10).tolist(), "covariance_with_gain": np.zeros((10, 36)).tolist()}
+    logs = (replace(calibration.logs[-1], payload="default" if seen else "another"),)
+    calibration = replace(calibration, logs=logs, payload_posterior={"default": {**found, **stds, **together}})
+    write_table(tmp_path / "run.csv", columns_of(run))
+    apply_to_recording(calibration, tmp_path / "run.csv", tmp_path / "out.mcap")
+    predicted = {stamp - START: six for stamp, six in by_rosbags(tmp_path / "out.mcap")[PREDICTED]}
+    time = np.array(list(predicted)) * 1e-9
+    body, point = run.truth.payloads["default"], calibration.rig.payloads["default"].center_of_mass_array
+    if seen:
+        tensor = np.array([[1.6, 0.1, 0.0], [0.1, 1.4, -0.1], [0.0, -0.1, 0.5]])
+        body = Body(53.0, np.array(found["center_of_mass"]), tensor)
+    motion, none = run.trajectory, np.zeros((len(time), 3))
+    true = wrench_on_sensor(body, point, motion.twist(time), motion.acceleration(time), none)
+    np.testing.assert_allclose(list(predicted.values()), true, atol=0.01 * np.abs(true).max())
 
 
 def test_motion_or_payload_that_is_missing_leaves_the_prediction_out(

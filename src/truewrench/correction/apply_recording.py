@@ -9,11 +9,11 @@ from truewrench.correction.apply import Applied, Run
 from truewrench.estimation.inertial import InertialMotion
 from truewrench.io.recordings.writer import mcap_output
 from truewrench.io.tables import named_payload, read_log
+from truewrench.judging.validation.errors import carried
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
-from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
 
 RAW = "/truewrench/raw"
@@ -36,9 +36,10 @@ def apply_to_recording(
     """Write the raw channels, the true wrench, its 1 sigma and the payload's wrench by the motion as MCAP.
 
     Raw channels are wrenches where there are six of them, otherwise arrays. The prediction comes from the
-    motion alone, with the payload as the rig states it (`LOG@PAYLOAD` where there are several); where motion
-    or payload is not known, it is left out, and a note says why. Without it, memory does not grow with the
-    log. The output appears whole or not at all; `progress` is told the number of rows done so far.
+    motion alone, with the payload (`LOG@PAYLOAD` where there are several) as the calibration found it, else as
+    the rig states it, as for `validate`; where motion or payload is not known, it is left out, and a note says
+    why. Without it, memory does not grow with the log. The output appears whole or not at all; `progress` is
+    told the number of rows done so far.
     """
     rig = calibration.rig
     run = Run(calibration, named_payload(log, rig)[0], output, progress)
@@ -46,7 +47,7 @@ def apply_to_recording(
     predicted_time, predicted = np.empty(0, dtype=np.int64), np.empty((0, 6))
     if predict:
         try:
-            predicted_time, predicted = _predicted(rig, read_log(log, rig), calibration.time_offset)
+            predicted_time, predicted = _predicted(calibration, read_log(log, rig))
         except InputError as error:
             notes = (f"no {PREDICTED}: {error}",)
     frame = rig.motion.robot.sensor_frame if rig.motion.robot is not None else "sensor"
@@ -65,14 +66,15 @@ def apply_to_recording(
     return Applied(applied.rows, applied.corrected, (*applied.notes, *notes))
 
 
-def _predicted(rig: Rig, log: Log, time_offset: float) -> tuple[Integers, Array]:
+def _predicted(calibration: Calibration, log: Log) -> tuple[Integers, Array]:
     """Stamps (M,) and wrenches (M, 6) where the motion tells the acceleration."""
+    rig, body = calibration.rig, carried(calibration, calibration.rig, log.payload).body
     times, wrenches = [np.empty(0, dtype=np.int64)], [np.empty((0, 6))]
     for start in range(0, len(log.time_ns), _ROWS):
         rows = np.zeros(len(log.time_ns), dtype=bool)
         rows[start : start + _ROWS] = True
         part = rows_of(log, rows)
-        chunks = InertialMotion(rig, part).wrench(time_offset, 0)
+        chunks = InertialMotion(rig, part, body).wrench(calibration.time_offset, 0)
         if not chunks:
             continue
         usual = np.median(np.concatenate([chunk.variance for chunk in chunks]), axis=0)
