@@ -30,6 +30,7 @@ from truewrench.planning.tool.directions import abba, spread, spread_among
 from truewrench.planning.tool.plan import ToolPlan, plan_tool
 from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm import simulate_plan
+from truewrench.simulation.free_body import simulate
 from truewrench.tool.identify import identify_tool
 from truewrench.tool.parameters import ELEMENTS, channel_turn
 from truewrench.tool.prior import MOUNTING_PRIOR, settings_of
@@ -367,6 +368,24 @@ def test_a_calibration_in_place_of_its_rig_promises_what_its_covariance_allows(
 def test_options_beyond_their_bounds_are_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         plan_tool(twists(), **options)
+
+
+@pytest.mark.parametrize("motion", [True, False])
+def test_a_rig_without_of_is_not_planned_for_as_another_command_would_not_read_it(motion: bool) -> None:
+    rig = twists().to_mapping()
+    del rig["motion"]["of"]
+    with pytest.raises(InputError, match=r"motion\.of: found `com`.* expected `sensor`, stated"):
+        plan_tool(Rig.from_mapping(rig), motion=motion)
+
+
+def test_a_plan_simulated_and_identified_with_one_rig_tells_the_tool() -> None:
+    gains = {"gain": "nominal", "offset": "none"}
+    rig = twists(simulate=gains)
+    log = simulate(rig, plan_tool(rig, poses=8).design.motion, seed=1).log
+    tool = identify_tool(rig, log)
+    assert tool.verdict.usable
+    np.testing.assert_allclose(tool.mass, 2.0, atol=4.0 * tool.mass_std)
+    np.testing.assert_array_less(np.abs(tool.center_of_mass - [0, 0, 0.1]), 4.0 * tool.center_of_mass_std)
 
 
 def test_an_imu_is_refused() -> None:
