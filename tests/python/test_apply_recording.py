@@ -127,9 +127,8 @@ def test_prediction_is_that_of_the_body_which_the_calibration_found(
     stds = {"mass_std": 0.5, "center_of_mass_std": [1e-3] * 3, "inertia_std": dict.fromkeys(inertia, 0.1)}
     together = {"covariance": np.eye(10).tolist(), "covariance_with_gain": np.zeros((10, 36)).tolist()}
     logs = (replace(calibration.logs[-1], payload="default" if seen else "another"),)
-    calibration = replace(
-        calibration, logs=logs, payload_posterior={"default": {**found, **stds, **together}}
-    )
+    posterior = {"default": {**found, **stds, **together}}
+    calibration = replace(calibration, logs=logs, payload_posterior=posterior)
     write_table(tmp_path / "run.csv", columns_of(run))
     apply_to_recording(calibration, tmp_path / "run.csv", tmp_path / "out.mcap")
     predicted = {stamp - START: six for stamp, six in by_rosbags(tmp_path / "out.mcap")[PREDICTED]}

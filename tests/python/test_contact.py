@@ -400,6 +400,32 @@ def test_an_imu_and_temperature() -> None:
     assert max(np.abs(w).max() for w, *_ in found.values()) < 5e-3
 
 
+def test_of_an_imu_the_weight_a_driver_subtracted_comes_of_gravity_not_of_the_specific_force() -> None:
+    tool, motion, time_ns = tool_of(9), Swing(rate=8.0), stamps(300)
+    time, rig = 1e-9 * time_ns, tool.rig.to_mapping()
+    rig["motion"] = {"source": "imu", "noise": [1e-3] * 3, "acceleration_noise": [1e-2] * 3}
+    mass, center = 1.5, np.array([0.0, 0.01, 0.07])
+    rig["sensor"]["compensated"] = {"mass": mass, "center_of_mass": center.tolist()}
+    tool = replace(tool, rig=tool_rig(rig), tilt=np.zeros(2), time_offset=0.002)
+    nu, a = motion.twist(time)
+    g, shown = (np.einsum("kji,j->ki", motion.R(t), tool.rig.gravity_array) for t in (time, time + 0.002))
+    weight = mass * np.hstack([shown, np.cross(center, shown)])
+    raw = raw_of(tool.theta, 1, tool.rig.gravity_array, motion, time + 0.002, np.zeros(6)) - weight
+    force = a[:, :3] + np.cross(nu[:, 3:], nu[:, :3]) - g
+    columns = {name: nu[:, 3 + k] for k, name in enumerate(("wx", "wy", "wz"))}
+    columns |= {name: force[:, k] for k, name in enumerate(("accel_x", "accel_y", "accel_z"))}
+    with pytest.raises(InputError, match=r"gx gy gz or .* `sensor\.compensated` needs"):
+        ContactRun(tool, {"time_ns", *columns})
+    attitude = columns_of(motion, time)
+    for told in (("gx", "gy", "gz"), ("qw", "qx", "qy", "qz")):
+        by = dict(zip(told, g.T, strict=True)) if told[0] == "gx" else {name: attitude[name] for name in told}
+        found = all_of(ContactRun(tool, {"time_ns", *columns, *by}), time_ns, raw, columns | by)
+        assert len(found) > 280
+        assert (
+            max(np.abs(w).max() for w, *_ in found.values()) < 5e-3
+        )  # 2 N and 0.1 N m by the specific force
+
+
 def test_missing_columns_and_other_sensors_are_named() -> None:
     tool = tool_of(0)
     with pytest.raises(InputError, match="no column `wz`"):

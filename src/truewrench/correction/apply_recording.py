@@ -36,10 +36,10 @@ def apply_to_recording(
     """Write the raw channels, the true wrench, its 1 sigma and the payload's wrench by the motion as MCAP.
 
     Raw channels are wrenches where there are six of them, otherwise arrays. The prediction comes from the
-    motion alone, with the payload (`LOG@PAYLOAD` where there are several) as the calibration found it, else as
-    the rig states it, as for `validate`; where motion or payload is not known, it is left out, and a note says
-    why. Without it, memory does not grow with the log. The output appears whole or not at all; `progress` is
-    told the number of rows done so far.
+    motion alone, with the payload (`LOG@PAYLOAD` where there are several) as it was found, else as the rig
+    states it; where motion or payload is not known, it is left out, and a note says why. Without it, memory
+    does not grow with the log. The output appears whole or not at all; `progress` is told the number of rows
+    done so far.
     """
     rig = calibration.rig
     run = Run(calibration, named_payload(log, rig)[0], output, progress)

@@ -62,7 +62,9 @@ class MotionColumns:
                 if self._carried and not self._turned and rig.in_gravity:
                     raise without_attitude(place)
         elif self.imu:
-            needed, optional = (*ANGULAR_VELOCITY, *SPECIFIC_FORCE), ()
+            needed = (*ANGULAR_VELOCITY, *SPECIFIC_FORCE)
+            # which gravity is no part of, but for the weight that a driver has subtracted
+            optional = () if rig.sensor.subtracted is None else (*GRAVITY, *ATTITUDE)
             self.twist_noise[3:, 3:] = np.diag(motion.noise_array**2)
             if motion.acceleration_noise is not None:
                 self.gravity_noise = np.diag(np.array(motion.acceleration_noise)[-3:] ** 2)
@@ -71,10 +73,11 @@ class MotionColumns:
             if motion.noise is not None:
                 self.twist_noise = np.diag(motion.noise_array**2)
             self.attitude_known = self._present(ATTITUDE, names)
-            told = self.attitude_known or self._present(GRAVITY, names)
-            if rig.in_gravity and not told:
-                expected = "gx gy gz or qw qx qy qz: gravity's direction in sensor axes"
-                raise InputError.at(place, "header", "nothing that tells it", expected)
+        told = self._present(ATTITUDE, names) or self._present(GRAVITY, names)
+        if rig.in_gravity and GRAVITY[0] in optional and not told:
+            why = ", which `sensor.compensated` needs" if self.imu else ""
+            expected = f"gx gy gz or qw qx qy qz: gravity's direction in sensor axes{why}"
+            raise InputError.at(place, "header", "nothing that tells it", expected)
         missing = [] if names is None else [name for name in needed if name not in names]
         if missing:
             raise InputError.at(place, "header", f"no column `{missing[0]}`", f"{', '.join(needed)}")
@@ -99,8 +102,12 @@ class MotionColumns:
             omega, force = _group(columns, ANGULAR_VELOCITY, count), _group(columns, SPECIFIC_FORCE, count)
             twist = np.hstack([np.zeros((count, 3)), omega])
             return MotionRows(twist, -force, np.full((count, 9), np.nan), np.empty((0, 36)))
-        twist, fall = _group(columns, TWIST, count), _group(columns, GRAVITY, count)
-        turn = np.full((count, 9), np.nan)
+        return MotionRows(_group(columns, TWIST, count), *self.gravity(time_ns, columns), np.empty((0, 36)))
+
+    def gravity(self, time_ns: Integers, columns: Columns) -> tuple[Array, Array]:
+        """Free fall (N, 3) and R_sensor_root (N, 9) of rows that tell them by themselves."""
+        count = len(time_ns)
+        fall, turn = _group(columns, GRAVITY, count), np.full((count, 9), np.nan)
         attitude = _group(columns, ATTITUDE, count)
         check_attitude(attitude, ATTITUDE, self._place, time_ns)
         known = np.isfinite(attitude).all(axis=1)
@@ -109,7 +116,7 @@ class MotionColumns:
             turn[known] = R.reshape(-1, 9)
             unlogged = known & ~np.isfinite(fall).all(axis=1)
             fall[unlogged] = turn[unlogged].reshape(-1, 3, 3) @ self._rig.gravity_array
-        return MotionRows(twist, fall, turn, np.empty((0, 36)))
+        return fall, turn
 
     def _of_joints(self, time_ns: Integers, columns: Columns) -> MotionRows:
         count = len(time_ns)

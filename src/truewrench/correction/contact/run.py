@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truewrench import _core
-from truewrench.correction.contact.motion import HELD, Columns, MotionColumns, MotionRows
+from truewrench.correction.contact.motion import HELD, Columns, MotionColumns
 from truewrench.correction.warmth import Warmth
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
@@ -205,20 +205,21 @@ class ContactRun:
             raise InputError.at(self._place, "time", f"{time_ns[late[0]]} ns", expected)
         motion = self.motion.read(time_ns, columns)
         if self._rig.sensor.subtracted is not None:
-            raw = raw + subtracted(self._rig, self._fall_felt(time_ns, motion))
+            fall = self.motion.gravity(time_ns, columns)[0] if self.motion.imu else motion.fall
+            raw = raw + subtracted(self._rig, self._fall_felt(time_ns, fall, motion.twist[:, 3:]))
         untold = np.full(len(time_ns), np.nan)
         celsius = self._warmth.held(columns.get("temperature", untold) if self._warm else untold)
         args = (raw, motion.twist, motion.fall, motion.turn, celsius, motion.noise)
         stamps = np.ascontiguousarray(time_ns, dtype=np.int64)
         return self._seen(self._rows.feed(stamps, *map(np.ascontiguousarray, args)))
 
-    def _fall_felt(self, time_ns: Integers, motion: MotionRows) -> Array:
+    def _fall_felt(self, time_ns: Integers, told: Array, turning: Array) -> Array:
         """Free fall (N, 3) where the motion was at the sensor's stamps, turned on from its last row."""
-        known = np.isfinite(motion.fall).all(axis=1) & np.isfinite(motion.twist[:, 3:]).all(axis=1)
+        known = np.isfinite(told).all(axis=1) & np.isfinite(turning).all(axis=1)
         stamps = np.append(self._told[0], time_ns)
         fall, omega = (
             np.vstack([before, values])
-            for before, values in zip(self._told[1:], (motion.fall, motion.twist[:, 3:]), strict=True)
+            for before, values in zip(self._told[1:], (told, turning), strict=True)
         )
         last = np.maximum.accumulate(np.append(0, np.where(known, np.arange(1, known.size + 1), 0)))
         self._told = stamps[last[-1]], fall[last[-1]], omega[last[-1]]

@@ -248,9 +248,7 @@ def _with_expected(source: Rig | Calibration, payload: str | None) -> tuple[Rig,
         data["payloads"] = {name: data["payloads"][name]}
         if rig is source and rig.motion.of == "com":  # as `simulate` and `calibrate` read the same rig
             expected = "`sensor`, stated: a tool is identified by the twist of the sensor's origin"
-            raise InputError.at(
-                rig.path, "motion.of", "`com`, which stands where nothing is stated", expected
-            )
+            raise InputError.at(rig.path, "motion.of", "`com`, stated or by default", expected)
     if rig.motion.source == "twist":
         data["motion"]["of"] = "sensor"
     return Rig.from_mapping(data, rig.path), notes
