@@ -22,7 +22,7 @@ struct OnlineEstimate {
   Status status = Status::ok;
   Eigen::VectorXd theta, mean, prior;
   std::vector<int> active;
-  Eigen::MatrixXd covariance, added, gain_covariance;
+  Eigen::MatrixXd added, gain_covariance;
   Eigen::VectorXd discrepancy2;
   std::vector<std::vector<Moment>> moments;  // by log and group
   PoseShare pose;
@@ -30,8 +30,9 @@ struct OnlineEstimate {
   std::vector<bool> unresolved;
   std::vector<int> dropped;
   std::vector<double> spacing;
-  std::vector<Sizes> sizes;                // by log
-  std::vector<Eigen::VectorXd> own;        // by log: theta as its record ended
+  std::vector<Sizes> sizes;                 // by log
+  std::vector<Eigen::VectorXd> own;         // by log: theta as its record ended
+  std::vector<Eigen::MatrixXd> covariance;  // by log: of it
   std::vector<std::vector<double>> tilts;  // by log: of gravity, as the root frames before its last one ended
   std::vector<std::vector<bool>> masked;   // by log: rows
   std::vector<Eigen::VectorXd> history_time;  // by log: [s] ends of blocks
@@ -183,6 +184,7 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     out.spacing.push_back(online->spacing());
     out.sizes.push_back(online->sizes());
     out.own.push_back(online->theta());
+    out.covariance.push_back(online->theta_covariance());
     out.columns.push_back(online->lag().layout().log(0));
     out.samples.push_back(online->samples() - before);
     std::vector<bool> masked(static_cast<std::size_t>(log.time.size()), false);
@@ -201,7 +203,6 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
   out.prior = online->prior();
   for (std::size_t i = 0; i < online->active().size(); ++i)
     if (online->active()[i] != 0) out.active.push_back(static_cast<int>(i));
-  out.covariance = online->theta_covariance();
   out.gain_covariance = online->covariance();
   out.added = online->added();
   out.discrepancy2 = online->discrepancy2();

@@ -30,8 +30,8 @@ class OnlineFound:
     """What the core's `Estimate` holds, of an estimate that looked at every sample once.
 
     `fit` stands at the final parameters, its motion that of the velocities alone: what left the lag was not
-    revisited, and its motion not kept. Offsets and clocks of logs before the last have no covariance of their
-    own: theirs is the prior's.
+    revisited, and its motion not kept. Offsets and clocks of logs before the last are as uncertain as when
+    these logs ended.
     """
 
     fit: Any
@@ -85,15 +85,16 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
     moved = [_at_clocks(record, s) for record, s in zip(records, late, strict=True)]
     fit = _core.make_fit(statement, moved, list(found.spacing), [[] for _ in records], cauchy=False)
     theta = np.array(fit.theta)
+    ends = []  # where in theta each log's parameters stand, but for the root frames before its last
     for k, (own, c) in enumerate(zip(found.own, found.columns, strict=True)):
-        theta[np.array(fit.columns(k).at)] = np.insert(np.asarray(own)[at[k]], max(c.tilt, 0), found.tilts[k])
+        places = np.array(fit.columns(k).at)
+        theta[places] = np.insert(np.asarray(own)[at[k]], max(c.tilt, 0), found.tilts[k])
+        ends.append(np.delete(places, max(c.tilt, 0) + np.arange(len(found.tilts[k]))))
         sizes, found_sizes = fit.sizes(k), found.sizes[k]
         sizes.raw_factor, sizes.motion_factor = found_sizes.raw_factor, found_sizes.motion_factor
     # C, u and all payloads come first in either theta; of the rest the last log has told what it has
     shared = 7 * n + 10 * len(statement.body_prior)
-    last = np.array(fit.columns(len(records) - 1).at)
-    last = np.delete(last, max(found.columns[-1].tilt, 0) + np.arange(len(found.tilts[-1])))
-    here, there = (np.r_[:shared, places[places >= shared]] for places in (last, at[-1]))
+    here, there = (np.r_[:shared, places[places >= shared]] for places in (ends[-1], at[-1]))
     theta[here] = np.asarray(found.theta)[there]
     fit.theta = theta
     fit.lagged = theta[: 6 * n].reshape(n, 6)
@@ -101,7 +102,10 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
     for k, masked in enumerate(found.masked):
         fit.set_mask(k, np.array(masked)[np.asarray(fit.rows(k)["source"], np.int64)].tolist())
     covariance = np.diag(np.asarray(fit.stated))
-    covariance[np.ix_(here, here)] = np.asarray(found.covariance)[np.ix_(there, there)]
+    for places, own, P in zip(ends, at, found.covariance, strict=True):
+        alone = ~np.isin(places, here)  # what such a log left with the others is in theirs
+        covariance[np.ix_(places[alone], places[alone])] = np.asarray(P)[np.ix_(own[alone], own[alone])]
+    covariance[np.ix_(here, here)] = np.asarray(found.covariance[-1])[np.ix_(there, there)]
     counts = [len(time) for time in found.history_time]
     return OnlineFound(
         fit=fit,
