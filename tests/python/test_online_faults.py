@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from truewrench import _core
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.online import found_online
 from truewrench.estimation.record import recorded_logs
+from truewrench.judging import findings
+from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 
 
@@ -35,6 +38,17 @@ def _cut(log: Any, begin: float, end: float) -> None:
 
 def _sigma(found: Any, channels: int = 6) -> float:
     return float(np.sqrt(np.mean(np.diag(np.asarray(found.gain_covariance))[: 6 * channels])))
+
+
+@pytest.mark.parametrize("estimator", ["map", "online"])
+def test_a_component_that_was_never_measured_is_refused_by_its_name(estimator: Any) -> None:
+    rig = light_rig(seconds=8.0, rate=100.0)
+    log = tw.simulate(rig).log
+    assert log.twist is not None
+    twist = log.twist.copy()
+    twist[:, 5] = np.nan
+    with pytest.raises(InputError, match="column `wz`: found not one number, expected a number in at least"):
+        tw.calibrate(rig, replace(log, twist=twist), estimator=estimator)
 
 
 def test_what_is_masked_before_a_gap_is_told_at_the_end() -> None:
@@ -130,3 +144,20 @@ def test_what_an_earlier_log_told_of_its_payload_is_kept_by_a_log_of_another() -
     online, whole = (estimate(rig, logs, online=online).payloads[uncertain] for online in (True, False))
     assert online.std[:4] == pytest.approx(whole.std[:4], rel=0.2)
     assert (online.std[:4] < 0.9 * np.array([0.02, 1e-3, 1e-3, 1e-3])).all()
+
+
+def test_clocks_of_all_logs_are_told_and_as_well_known_as_those_of_map() -> None:
+    late, logs = np.array([0.003, -0.002, 0.0015]), []
+    for seed, s in enumerate(late):
+        settings = light_rig(seconds=10.0, rate=100.0).to_mapping()
+        settings["sensor"]["time_offset_prior"] = 5e-3
+        settings["simulate"] |= {"gain": "nominal", "time_offset": -float(s)}
+        rig = Rig.from_mapping(settings)
+        logs.append(tw.simulate(rig, seed=seed).log)
+    whole, found = (estimate(rig, logs, online=online) for online in (False, True))
+    assert (np.abs(found.time_offsets + late) < 4.0 * found.time_offsets_std).all()
+    ratio = found.time_offsets_std / whole.time_offsets_std
+    assert ((ratio > 0.9) & (ratio < 1.5)).all()  # at the gains of then
+    assert (np.asarray(found.offsets_std) < 3.0 * np.asarray(whole.offsets_std)).all()
+    told = [a.where for a in findings(found, rig, logs) if a.what.startswith("clock")]
+    assert told == ["log 1", "log 2", "log 3"]

@@ -35,6 +35,7 @@ from truewrench.estimation.known_wrench import estimate_from_known_wrench
 from truewrench.estimation.least_squares import least_squares
 from truewrench.estimation.reference_clock import with_reference_on_time
 from truewrench.judging import of_references
+from truewrench.judging.channels import motion_columns
 from truewrench.model.calibration import Bound, Calibration, LogReport, Verdict
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
@@ -254,7 +255,12 @@ def _check_sensor(rig: Rig, estimator: EstimatorName) -> None:
 
 
 def _check_motion(rig: Rig, logs: Sequence[Log], estimator: EstimatorName) -> None:
-    """Refuse motions that a reference does not know, and bodies that it cannot find."""
+    """Refuse what was never measured, and motions and bodies that a reference does not know."""
+    for log in logs if rig.motion.source != "joints" else ():
+        for name, column in motion_columns(log):
+            if not np.isfinite(column).any():
+                expected = "a number in at least one row"
+                raise InputError.at(log.path, f"column `{name}`", "not one number", expected)
     if estimator not in _REFERENCES:
         return
     if rig.motion.source == "imu":
