@@ -19,7 +19,7 @@ from truewrench.calibrating.unknown_bodies import (
     with_first_guess,
 )
 from truewrench.estimation.assembly import assemble_motion, motion_figures
-from truewrench.estimation.clock_rate import clock_rates, with_rate
+from truewrench.estimation.clock_rate import clock_rates, with_rate, with_weight_told
 from truewrench.estimation.colour import without_filters
 from truewrench.estimation.estimate import Estimate, undisturbed
 from truewrench.estimation.estimator import unsolved
@@ -157,6 +157,13 @@ def _time_offsets(found: tuple[Sequence[Log], Pooled]) -> tuple[Array, Array]:
 
 def _at_one_rate(rig: Rig, logs: Sequence[Log], threads: int, online: bool) -> tuple[Sequence[Log], Pooled]:
     """The estimate, anew while clocks are found to run at different rates, and its logs."""
+    logs, pooled = _brought_together(rig, logs, threads, online)
+    return logs, replace(pooled, estimate=with_weight_told(rig, logs, pooled.estimate))
+
+
+def _brought_together(
+    rig: Rig, logs: Sequence[Log], threads: int, online: bool
+) -> tuple[Sequence[Log], Pooled]:
     pooled = estimate_pooled(rig, logs, threads=threads, online=online)
     if pooled.parts is not None:  # which have set them
         told = dict(zip(pooled.moving, pooled.parts.logs, strict=True))

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truewrench.estimation.estimate import Estimate, LogRows
+from truewrench.estimation.estimate import Clock, Estimate, LogRows
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Tracking
 from truewrench.model.rig import Rig
+from truewrench.robot.compensation import weight_added
 
 TOLD, LEFT = 6.0, 2.0  # sigma of a rate: that is told, and then left; told in 0 of 230 records without one
 STRAIGHT = 0.1  # of the chi-square of all lateness, or 3 a degree of freedom: what no line holds
@@ -29,6 +30,39 @@ def clock_rates(rig: Rig, logs: Sequence[Log], estimate: Estimate) -> Array:
     gain = estimate.gain / rig.sensor.channel_scale[:, None]
     told = [TOLD if log.clock_rate == 0.0 else LEFT for log in logs]
     return np.array([_rate(rows, gain, z) for rows, z in zip(estimate.rows, told, strict=True)])
+
+
+def with_weight_told(rig: Rig, logs: Sequence[Log], estimate: Estimate) -> Estimate:
+    """Clocks as uncertain as a weight leaves them that a driver had subtracted and that was added back.
+
+    A fit takes this weight W for fixed; in truth it is that of t + s. Of x = C dw/dt and y = dW/dt, less what
+    gain and offset follow, the score of s is x^T r, and moves with x - y alone: of what the data told of s a
+    share^2 is left, share = x^T (x - y) / x^T x. Where gamma (10.5) is free, it has taken up y.
+    """
+    if rig.sensor.subtracted is None or not estimate.solved:
+        return estimate
+    clocks, scale = [], rig.sensor.channel_scale
+    for log, rows, of in zip(logs, estimate.rows, estimate.clocks, strict=True):
+        if all(clock.gamma is not None for clock in of[:1]):  # none of a log at rest
+            clocks.append(of)
+            continue
+        felt = rows.wrench @ estimate.gain.T / scale
+        rates = [_rates_of(rows, values) for values in (felt, weight_added(rig, log)[rows.rows] / scale)]
+        whole = np.isfinite(np.hstack([rows.residual, rates[1]])).all(axis=1)
+        use = np.flatnonzero(~rows.masked & whole)
+        left = rows.residual[use] + rows.discrepancy[use]
+        size = np.abs(rows.wrench[use]).max(axis=0, initial=1e-12)
+        basis, _ = np.linalg.qr(np.column_stack([rows.wrench[use] / size, np.ones(use.size)]))
+        x, y = ((v[use] - basis @ (basis.T @ v[use])) / np.std(left, axis=0).clip(1e-12) for v in rates)
+        share = float(np.sum(x * (x - y)) / max(np.sum(x * x), 1e-300))
+        clocks.append(tuple(_shared(clock, min(share**2, 1.0)) for clock in of))
+    return replace(estimate, clocks=tuple(clocks))
+
+
+def _shared(clock: Clock, share: float) -> Clock:
+    """With a share of what the data told beside the prior, which follows them (10.1)."""
+    prior = max(clock.stated, abs(clock.late), clock.std) ** -2.0
+    return replace(clock, std=(prior + share * (clock.std**-2.0 - prior)) ** -0.5)
 
 
 def _rate(rows: LogRows, gain: Array, least: float) -> float:

@@ -53,6 +53,11 @@ def uncompensated(rig: Rig, logs: Sequence[Log], time_offset: float | Array = 0.
     return [_with_weight(rig, log, offset) for log, offset in zip(logs, offsets, strict=True)]
 
 
+def weight_added(rig: Rig, log: Log) -> Array:
+    """Channels (N, n) of the weight that a log with `weight_offset` has been given."""
+    return subtracted(rig, _fall(rig, log, log.weight_offset or 0.0))
+
+
 def with_weight_on_time(
     rig: Rig,
     logs: Sequence[Log],
@@ -62,7 +67,8 @@ def with_weight_on_time(
     """An estimate, made anew while it finds the motion elsewhere than where a subtracted weight was added.
 
     Where little but weight moves, the time offset goes only a share of the way from that of the weight to the
-    right one; the share is told by what a step has left.
+    right one; the share is told by what a step has left. A step that misses by more than the one before it is
+    not kept: where all that moves is weight nothing tells the share, and steps led out of the log.
 
     Args:
         rig: with or without a weight.
@@ -73,15 +79,17 @@ def with_weight_on_time(
     found = estimated(logs)
     if rig.sensor.subtracted is None:
         return found
-    at, missed, share = (np.full(len(logs), x) for x in (0.0, 0.0, 1.0))
-    for _ in range(_ROUNDS):
+    at, missed, share, kept = *(np.full(len(logs), x) for x in (0.0, 0.0, 1.0)), found
+    for turn in range(_ROUNDS):
         told, std = time_offsets(found)
         before, missed = missed, told - at
+        if turn and missed @ missed > before @ before:
+            return kept
         if (np.abs(missed) <= _MISSED * std).all():
             break
         left = np.divide(missed, before, out=np.zeros_like(at), where=before != 0.0)
         share *= 1.0 - np.clip(left, 0.0, 0.9)
-        at = at + missed / share
+        at, kept = at + missed / share, found
         found = estimated(uncompensated(rig, logs, at))
     return found
 
@@ -91,7 +99,7 @@ def _with_weight(rig: Rig, log: Log, time_offset: float) -> Log:
         return log
     raw = log.raw + subtracted(rig, _fall(rig, log, time_offset))
     if log.weight_offset is not None:
-        raw -= subtracted(rig, _fall(rig, log, log.weight_offset))
+        raw -= weight_added(rig, log)
         return replace(log, raw=raw, weight_offset=time_offset)
     sensed = np.isfinite(log.raw).any(axis=1)
     lost = int(np.count_nonzero(sensed & ~np.isfinite(raw).any(axis=1)))
