@@ -38,7 +38,7 @@ from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration, Verdict
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-from truewrench.robot.compensation import with_weight_on_time
+from truewrench.robot.compensation import restamped, with_weight_on_time
 
 _RATES = 3  # times that clocks are set
 
@@ -176,7 +176,10 @@ def _brought_together(
         # what is left falls by the same share each time, as the motion follows the other
         share = np.divide(rates, before, out=np.zeros_like(rates), where=before != 0.0)
         before = rates / (1.0 - np.clip(share, 0.0, 0.8))
-        changed = [with_rate(log, r) if r != 0.0 else log for log, r in zip(logs, before, strict=True)]
+        changed = [
+            restamped(rig, log, partial(with_rate, rate=r)) if r != 0.0 else log
+            for log, r in zip(logs, before, strict=True)
+        ]
         again = estimate_pooled(rig, changed, threads=threads, online=online)
         # errors of a fast tumbling under a precise sensor look like one: 2 of 600 clean records
         if not again.estimate.solved or again.estimate.deviance > pooled.estimate.deviance:

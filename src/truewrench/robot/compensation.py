@@ -58,6 +58,14 @@ def weight_added(rig: Rig, log: Log) -> Array:
     return subtracted(rig, _fall(rig, log, log.weight_offset or 0.0))
 
 
+def restamped(rig: Rig, log: Log, moved: Callable[[Log], Log]) -> Log:
+    """A log of which `moved` moves the sensor's stamps: its weight is that of the new ones."""
+    if log.weight_offset is None:
+        return moved(log)
+    bare = replace(log, raw=log.raw - weight_added(rig, log), weight_offset=None)
+    return _with_weight(rig, moved(bare), log.weight_offset)
+
+
 def with_weight_on_time(
     rig: Rig,
     logs: Sequence[Log],
