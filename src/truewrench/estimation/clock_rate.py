@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truewrench.estimation.estimate import Clock, Estimate, LogRows
-from truewrench.model.arrays import Array
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log, Tracking
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import weight_added
@@ -50,10 +50,8 @@ def with_weight_told(rig: Rig, logs: Sequence[Log], estimate: Estimate) -> Estim
         rates = [_rates_of(rows, values) for values in (felt, weight_added(rig, log)[rows.rows] / scale)]
         whole = np.isfinite(np.hstack([rows.residual, rates[1]])).all(axis=1)
         use = np.flatnonzero(~rows.masked & whole)
-        left = rows.residual[use] + rows.discrepancy[use]
-        size = np.abs(rows.wrench[use]).max(axis=0, initial=1e-12)
-        basis, _ = np.linalg.qr(np.column_stack([rows.wrench[use] / size, np.ones(use.size)]))
-        x, y = ((v[use] - basis @ (basis.T @ v[use])) / np.std(left, axis=0).clip(1e-12) for v in rates)
+        noise = np.std((rows.residual + rows.discrepancy)[use], axis=0).clip(1e-12)
+        x, y = (_unfollowed(rows, use, values) / noise for values in rates)
         share = float(np.sum(x * (x - y)) / max(np.sum(x * x), 1e-300))
         clocks.append(tuple(_shared(clock, min(share**2, 1.0)) for clock in of))
     return replace(estimate, clocks=tuple(clocks))
@@ -65,23 +63,24 @@ def _shared(clock: Clock, share: float) -> Clock:
     return replace(clock, std=(prior + share * (clock.std**-2.0 - prior)) ** -0.5)
 
 
+def _unfollowed(rows: LogRows, use: Integers, values: Array) -> Array:
+    """Some rows of (K, n) less what gain and offset can follow."""
+    size = np.abs(rows.wrench[use]).max(axis=0, initial=1e-12)
+    basis, _ = np.linalg.qr(np.column_stack([rows.wrench[use] / size, np.ones(use.size)]))
+    return np.asarray(values[use] - basis @ (basis.T @ values[use]))
+
+
 def _rate(rows: LogRows, gain: Array, least: float) -> float:
     use = np.flatnonzero(~rows.masked & np.isfinite(rows.residual).all(axis=1))
     if use.size < 10 * PARTS * SHORTER:
         return 0.0
     time = rows.time[use]
-    rate = _rates_of(rows, rows.wrench @ gain.T)[use]
-    left = rows.residual[use] + rows.discrepancy[use]
-    size = np.abs(rows.wrench[use]).max(axis=0).clip(1e-12)
-    basis, _ = np.linalg.qr(np.column_stack([rows.wrench[use] / size, np.ones(use.size)]))
-    score, information = np.zeros(use.size), np.zeros(use.size)
-    for x, y in zip(rate.T, left.T, strict=True):
-        x, y = x - basis @ (basis.T @ x), y - basis @ (basis.T @ y)
-        variance = np.mean(y**2)
-        if not variance > 0.0:
-            return 0.0
-        score += x * y / variance
-        information += x * x / variance
+    rates = _rates_of(rows, rows.wrench @ gain.T)
+    x, y = (_unfollowed(rows, use, values) for values in (rates, rows.residual + rows.discrepancy))
+    variance = np.mean(y**2, axis=0)
+    if not (variance > 0.0).all():
+        return 0.0
+    score, information = np.sum(x * y / variance, axis=1), np.sum(x * x / variance, axis=1)
     parts = np.array_split(np.arange(use.size), PARTS * SHORTER)
     S, J = (np.array([v[at].sum() for at in parts]).reshape(PARTS, SHORTER) for v in (score, information))
     if not (J > 0.0).all():
