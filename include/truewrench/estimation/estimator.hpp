@@ -364,8 +364,11 @@ class Estimator {
       auto robust = robust_from(*best.fit, trial_steps, out);
       if (robust->failed) return;
       set_mask(*robust);
+      leave_in(*robust);
       const Candidate trial = fit_rows(*robust, trial_steps, out, Slow::asked);
-      const Candidate bare_ = fit_rows(*robust, steps, out, Slow::always);
+      // of the same rows without the step
+      const Candidate bare_ =
+          same_mask(*robust, *best.fit) ? best : fit_rows(*robust, steps, out, Slow::always);
       double blocks = 0.0;
       for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
       if (trial.fit->failed || !(trial.fit->deviance() <= bare_.fit->deviance() - 2.0 * std::log(blocks)))

@@ -130,6 +130,14 @@ inline Fit with_mask(Fit fit) {
   return fit;
 }
 
+// Whether two fits of the same logs at the same h leave out the same samples.
+inline bool same_mask(const Fit& a, const Fit& b) {
+  for (std::size_t l = 0; l < a.logs().size(); ++l)
+    for (std::size_t i = 0; i < a.logs()[l].stretches.size(); ++i)
+      if (a.logs()[l].stretches[i].raw.masked != b.logs()[l].stretches[i].raw.masked) return false;
+  return true;
+}
+
 // How much the masked samples of a log, left in, would add to the variance of the noise.
 inline double masked_variance(const Fit& fit, std::size_t l) {
   double added = 0.0, all = 0.0;

@@ -104,7 +104,8 @@ def part_of(
     held = estimate.rows[0]
     origin = place.origin[held.rows]
     streams = [
-        SimpleNamespace(derivative=m.derivative, time_offset_prior=m.time_offset_prior) for m in record.motion
+        SimpleNamespace(derivative=m.derivative, time_offset_prior=m.time_offset_prior, time=m.time[:2])
+        for m in record.motion
     ]
     return Part(
         place.log,

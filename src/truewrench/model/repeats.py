@@ -140,7 +140,7 @@ class _Stream:
         if self.rows.size <= _FEWEST:
             return self.rows[:0]
         bend = np.abs(np.diff(np.diff(values, axis=0) / np.diff(at)[:, None], axis=0))
-        size = np.sqrt(np.mean(bend**2, axis=0))
+        size = np.hypot.reduce(bend, axis=0) / np.sqrt(len(bend))  # squares may overflow
         line = np.pad((bend <= _IN_LINE * size).all(axis=1), 1) & ~self.repeats
         begins = np.flatnonzero(line[1:] & ~line[:-1])
         if begins.size <= _FEWEST or line.mean() < _HELD or np.median(np.diff(at[begins])) > SAMPLED:

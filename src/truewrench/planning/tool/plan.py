@@ -246,9 +246,11 @@ def _with_expected(source: Rig | Calibration, payload: str | None) -> tuple[Rig,
         if name not in rig.payloads:
             raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
         data["payloads"] = {name: data["payloads"][name]}
-        if rig is source and rig.motion.of == "com":  # as `simulate` and `calibrate` read the same rig
-            expected = "`sensor`, stated: a tool is identified by the twist of the sensor's origin"
-            raise InputError.at(rig.path, "motion.of", "`com`, stated or by default", expected)
+        if rig is source and rig.motion.of == "com":
+            notes = (
+                "the twist is that of the sensor, as `tool` reads it; `simulate` and `calibrate` take what this rig "
+                "logs for `com`, which stands where nothing is stated: state `motion.of: sensor`",
+            )
     if rig.motion.source == "twist":
         data["motion"]["of"] = "sensor"
     return Rig.from_mapping(data, rig.path), notes
