@@ -248,8 +248,8 @@ def _with_expected(source: Rig | Calibration, payload: str | None) -> tuple[Rig,
         data["payloads"] = {name: data["payloads"][name]}
         if rig is source and rig.motion.of == "com":
             notes = (
-                "the twist is that of the sensor, as `tool` reads it; `simulate` and `calibrate` take what this rig "
-                "logs for `com`, which stands where nothing is stated: state `motion.of: sensor`",
+                "the twist is that of the sensor, as `tool` reads it; `simulate` and `calibrate` take what "
+                "this rig logs for `com`, which stands where nothing is stated: state `motion.of: sensor`",
             )
     if rig.motion.source == "twist":
         data["motion"]["of"] = "sensor"
