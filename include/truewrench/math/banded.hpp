@@ -99,14 +99,13 @@ class Bands {
   void quadratic(const std::vector<double>& x, const std::vector<double>& from, const std::vector<double>& b,
                  double* sum) const {
     for (int c = 0; c < lanes; c += 4) {
-      const auto d = [&](Eigen::Index k) {
-        return lane(x.data() + k * lanes + c) - lane(from.data() + k * lanes + c);
-      };
       dense::Lane all = {};
       for (Eigen::Index j = 0; j < size; ++j) {
-        const dense::Lane own = d(j);
+        const double *to = x.data() + j * lanes + c, *begin = from.data() + j * lanes + c;
+        const dense::Lane own = lane(to) - lane(begin);
         dense::Lane row = lane(at(j, 0) + c) * own - 2.0 * lane(b.data() + j * lanes + c);
-        for (int i = 1; i < kLocal; ++i) row += 2.0 * lane(at(j, i) + c) * d(j + i);
+        for (int i = 1; i < kLocal; ++i)
+          row += 2.0 * lane(at(j, i) + c) * (lane(to + i * lanes) - lane(begin + i * lanes));
         all += row * own;
       }
       lane(sum + c) += all;
