@@ -93,8 +93,7 @@ class MomentSums {
       z_[shared + static_cast<std::size_t>(n_) + i] = c * residual[i];
     }
     const double dt = started_ ? time - time_ : 0.0;
-    const int known =
-        static_cast<int>(shared) + n_;  // columns of X: all that is asked of K^2, and of K by spread()
+    const int known = shared + n_;  // columns of X: all that is asked of K^2, and of K by spread()
     time_ = time;
     started_ = true;
     add(ZZ_, z_, z_, 0.5, d_);
@@ -212,7 +211,7 @@ class MomentSums {
   }
 
  private:
-  static constexpr std::size_t shared = 8;  // places of w, 1 and nothing; then (C_0 w)_i^2 and r_i
+  static constexpr int shared = 8;  // places of w, 1 and nothing; then (C_0 w)_i^2 and r_i
   // Symmetric: the rows of what the channels share; of each channel [(C_0 w)^2]^2, (C_0 w)^2 r, r^2.
   struct Products {
     std::vector<double> rows, own;
@@ -255,7 +254,7 @@ class MomentSums {
   double entry(const Products& m, int k, int l, int i) const {
     if (k > l) std::swap(k, l);
     if (k >= 7) return m.own[static_cast<std::size_t>((k + l - 14) * n_ + i)];
-    const auto at = static_cast<std::size_t>(l < 7 ? l : static_cast<int>(shared) + (l - 7) * n_ + i);
+    const auto at = static_cast<std::size_t>(l < 7 ? l : shared + (l - 7) * n_ + i);
     return m.rows[static_cast<std::size_t>(k) * static_cast<std::size_t>(d_) + at];
   }
 };
