@@ -230,19 +230,11 @@ class Fit {
       advance(turned(last) ? 0.5 : 1.0);
       const auto count = static_cast<double>(active_places().size());
       const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
-      const auto settled = [&] {
-        return resized < constants::move && move < (robust ? constants::robust_move : constants::move) &&
-               iterations > 1 && (robust || slopes_hold());
-      };
-      if (!robust && settled()) {
-        converged = true;
-        return end();
-      }
-      resized = resize();
-      if (robust && settled()) {
-        converged = true;
-        return *this;
-      }
+      if (robust) resized = resize();
+      converged = iterations > 1 && resized < constants::move &&
+                  move < (robust ? constants::robust_move : constants::move) && (robust || slopes_hold());
+      if (converged) return robust ? *this : end();
+      if (!robust) resized = resize();
       begun_ = iterations == 1 && enough && enough(*this);
       near_ = known && near(*known);
       if (near_ || begun_) return *this;
