@@ -174,7 +174,7 @@ class Estimator {
   std::size_t best_of_worst_part(std::size_t l, const Fit& fit, Estimate& out) const {
     const Piece part = worst_part(fit);
     SpacingSearch pilot = search_of(l, {part}, lasting(pieces_[l]) / (part.end - part.begin));
-    const std::size_t best = pilot.best();
+    const std::size_t best = pilot.best(fit.sound());
     out.fits += pilot.fits();
     return best;
   }

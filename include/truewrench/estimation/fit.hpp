@@ -245,6 +245,9 @@ class Fit {
     return end();
   }
 
+  // Whether one step was enough: nothing to mask, and no more noise than stated.
+  bool sound() const { return begun_; }
+
   // -2 log L (10.7) where the fit has ended; nan where it failed, or came near to another.
   double deviance() {
     if (begun_) run();
