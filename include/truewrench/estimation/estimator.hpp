@@ -65,9 +65,11 @@ class Estimator {
     bool hopeful = true;
     for (std::size_t l = 0; l < count; ++l)
       hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
-    if (hopeful) seek_steps(robust, steps, out);
-    set_mask(*robust);
-    leave_in(*robust);
+    if (!robust->sound()) {
+      if (hopeful) seek_steps(robust, steps, out);
+      set_mask(*robust);
+      leave_in(*robust);
+    }
     const auto plain = with_masked(plain_fit(bare(*robust), *robust, steps, out), *robust, steps, out);
     Candidate best = with_slow(plain, steps, out, hopeful ? Slow::asked : Slow::never);
     if (hopeful) repair(best, steps, out);
