@@ -90,9 +90,8 @@ class Incremental {
   // ends, and how gravity is tilted is not known.
   Status next_root() noexcept;
 
-  // Another log of the same sensor: theta's shared part goes on, with the
-  // information on it; what is the log's own starts anew. Allocates. What
-  // check() refuses changes nothing.
+  // Another log of the same sensor: theta's shared part goes on, with the information on it; what is the
+  // log's own starts anew. Allocates. What check() refuses changes nothing.
   Status next_log(const RecordedLog& about);
 
   // ---------------------------------------------------------------- results,
@@ -130,8 +129,7 @@ class Incremental {
   const std::vector<Moment>& moments() const { return found_; }          // likewise
   const Eigen::VectorXd& discrepancy2() const { return discrepancy2_; }  // delta_i^2 for (10.10), likewise
   PoseShare pose() const { return pose_.share(); }
-  // (10.11): lags in turn, each with what it adds to what was known before it.
-  // Allocates.
+  // (10.11): lags in turn, each with what it adds to what was known before it. Allocates.
   Agreement agreement();
 
   // What was masked since the last call of clear_masked().
@@ -233,9 +231,8 @@ class Incremental {
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
 
   Front past_, present_;
-  // information (nt + 1, nt + 1), lower triangle, the information vector in the
-  // last row. Of the coordinates: of all, of what left, at the last part; of
-  // theta: of all, at the beginning of the log
+  // information (nt + 1, nt + 1), lower triangle, the information vector in the last row. Of the coordinates:
+  // of all, of what left, at the last part; of theta: of all, at the beginning of the log
   Eigen::MatrixXd Z_, Zp_, Zl_, S_, base_;
   std::array<Eigen::MatrixXd, 2> parts_;  // (10.11)
   // of theta: all, and the parts, of logs with another body
@@ -275,8 +272,7 @@ class Incremental {
     return any && std::isfinite(time);
   }
   double gap(double period) const { return std::max(5.0 * period, 6.0 * coarsest_); }
-  // All motion, or the sensor, was silent for five periods and six knots: the
-  // stretch is over.
+  // All motion, or the sensor, was silent for five periods and six knots: the stretch is over.
   Status silence(double time) noexcept {
     const bool over =
         open() && (time - motion_last() > gap(motion_period()) || time - raw_last_ > gap(raw_period()));
@@ -294,8 +290,7 @@ class Incremental {
       if (motion_[i].end() > 0) out = std::max(out, motion_last_[i]);
     return out;
   }
-  // To which all streams have samples, of a stretch that has not begun; NaN
-  // where one has none.
+  // To which all streams have samples, of a stretch that has not begun; NaN where one has none.
   double common_begin() const {
     double out = raw_[raw_.begin()].time;
     for (std::size_t i = 0; i < lag_.streams(); ++i) {

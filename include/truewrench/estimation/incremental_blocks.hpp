@@ -111,8 +111,7 @@ inline Status Incremental::arrive(bool last) noexcept {
   return status;
 }
 
-// Eliminate the blocks of the lag as predicted and weighted; the first
-// `leaving` for good.
+// Eliminate the blocks of the lag as predicted and weighted; the first `leaving` for good.
 inline bool Incremental::sweep(long leaving, bool last) {
   const long first = lag_.first(), end = lag_.end(), lag = lag_blocks(h_);
   for (long g = first; g < first + leaving; ++g) {
@@ -127,8 +126,7 @@ inline bool Incremental::sweep(long leaving, bool last) {
   return std::isfinite(logdet_x_ = lag_.terminal(present_, Z_));
 }
 
-// Gauss-Newton and (10.6) on all blocks of the lag, robust weights, as
-// Fit::run() does.
+// Gauss-Newton and (10.6) on all blocks of the lag, robust weights, as Fit::run() does.
 inline bool Incremental::run(int most, bool last) {
   const int nt = lag_.parameters();
   if (first_log_ && left_.knots == 0.0)
@@ -210,8 +208,7 @@ inline bool Incremental::surprised() {
   return false;
 }
 
-// Two lags are full: linearise all of them at what is known now; the older one
-// leaves.
+// Two lags are full: linearise all of them at what is known now; the older one leaves.
 inline Status Incremental::hop() noexcept {
   const long first = lag_.first(), leaving = lag_blocks(h_);
   lag_.back(first);
@@ -232,8 +229,7 @@ inline Status Incremental::hop() noexcept {
   return Status::ok;
 }
 
-// Sums of what leaves; sizes by them, and while little has left by what stays
-// too.
+// Sums of what leaves; sizes by them, and while little has left by what stays too.
 inline void Incremental::depart(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
   invert(false);
@@ -269,8 +265,7 @@ inline void Incremental::depart(long leaving) {
   ++hops_;
 }
 
-// Blocks [from, to) into the running sums of (10.9) and (10.10), at theta as it
-// stands.
+// Blocks [from, to) into the running sums of (10.9) and (10.10), at theta as it stands.
 inline void Incremental::count(long from, long to) {
   for (long g = from; g < to; ++g) {
     lag_.predict(g);
@@ -299,9 +294,8 @@ inline void Incremental::count(long from, long to) {
   }
 }
 
-// MASK of the first `leaving` blocks: w_t < 0.3; gaps of up to 30 ms closed;
-// what then lasts 30 ms or more widened by 20 ms each side, as far as it has
-// not left.
+// MASK of the first `leaving` blocks: w_t < 0.3; gaps of up to 30 ms closed; what then lasts 30 ms or more
+// widened by 20 ms each side, as far as it has not left.
 inline void Incremental::set_mask(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
   const double ahead = lag_.start_of(stay) + 2.0 * constants::mask_shortest + constants::gather_window;

@@ -11,10 +11,9 @@ namespace truewrench {
 
 struct IncrementalSettings {
   double lag = 2.0;           // [s], and 20 knots at least: a coefficient forgets what is
-                              // beyond to 1e-5. Memory is for samples of 1.25 lag and 2 s, so
-                              // that 20 knots of 2.5 samples of the motion must fit: where the
-                              // fastest of its streams has a longer period than lag / 50, state a
-                              // lag of 50 periods
+                              // beyond to 1e-5. Memory is for samples of 1.25 lag and 2 s, so that 20 knots
+                              // of 2.5 samples of the motion must fit: where the fastest of its streams has a
+                              // longer period than lag / 50, state a lag of 50 periods
   double rate = 1000.0;       // [Hz] samples of one stream at most
   double spacing = 0.0;       // [s] h; 0: chosen on the first lag
   double finest = 0.0125;     // [s] smallest h that is tried: what memory is for

@@ -1,6 +1,5 @@
-// theta and its covariance from the information as it stands; the rules of
-// (10.1); sizes by (10.6); what a log leaves to the next. Included by
-// incremental.hpp.
+// theta and its covariance from the information as it stands; the rules of (10.1); sizes by (10.6); what a
+// log leaves to the next. Included by incremental.hpp.
 #pragma once
 
 #include "truewrench/estimation/incremental.hpp"
@@ -64,8 +63,7 @@ inline bool Incremental::invert(bool all) {
   return true;
 }
 
-// Information on theta of the coordinates' and of the logs with another body:
-// all, or one part.
+// Information on theta of the coordinates' and of the logs with another body: all, or one part.
 inline void Incremental::gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S) {
   lag_.pull(Z, S);
   for (Eigen::Index i = 0; i < S.size(); ++i) S.data()[i] += others_[of].data()[i];
@@ -120,8 +118,7 @@ inline bool Incremental::solve(bool judge) {
   return true;
 }
 
-// (10.6) once from sums and P_, theta's share of the raw rows by S_; the
-// largest relative move.
+// (10.6) once from sums and P_, theta's share of the raw rows by S_; the largest relative move.
 inline double Incremental::resize(const SizeSums& sums) {
   const int nt = lag_.parameters(), n = lag_.channels();
   Sizes& z = lag_.sizes;
@@ -173,8 +170,7 @@ inline double Incremental::resize(const SizeSums& sums) {
   return move;
 }
 
-// One more lag for one of the two parts of (10.11): what it adds to what was
-// known before it.
+// One more lag for one of the two parts of (10.11): what it adds to what was known before it.
 inline void Incremental::part(const Eigen::MatrixXd& S) {
   Eigen::MatrixXd& to = parts_[static_cast<std::size_t>(part_)];
   for (Eigen::Index i = 0; i < S.size(); ++i) to.data()[i] += S.data()[i] - Zl_.data()[i];

@@ -1,15 +1,12 @@
-// A fixed lag of blocks of five knots: linearised at the coefficients as they
-// stand, eliminated block by block, back for the motion that belongs to a
-// theta, and the exact traces of (10.6) by selected inversion (METHOD 9, 10.6).
-// What was eliminated is a Gaussian on (first block that remains, theta), kept
-// in absolute coordinates: a later theta may use it.
+// A fixed lag of blocks of five knots: linearised at the coefficients as they stand, eliminated block by
+// block, back for the motion that belongs to a theta, and the exact traces of (10.6) by selected inversion
+// (METHOD 9, 10.6). What was eliminated is a Gaussian on (first block that remains, theta), kept in absolute
+// coordinates: a later theta may use it.
 //
-// The same information as a Sweep over a stretch, by the same sums and
-// eliminations, on memory that is fixed at construction, with twists or an IMU
-// alone.
+// The same information as a Sweep over a stretch, by the same sums and eliminations, on memory that is fixed
+// at construction, with twists or an IMU alone.
 //
-// theta's columns, and what waits for a later theta, are in the coordinates of
-// products.hpp.
+// theta's columns, and what waits for a later theta, are in the coordinates of products.hpp.
 #pragma once
 
 #include "truewrench/estimation/lag_rows.hpp"
@@ -54,9 +51,8 @@ struct SizeSums {
   }
 };
 
-// The information that eliminated blocks leave on the next one and on theta, in
-// absolute coordinates: rows of the block's [H, - ; H_xt, information vector],
-// and theta's. Upper triangles.
+// The information that eliminated blocks leave on the next one and on theta, in absolute coordinates: rows of
+// the block's [H, - ; H_xt, information vector], and theta's. Upper triangles.
 struct Front {
   std::vector<double> panel, T;
   Cursor next{};        // first motion row that is not in it
@@ -104,8 +100,7 @@ class Lag {
     f.T.assign(static_cast<std::size_t>((nt_ + 1) * shape_.ldt + 8), 0.0);
     return f;
   }
-  // theta's information alone: S (nt + 1, nt + 1), lower triangle, the
-  // information vector in its last row.
+  // theta's information alone: S (nt + 1, nt + 1), lower triangle, the information vector in its last row.
   void set_front(Front& f, const Eigen::MatrixXd& S) const {
     std::fill(f.panel.begin(), f.panel.end(), 0.0);
     for (int i = 0; i < nt_; ++i)
@@ -154,8 +149,7 @@ class Lag {
   }
   double clock(std::size_t i) const { return theta[columns_.clock[i]]; }
 
-  // Rows of the sensor's samples [from, to) of one interval; what it leaves out
-  // goes to `masked(begin, end)`.
+  // Rows of the sensor's samples [from, to) of one interval; what it leaves out goes to `masked(begin, end)`.
   template <typename Masked>
   void take(long at, const Ring<RawSample>& samples, long from, long to, const Masked& masked);
   // Rows of the motion's samples [from, to) of one interval.
@@ -163,8 +157,7 @@ class Lag {
 
   // Residuals of the sensor's rows of a block at its coefficients and theta.
   void predict(long g);
-  // w_t of 10.3; `scale` divides chi^2. One weight for all that the gathered rows
-  // of an interval stand for.
+  // w_t of 10.3; `scale` divides chi^2. One weight for all that the gathered rows of an interval stand for.
   void reweigh(long g, double scale = 1.0) {
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
       Interval& v = interval(i);
@@ -206,25 +199,20 @@ class Lag {
   // all motion rows that remain. False where it cannot be factored.
   bool eliminate(Front& f, long g, bool last);
   SizeSums departures(const Front& f);
-  // theta's information with the first block that remains eliminated too, as in
-  // set_front(); log |H|.
+  // theta's information with the first block that remains eliminated too, as in set_front(); log |H|.
   double terminal(const Front& f, Eigen::MatrixXd& S);
-  // The coefficients that belong to theta, of blocks [from, end()], after
-  // terminal() of the front at end().
+  // The coefficients that belong to theta, of blocks [from, end()], after terminal() of the front at end().
   void back(long from);
-  // Traces of (10.6) into the sums of blocks [from, end()), after terminal()
-  // likewise.
+  // Traces of (10.6) into the sums of blocks [from, end()), after terminal() likewise.
   void traces(long from);
-  // The terms of (10.7) in the motion and the rows of a block, the sensor's as
-  // predicted.
+  // The terms of (10.7) in the motion and the rows of a block, the sensor's as predicted.
   double objective(long g, Cursor& next, bool last) const;
   // Information on theta, to first order at it, from that on the coordinates.
   void pull(const Eigen::MatrixXd& from, Eigen::MatrixXd& to) {
     refresh();
     products_.pull(from, theta.data(), z_.data(), to, full_);
   }
-  // z^T Lambda z - 2 z^T eta of a front, at the coefficients of its block and
-  // theta.
+  // z^T Lambda z - 2 z^T eta of a front, at the coefficients of its block and theta.
   double objective(const Front& f, long g) const;
 
   // R_p of an interval (10.1).

@@ -1,8 +1,6 @@
-// The rows of a fixed lag: what one interval of knots holds of the sensor's
-// samples and of the motion's. Where a rate gives an interval more samples than
-// it can tell apart, they are replaced, once, by weighted rows at the Gauss
-// nodes of their own sampling (METHOD 9). Nothing here allocates after
-// construction.
+// The rows of a fixed lag: what one interval of knots holds of the sensor's samples and of the motion's.
+// Where a rate gives an interval more samples than it can tell apart, they are replaced, once, by weighted
+// rows at the Gauss nodes of their own sampling (METHOD 9). Nothing here allocates after construction.
 #pragma once
 
 #include "truewrench/estimation/constants.hpp"

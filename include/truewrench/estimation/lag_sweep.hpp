@@ -1,5 +1,4 @@
-// The blocks of a lag: their elimination, the way back and the traces. Included
-// by lag.hpp.
+// The blocks of a lag: their elimination, the way back and the traces. Included by lag.hpp.
 #pragma once
 
 #include "truewrench/estimation/lag.hpp"
@@ -118,8 +117,7 @@ inline void Lag::add_motion(Front& f, double* P, double* N, long g, bool last, c
   }
 }
 
-// The last column of a panel and of T: the information vector less (sign -1) or
-// plus (1) Lambda [x; theta].
+// The last column of a panel and of T: the information vector less (sign -1) or plus (1) Lambda [x; theta].
 inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
   const double* t = z_.data();
   double Hx[kWidth] = {};
@@ -195,8 +193,7 @@ inline bool Lag::eliminate(Front& f, long g, bool last) {
   for (int o = 0; o < kBlock; ++o) add_raw(f, interval(kBlock * g + o), shape_.places(o, P, N), B.sums);
 
   if (!shape_.eliminate(P, N, f.T.data(), f.logdet)) return false;
-  // and back to absolute coordinates: R^-T of [H, H of the next block, H_xt]
-  // [x; x of the next; theta]
+  // and back to absolute coordinates: R^-T of [H, H of the next block, H_xt] [x; x of the next; theta]
   for (int i = 0; i < kWidth; ++i) {
     double* row = P + i * shape_.ld;
     double sum = 0.0;
@@ -241,8 +238,7 @@ inline void Lag::back(long from) {
 
 inline void Lag::expect(const Front& f, long g, bool last) {
   refresh();
-  // [motion alone, theta as it stands] in the places of a panel: two blocks and
-  // one column
+  // [motion alone, theta as it stands] in the places of a panel: two blocks and one column
   double *P = block(g).panel.data(), *N = last_.data();
   std::copy_n(f.panel.data(), kWidth * shape_.ld, P);
   std::fill_n(N, kWidth * shape_.ld, 0.0);
@@ -272,8 +268,7 @@ inline void Lag::expect(const Front& f, long g, bool last) {
       }
     }
   }
-  // the columns that hold something: [own, next block's] and the one after
-  // theta
+  // the columns that hold something: [own, next block's] and the one after theta
   double logdet = 0.0;
   for (int i = 0; i < kWidth; ++i) P[i * shape_.ld + kTheta] = P[i * shape_.ld + kTheta + nt_];
   if (!dense::factor(P, shape_.ld, kWidth, logdet)) return;

@@ -43,13 +43,11 @@ struct MomentTotals {
   }
 };
 
-// (10.9). Z = [w, 1, (C_0 w)_i^2, r_i] of all rows, K the Matern-3/2
-// correlation. Z^T K Z and Z^T K^2 Z are sums over pairs of rows that
-// recursions take as the rows come: with A the part of K before the diagonal
-// and D the diagonal, K^2 is (A + D)^T (A + D) + [A (A + D) + its transpose] +
-// A A^T; of each, what a row meets is a state that the rows before left and
-// that decays. Residuals may be of a theta since left: X = [w, 1, (C_0 w)^2] is
-// projected out at the end, and a change of theta moves them within it.
+// (10.9). Z = [w, 1, (C_0 w)_i^2, r_i] of all rows, K the Matern-3/2 correlation. Z^T K Z and Z^T K^2 Z are
+// sums over pairs of rows that recursions take as the rows come: with A the part of K before the diagonal and
+// D the diagonal, K^2 is (A + D)^T (A + D) + [A (A + D) + its transpose] + A A^T; of each, what a row meets
+// is a state that the rows before left and that decays. Residuals may be of a theta since left: X = [w, 1,
+// (C_0 w)^2] is projected out at the end, and a change of theta moves them within it.
 class MomentSums {
  public:
   // Of channels with samples at the same times.
@@ -107,8 +105,7 @@ class MomentSums {
       k.p0 *= ee;
       const double alpha = k.p0 + k.p1, beta = k.p1 + k.p2;
       for (std::size_t i = 0; i < z_.size(); ++i) {
-        // (A Z)_k = c (a + b), a and b the sums of e^-x and x e^-x over the
-        // rows before
+        // (A Z)_k = c (a + b), a and b the sums of e^-x and x e^-x over the rows before
         k.b[i] = e * (k.b[i] + x * k.a[i]);
         k.a[i] *= e;
         k.d[i] = e * (k.d[i] + x * k.c[i]);

@@ -1,16 +1,13 @@
 // Coordinates in which information may wait for a later theta: gain and body as
 // the products that data tell of.
 //
-// raw = C w = D phi,  D = C B,  B = L(c) diag(mu, iota),  phi = the wrench of a
-// body of the stated mass, at its own centre, of inertia I / iota: a heavier
-// payload and a smaller gain are one D, and what no record can tell is a
-// direction in which D stands still, wherever one linearises. In theta itself
-// every lag has another such direction, and their difference passes for
-// information. Found on 30 clean records of 8 s (gains against `map`; NEES of
-// `map` 1.03): in theta sigma of single gains 0.3 of `map`'s, 0.35 sigma apart
-// (RMS), NEES 1.19; with the Jacobians of one theta for all, two records 1
-// sigma apart, NEES 1.09 (what payloads move while data hardly tell, squared);
-// in D 0.95 ... 1.04, 0.08 sigma apart, NEES 0.99.
+// raw = C w = D phi,  D = C B,  B = L(c) diag(mu, iota),  phi = the wrench of a body of the stated mass, at
+// its own centre, of inertia I / iota: a heavier payload and a smaller gain are one D, and what no record can
+// tell is a direction in which D stands still, wherever one linearises. In theta itself every lag has another
+// such direction, and their difference passes for information. Found on 30 clean records of 8 s (gains
+// against `map`; NEES of `map` 1.03): in theta sigma of single gains 0.3 of `map`'s, 0.35 sigma apart (RMS),
+// NEES 1.19; with the Jacobians of one theta for all, two records 1 sigma apart, NEES 1.09 (what payloads
+// move while data hardly tell, squared); in D 0.95 ... 1.04, 0.08 sigma apart, NEES 0.99.
 #pragma once
 
 #include "truewrench/model/parameters.hpp"
@@ -61,8 +58,7 @@ class Products {
       }
   }
 
-  // theta with D in place of C, the body's mass without effect, its inertia
-  // that of phi, less the stated.
+  // theta with D in place of C, the body's mass without effect, its inertia that of phi, less the stated.
   void coordinates(const double* theta, double* z) const {
     std::copy_n(theta, nt_, z);
     std::copy_n(D.data(), 6 * n_, z + C_);
@@ -70,9 +66,8 @@ class Products {
     for (int k = 0; k < 6; ++k) z[body_ + 4 + k] = element(body.inertia, k) - element(stated_.inertia, k);
   }
 
-  // Information on theta, to first order at it, from that on the coordinates:
-  // both (nt + 1, nt + 1), lower triangles, the information vector in the last
-  // row; full (nt + 1, nt): work space.
+  // Information on theta, to first order at it, from that on the coordinates: both (nt + 1, nt + 1), lower
+  // triangles, the information vector in the last row; full (nt + 1, nt): work space.
   void pull(const Eigen::MatrixXd& from, const double* theta, const double* z, Eigen::MatrixXd& to,
             std::vector<double>& full) const {
     const int ld = nt_ + 1;
@@ -113,8 +108,7 @@ class Products {
     return m(row[k], column[k]);
   }
 
-  // X <- X G, G the derivative of the coordinates by theta: X(r, c) = x[c
-  // by_column + r by_row], `rows` rows.
+  // X <- X G, G the derivative of the coordinates by theta: X(r, c) = x[c by_column + r by_row], `rows` rows.
   void columns(const double* theta, double* x, int rows, int by_column, int by_row) const {
     const double* C = theta + C_;
     for (int r = 0; r < rows; ++r) {

@@ -6,8 +6,7 @@
 
 namespace truewrench {
 
-// (10.10): w against the pose, the integral of the twist component by
-// component, means by stretch.
+// (10.10): w against the pose, the integral of the twist component by component, means by stretch.
 class PoseSums {
  public:
   void add(const RawRow& row) {

@@ -45,9 +45,8 @@ void diagonalise(double (&a)[N][N], double (&v)[N][N]) {
   }
 }
 
-// The Gauss quadrature of a discrete measure, and the projection of samples on
-// polynomials of a lower degree: a sum over the samples of such a polynomial
-// times the values is the weighted sum over the nodes.
+// The Gauss quadrature of a discrete measure, and the projection of samples on polynomials of a lower degree:
+// a sum over the samples of such a polynomial times the values is the weighted sum over the nodes.
 template <int kNodes>
 class Nodes {
  public:
@@ -128,8 +127,7 @@ class Nodes {
     return std::max(squares, 0.0);
   }
 
-  // The polynomial of a projection at a sample, by the projection's values at
-  // the nodes.
+  // The polynomial of a projection at a sample, by the projection's values at the nodes.
   double back(int k, const std::array<double, kNodes>& value) const {
     double sum = 0.0;
     for (int m = 0; m < kNodes; ++m) {
