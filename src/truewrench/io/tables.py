@@ -176,7 +176,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
         time_ns, columns = time_ns[kept], {name: values[kept] for name, values in columns.items()}
     time_ns, columns, in_packets = with_even_stamps(time_ns, columns)
     # an hour at 1 kHz is 0.4 GB: the columns go as they are put together
-    arrays = {
+    arrays: dict[str, Any] = {
         group: np.stack([columns.pop(name) for name in names], axis=1) for group, names in groups.items()
     }
     for group in ("attitude", "base_attitude"):
@@ -184,24 +184,14 @@ def read_log(source: str | Path, rig: Rig) -> Log:
             check_attitude(arrays[group], groups[group], path, time_ns)
     if "attitude" in arrays and "gravity" not in arrays and rig.in_gravity:
         arrays["gravity"] = free_fall(rig, arrays["attitude"])
+    if "temperature" in arrays:
+        arrays["temperature"] = arrays["temperature"][:, 0]
     log = Log(
         path=path,
         payload=payload,
         sha256=table.sha256(),
         time_ns=time_ns,
-        raw=arrays["raw"],
-        twist=arrays.get("twist"),
-        angular_velocity=arrays.get("angular_velocity"),
-        gravity=arrays.get("gravity"),
-        attitude=arrays.get("attitude"),
-        acceleration=arrays.get("acceleration"),
-        specific_force=arrays.get("specific_force"),
-        temperature=arrays["temperature"][:, 0] if "temperature" in arrays else None,
-        reference=arrays.get("reference"),
-        position=arrays.get("position"),
-        velocity=arrays.get("velocity"),
-        base_twist=arrays.get("base_twist"),
-        base_attitude=arrays.get("base_attitude"),
+        **arrays,
         nan_counts={name: count for name, count in nan_counts.items() if count},
         dropped_rows=int((~kept).sum()),
         notes=(*table.notes, *in_packets),

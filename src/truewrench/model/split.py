@@ -1,13 +1,14 @@
 """A part of the record held out of a calibration, to judge it by."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
-from truewrench.model.arrays import Array, Mask
+from truewrench.model.arrays import Mask
 from truewrench.model.errors import InputError
-from truewrench.model.log import Log
+from truewrench.model.log import Log, Tracking
 
 SHORTEST = 100  # rows of a piece of a held-out log
 
@@ -49,35 +50,13 @@ def between_jumps(log: Log) -> list[Log]:
 
 def rows_of(log: Log, rows: Mask | slice) -> Log:
     """The log with some of its rows; views of those of a slice."""
-
-    def pick(values: Array | None) -> Array | None:
-        return None if values is None else values[rows]
-
     tracking = log.tracking
     if tracking is not None:
-        tracking = replace(
-            tracking,
-            jacobian=tracking.jacobian[rows],
-            jacobian_rate=pick(tracking.jacobian_rate),
-            position_departure=pick(tracking.position_departure),
-            position_sigma=pick(tracking.position_sigma),
-            velocity_departure=pick(tracking.velocity_departure),
-        )
-    return replace(
-        log,
-        time_ns=log.time_ns[rows],
-        raw=log.raw[rows],
-        twist=pick(log.twist),
-        angular_velocity=pick(log.angular_velocity),
-        gravity=pick(log.gravity),
-        attitude=pick(log.attitude),
-        acceleration=pick(log.acceleration),
-        specific_force=pick(log.specific_force),
-        temperature=pick(log.temperature),
-        reference=pick(log.reference),
-        position=pick(log.position),
-        velocity=pick(log.velocity),
-        base_twist=pick(log.base_twist),
-        base_attitude=pick(log.base_attitude),
-        tracking=tracking,
-    )
+        tracking = replace(tracking, **_picked(tracking, rows))
+    return replace(log, tracking=tracking, **_picked(log, rows))
+
+
+def _picked(of: Log | Tracking, rows: Mask | slice) -> dict[str, Any]:
+    """Its arrays, all of which have the rows of the log, with some of these."""
+    arrays = {x.name: getattr(of, x.name) for x in fields(of)}
+    return {name: x[rows] for name, x in arrays.items() if isinstance(x, np.ndarray)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -47,15 +47,7 @@ class Poses:
 
     def of(self, chosen: Integers | Mask) -> Poses:
         """Some of them."""
-        return Poses(
-            self.log[chosen],
-            self.time_ns[chosen],
-            self.seconds[chosen],
-            self.raw[chosen],
-            self.variance[chosen],
-            self.R_sensor_root[chosen],
-            self.temperature[chosen],
-        )
+        return Poses(*(getattr(self, x.name)[chosen] for x in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +86,7 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
         parts.append(_poses(rig, k, log, pieces))
         if kept.size and (move := _move(k, without_filters(log), kept, seconds, bool(pieces))) is not None:
             moves.append(move)
-    names = ("log", "time_ns", "seconds", "raw", "variance", "R_sensor_root", "temperature")
-    joined = Poses(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    joined = Poses(*(np.concatenate([getattr(part, x.name) for part in parts]) for x in fields(Poses)))
     return Split(joined, tuple(moves), tuple(int(log.time_ns[-1]) for log in logs))
 
 
