@@ -5,14 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pacsv
 
 from truewrench import _core
+from truewrench.correction.added import Added, check_absent, check_other, write_added
 from truewrench.correction.warmth import Warmth
 from truewrench.io.cells import numbers
-from truewrench.io.csv_table import CsvTable
-from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 from truewrench.model.arrays import Array, Integers
@@ -49,14 +46,8 @@ def apply(
     """
     source = named_payload(log, calibration.rig)[0]
     run = Run(calibration, source, output, progress)
-    table = run.table
-    for name in NEW_COLUMNS:
-        if name in table.names:
-            raise InputError.at(source, f"column `{name}`", "a column to be written", "a log without it")
-    if isinstance(table, CsvTable) and not is_parquet(output):
-        write_lines(output, run.lines(table))
-    else:
-        write_batches(output, run.batches())
+    check_absent(run.table, NEW_COLUMNS)
+    write_added(output, run.table, NEW_COLUMNS, run.read, run.added)
     return run.applied
 
 
@@ -71,8 +62,7 @@ class Run:
         progress: Callable[[int], object] | None,
     ) -> None:
         self.table: Table = open_table(source, calibration.rig, whole=False)
-        if Path(output).exists() and Path(output).samefile(source):
-            raise InputError.at(output, "", "the log itself", "another file to write")
+        check_other(output, source)
         self._rows = 0
         self._corrected = 0
         self._corrector = corrector(calibration, source)
@@ -94,34 +84,22 @@ class Run:
         return Applied(self._rows, self._corrected, notes)
 
     @property
-    def _read(self) -> list[str]:
+    def read(self) -> list[str]:
+        """Columns that a wrench takes."""
         return [self._time.name, *self._raw, *self._celsius]
 
     def samples(self) -> Iterator[tuple[Integers, Array, Array]]:
         """Stamps (N,), raw (N, n), wrenches and their sigma (N, 12), where all channels have a sample."""
-        for chunk in self.table.chunks(self._read):
+        for chunk in self.table.chunks(self.read):
             time, raw, new = self._correct(chunk)
             complete = ~np.isnan(new).all(axis=1)
             yield time[complete], raw[complete], new[complete]
         self._check_rows()
 
-    def lines(self, table: CsvTable) -> Iterator[bytes]:
-        """The log's own lines, the new cells at their ends."""
-        yield table.header + b"," + ",".join(NEW_COLUMNS).encode() + table.newline
-        for chunk in table.chunks(self._read):
-            cells = _as_csv(self._correct(chunk)[2])
-            yield b"".join(
-                line + b"," + new + table.newline for line, new in zip(chunk.lines, cells, strict=True)
-            )
-        self._check_rows()
-
-    def batches(self) -> Iterator[pa.RecordBatch]:
-        """The log's batches, the new columns at their ends."""
-        for chunk in self.table.chunks():
-            batch = chunk.batch()
-            for name, column in zip(NEW_COLUMNS, self._correct(chunk)[2].T, strict=True):
-                batch = batch.append_column(name, pa.array(column, from_pandas=True))
-            yield batch
+    def added(self, names: list[str] | None) -> Added:
+        """Chunks of the columns named, each with wrenches and their sigma."""
+        for chunk in self.table.chunks(names):
+            yield chunk, self._correct(chunk)[2]
         self._check_rows()
 
     def _correct(self, chunk: Chunk) -> tuple[Integers, Array, Array]:
@@ -184,12 +162,3 @@ def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
         )
     except ValueError as error:
         raise InputError(f"{source}: cannot be corrected: {error}") from error
-
-
-def _as_csv(columns: Array) -> list[bytes]:
-    names = [str(j) for j in range(columns.shape[1])]
-    batch = pa.RecordBatch.from_arrays([pa.array(column, from_pandas=True) for column in columns.T], names)
-    sink = pa.BufferOutputStream()
-    pacsv.write_csv(batch, sink, pacsv.WriteOptions(include_header=False))
-    lines: list[bytes] = sink.getvalue().to_pybytes().split(b"\n")
-    return lines[:-1]

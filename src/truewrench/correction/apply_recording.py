@@ -1,6 +1,7 @@
 """The true wrench of a log as a recording, beside what the sensor said and what the motion predicts."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +63,7 @@ def apply_to_recording(
             if until > done:
                 writer.wrenches(PREDICTED, predicted_time[done:until], predicted[done:until])
                 done = until
-    applied = run.applied
-    return Applied(applied.rows, applied.corrected, (*applied.notes, *notes))
+    return replace(run.applied, notes=(*run.applied.notes, *notes))
 
 
 def _predicted(calibration: Calibration, log: Log) -> tuple[Integers, Array]:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pacsv
 
+from truewrench.correction.added import Added, check_absent, check_other, write_added
 from truewrench.correction.contact.run import (
     CAPACITY,
     DELAY,
@@ -19,8 +18,6 @@ from truewrench.correction.contact.run import (
     View,
 )
 from truewrench.io.cells import numbers
-from truewrench.io.csv_table import CsvTable
-from truewrench.io.output import is_parquet, write_batches, write_lines
 from truewrench.io.recordings.writer import mcap_output
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
@@ -79,11 +76,8 @@ def apply_contact(
     """
     source = named_payload(log, tool.rig)[0]
     table: Table = open_table(source, tool.rig)
-    if Path(output).exists() and Path(output).samefile(source):
-        raise InputError.at(output, "", "the log itself", "another file to write")
-    for name in NEW_COLUMNS:
-        if name in table.names:
-            raise InputError.at(source, f"column `{name}`", "a column to be written", "a log without it")
+    check_other(output, source)
+    check_absent(table, NEW_COLUMNS)
     run = ContactRun(tool, table.names, calibration=calibration, delay=delay, view=view, place=source)
     done = _Pass(table, run, tool.n, progress)
     if Path(output).suffix.lower() == ".mcap":
@@ -93,10 +87,8 @@ def apply_contact(
                 if len(found.rows):
                     writer.wrenches(TOPIC, found.time_ns, found.wrench)
                     writer.wrenches(STD, found.time_ns, found.columns[:, 6:12])
-    elif isinstance(table, CsvTable) and not is_parquet(output):
-        write_lines(output, done.lines(table))
     else:
-        write_batches(output, done.batches())
+        write_added(output, table, NEW_COLUMNS, done.read, done.whole)
     return ContactApplied(done.rows, done.found, tuple(done.events), (*table.notes, *run.notes))
 
 
@@ -137,7 +129,7 @@ class _Pass:
         self.events += self._run.events()
         return found
 
-    def _whole(self, names: list[str] | None) -> Iterator[tuple[Chunk, Array]]:
+    def whole(self, names: list[str] | None) -> Added:
         """Chunks with their new columns (rows, 13)."""
         waiting: deque[tuple[Chunk, int, Array]] = deque()
         for chunk, found in self.blocks(names):
@@ -152,23 +144,3 @@ class _Pass:
             while waiting and (chunk is None or waiting[0][1] + waiting[0][0].rows + CAPACITY < self.rows):
                 held, _, cells = waiting.popleft()
                 yield held, cells
-
-    def lines(self, table: CsvTable) -> Iterator[bytes]:
-        """The log's own lines, the new cells at their ends."""
-        yield table.header + b"," + ",".join(NEW_COLUMNS).encode() + table.newline
-        for chunk, cells in self._whole(self.read):
-            names = [str(j) for j in range(cells.shape[1])]
-            batch = pa.RecordBatch.from_arrays([pa.array(c, from_pandas=True) for c in cells.T], names)
-            sink = pa.BufferOutputStream()
-            pacsv.write_csv(batch, sink, pacsv.WriteOptions(include_header=False))
-            new: list[bytes] = sink.getvalue().to_pybytes().split(b"\n")[:-1]
-            lines: list[bytes] = chunk.lines  # type: ignore[attr-defined]  # of a CSV
-            yield b"".join(a + b"," + b + table.newline for a, b in zip(lines, new, strict=True))
-
-    def batches(self) -> Iterator[pa.RecordBatch]:
-        """The log's batches, the new columns at their ends."""
-        for chunk, cells in self._whole(None):
-            batch = chunk.batch()
-            for name, column in zip(NEW_COLUMNS, cells.T, strict=True):
-                batch = batch.append_column(name, pa.array(column, from_pandas=True))
-            yield batch
