@@ -20,16 +20,14 @@ if TYPE_CHECKING:
 
 def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool, dict[str, Any]]:
     """The calibration, if `source` is one and no rig, the tool, and the verdict on using both."""
+    from truewrench.cli.tools import read_sensor
     from truewrench.correction.contact.run import check_same_sensor
-    from truewrench.model.calibration import load_calibration
-    from truewrench.model.files import read_yaml
-    from truewrench.model.rig.tool_rig import tool_rig
+    from truewrench.model.rig import Rig
     from truewrench.tool.model import read_tool
 
-    data, _ = read_yaml(source)
-    found = read_tool(tool)
-    made = load_calibration(source) if isinstance(data, dict) and "format" in data else None
-    check_same_sensor(found, tool_rig(data, source) if made is None else made.rig)
+    sensor, found = read_sensor(source), read_tool(tool)
+    made = None if isinstance(sensor, Rig) else sensor
+    check_same_sensor(found, sensor if isinstance(sensor, Rig) else sensor.rig)
     reasons = [*found.verdict.reasons, *(() if made is None else made.verdict.reasons)]
     usable = found.verdict.usable and (made is None or made.verdict.usable)
     return made, found, {"usable": usable, "reasons": reasons}

@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,9 +15,8 @@ from truewrench.cli.common import DebugOption, JsonOption, Outcome, check_folder
 from truewrench.model.errors import InputError, UnsupportedError
 
 if TYPE_CHECKING:
-    from truewrench.correction.contact.run import ContactRun
+    from truewrench.live.json_lines import Lines
     from truewrench.live.ros2 import Topics
-    from truewrench.live.stop import Stop
     from truewrench.model.calibration import Calibration
     from truewrench.model.rig import Rig
 
@@ -140,23 +139,13 @@ def _contact(
 
             topics = Topics(named[0], named[1], reliable=named[2])
             counts = contact_topics(run, found.rig, topics, stop, _Complaints(), seconds)
-            figures: dict[str, int] = dataclasses.asdict(counts)
+            figures = dataclasses.asdict(counts)
         else:
-            figures = _contact_lines(run, found.n, stop, as_json)
-    words = ", ".join(f"{count} {name}" for name, count in figures.items())
-    return Outcome((), figures, verdict, lambda: iter([words]), aside=True)
+            from truewrench.live.contact_lines import contact_lines
+            from truewrench.live.lines import Output
 
-
-def _contact_lines(run: ContactRun, n: int, stop: Stop, as_json: bool) -> dict[str, int]:
-    from truewrench.live.contact_lines import contact_lines
-    from truewrench.live.json_lines import INPUT
-    from truewrench.live.lines import Output
-
-    lines = contact_lines(run, n, Output(silent=as_json), stop, _Complaints())
-    if lines.refused:
-        told = f"{lines.refused} of {lines.read} lines refused, the first: {lines.first}"
-        raise InputError(f"{INPUT}: {told}")
-    return {"lines": lines.read}
+            figures = _all_right(contact_lines(run, found.n, Output(as_json), stop, _Complaints()))
+    return _counted(figures, verdict)
 
 
 def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as_json: bool) -> Outcome:
@@ -171,20 +160,26 @@ def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as
             counts = correct_topic(calibration, topics, stop, _Complaints(), seconds)
             figures = dataclasses.asdict(counts)
         else:
-            figures = _correct_lines(calibration, stop, as_json)
-    words = ", ".join(f"{count} {name}" for name, count in figures.items())
-    return Outcome((), figures, calibration.verdict.to_mapping(), lambda: iter([words]), aside=True)
+            from truewrench.live.json_lines import correct_lines
+            from truewrench.live.lines import Output
+
+            figures = _all_right(correct_lines(calibration, Output(as_json), stop, _Complaints()))
+    return _counted(figures, calibration.verdict.to_mapping())
 
 
-def _correct_lines(calibration: Calibration, stop: Stop, as_json: bool) -> dict[str, int]:
-    from truewrench.live.json_lines import INPUT, correct_lines
-    from truewrench.live.lines import Output
+def _all_right(lines: Lines) -> dict[str, int]:
+    """Figures of lines; InputError where some were refused."""
+    from truewrench.live.json_lines import INPUT
 
-    lines = correct_lines(calibration, Output(silent=as_json), stop, _Complaints())
     if lines.refused:
         found = f"{lines.refused} of {lines.read} lines refused, the first: {lines.first}"
         raise InputError(f"{INPUT}: {found}")
     return {"lines": lines.read}
+
+
+def _counted(figures: dict[str, int], verdict: dict[str, Any]) -> Outcome:
+    words = ", ".join(f"{count} {name}" for name, count in figures.items())
+    return Outcome((), figures, verdict, lambda: iter([words]), aside=True)
 
 
 def _calibrate(
@@ -206,7 +201,7 @@ def _calibrate(
             from truewrench.live.json_lines import calibrate_lines
             from truewrench.live.lines import Output
 
-            lines, final = calibrate_lines(session, folder, Output(silent=as_json), stop, _Complaints())
+            lines, final = calibrate_lines(session, folder, Output(as_json), stop, _Complaints())
             figures = {"lines": lines.read, "refused": lines.refused}
         calibration, outputs = final.calibration, list[Path]()
         assert calibration is not None

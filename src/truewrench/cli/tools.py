@@ -91,7 +91,7 @@ def tool(
         if target not in TARGETS:
             raise InputError.at(None, "--export", f"`{target}`", f"a list of {', '.join(TARGETS)}")
     before = None if on is None else read_tool(on)
-    sensor = _read(source)
+    sensor = read_sensor(source)
     settings = settings_of(sensor)
     if before is not None and before.n != settings.sensor.n:
         found, expected = f"a tool on {before.n} channels", f"{settings.sensor.n} channels, as in {source}"
@@ -163,7 +163,7 @@ def plan_for_tool(
     stated = isinstance(data, dict) and "format" not in data and data.get("payloads")
     with progress_bar() as update:
         planned = plan_tool(
-            load_rig(source) if stated else _read(source),
+            load_rig(source) if stated else read_sensor(source),
             motion=motion,
             poses=POSES if poses is None else poses,
             dwell=DWELL_DEFAULT if dwell is None else dwell,
@@ -181,7 +181,7 @@ def plan_for_tool(
     return Outcome(outputs=outputs, verdict=verdict, figures=figures, words=lambda: tool_plan_words(planned))
 
 
-def _read(source: Path) -> Calibration | Rig:
+def read_sensor(source: Path) -> Calibration | Rig:
     """A calibration or a rig, told apart by its `format`."""
     from truewrench.model.calibration import load_calibration
     from truewrench.model.files import read_yaml

@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from truewrench.correction.contact.run import NEW_COLUMNS, ContactRun, Contacts
 from truewrench.live.json_lines import Lines
 from truewrench.live.json_rows import LineError, Row, motion_of, read_row, tare_of
-from truewrench.live.lines import Output, batches
+from truewrench.live.lines import Output
 from truewrench.live.stop import Stop
 from truewrench.model.errors import InputError
 
@@ -81,11 +80,7 @@ def contact_lines(
         for event in live.events():
             output.write(json.dumps(event))
 
-    for batch in batches(sys.stdin.fileno() if source is None else source, stop):
-        for line in batch:
-            lines.take(line, use)
-        if output.closed:
-            break
+    lines.run(use, source, stop)
     run.finish()
     for event in live.events():
         output.write(json.dumps(event))

@@ -32,23 +32,37 @@ Complain = Callable[[str], None]
 
 
 class Lines:
-    """What every line goes through.
-
-    Attributes:
-        read: lines so far, blank ones left out.
-        refused: how many of them were wrong.
-        first: number and fault of the first of these.
-    """
+    """What every line goes through."""
 
     def __init__(self, output: Output, complain: Complain) -> None:
-        self.read = 0
-        self.refused = 0
-        self.first = ""
+        self.read = 0  # lines so far, blank ones left out
+        self.refused = 0  # how many of them were wrong
+        self.first = ""  # number and fault of the first of these
         self._number = 0
         self._output = output
         self._complain = complain
 
-    def take(self, line: bytes, use: Callable[[bytes], None]) -> None:
+    def run(
+        self,
+        use: Callable[[bytes], None],
+        source: int | None,
+        stop: Stop,
+        between: Callable[[], None] | None = None,
+    ) -> None:
+        """Use the lines of a source, by default standard input, until it, or the output, ends or `stop`.
+
+        What is `between` batches is done every `_POLL` at the latest.
+        """
+        wait = None if between is None else _POLL
+        for batch in batches(sys.stdin.fileno() if source is None else source, stop, wait):
+            for line in batch:
+                self._take(line, use)
+            if between is not None:
+                between()
+            if self._output.closed:
+                break
+
+    def _take(self, line: bytes, use: Callable[[bytes], None]) -> None:
         """Use one line; where it is wrong, say so in its place."""
         self._number += 1
         if not line.strip():
@@ -106,11 +120,7 @@ def correct_lines(
         last = row.time_ns
         output.write(_line(row, values))
 
-    for batch in batches(sys.stdin.fileno() if source is None else source, stop):
-        for line in batch:
-            lines.take(line, use)
-        if output.closed:
-            break
+    lines.run(use, source, stop)
     return lines
 
 
@@ -148,14 +158,11 @@ def calibrate_lines(
         except InputError as error:
             raise LineError(str(error)) from None
 
-    for batch in batches(sys.stdin.fileno() if source is None else source, stop, _POLL):
-        for line in batch:
-            lines.take(line, use)
-        progress = session.poll()
-        if progress is not None:
+    def tell() -> None:
+        if (progress := session.poll()) is not None:
             output.write(_progress(progress))
-        if output.closed:
-            break
+
+    lines.run(use, source, stop, between=tell)
     final = session.finish(folder)
     output.write(_progress(final))
     return lines, final

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 
 from truewrench.live.stop import Stop
 
-LONGEST = 1 << 20
-"""Bytes of a line: nothing that is longer is one."""
+LONGEST = 1 << 20  # bytes of a line: nothing that is longer is one
 
 _BLOCK = 1 << 16
 
@@ -40,14 +39,10 @@ def batches(source: int, stop: Stop, wait: float | None = None) -> Iterator[list
 
 
 class Output:
-    """Standard output, line by line, each on its way before the next is made.
-
-    Attributes:
-        closed: whether its reader has gone; what is written then is lost, and no error.
-    """
+    """Standard output, line by line, each on its way before the next is made."""
 
     def __init__(self, silent: bool = False) -> None:
-        self.closed = False
+        self.closed = False  # whether its reader has gone; what is written then is lost, and no error
         self._silent = silent
 
     def write(self, line: str) -> None:

@@ -40,12 +40,8 @@ if TYPE_CHECKING:  # all that an estimate needs takes a second to import
     from truewrench.live.ros2_types import Message
     from truewrench.live.session import LiveCalibration
 
-OUTPUT = "/truewrench/wrench"
-"""Topic of the corrected wrench."""
-
-STD = "_std"
-"""What the topic of its 1 sigma ends in."""
-
+OUTPUT = "/truewrench/wrench"  # topic of the corrected wrench
+STD = "_std"  # what the topic of its 1 sigma ends in
 DIAGNOSTICS = "/diagnostics"
 
 _WAIT = 0.1  # [s] after which an end that was asked for is noticed at the latest

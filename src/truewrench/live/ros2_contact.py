@@ -9,7 +9,7 @@ from typing import Any
 from truewrench.correction.contact.run import ContactRun, Contacts
 from truewrench.io.recordings.choice import KEYS
 from truewrench.live.contact_lines import LiveContact
-from truewrench.live.ros2 import Counts, Topics
+from truewrench.live.ros2 import DIAGNOSTICS, Counts, Topics
 from truewrench.live.ros2_merge import Merger
 from truewrench.live.ros2_node import Node, finish, lost, taken
 from truewrench.live.ros2_service import tare_service
@@ -31,14 +31,10 @@ from truewrench.live.stop import Stop
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 
-CONTACT = "/truewrench/contact"
-"""Topic of the contact wrench, its stamp the middle of the kernel;"""
-
+CONTACT = "/truewrench/contact"  # topic of the contact wrench, its stamp the middle of the kernel
 COVARIANCE = "/truewrench/contact_covariance"
 IN_CONTACT = "/truewrench/in_contact"
 TARE = "/truewrench/tare"
-DIAGNOSTICS = "/diagnostics"
-
 _WAIT = 0.02  # [s] after which an end, a tare or a late topic is noticed at the latest
 _PATIENCE = 10.0  # [s] for a topic to appear
 _LAYOUT = MultiArrayLayout([MultiArrayDimension("row", 6, 36), MultiArrayDimension("column", 6, 6)], 0)

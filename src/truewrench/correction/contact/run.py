@@ -1,7 +1,7 @@
 """Rows of a log, all at once or as they come, to contact wrenches with their covariance."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -87,13 +87,7 @@ class ContactEvent:
 
     def to_mapping(self) -> dict[str, object]:
         """By the keys of a line of `stream`."""
-        return {
-            "event": "contact",
-            "begin_ns": self.begin_ns,
-            "end_ns": self.end_ns,
-            "peak_force": self.peak_force,
-            "point": list(self.point),
-        }
+        return {"event": "contact", **asdict(self)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
