@@ -9,23 +9,13 @@ from truewrench.model.calibration import Calibration
 
 
 class Warmth:
-    """The offset by the latest reading.
-
-    Args:
-        slope: (n,) of the offset [per K]; None where it follows no temperature.
-        reference: the temperature at which the offset is the calibration's [degC].
-        first: what stands for a reading before there is one [degC]; by default the reference.
-
-    Attributes:
-        latest: reading [degC].
-        follows: whether the offset follows the temperature at all.
-    """
+    """The offset by the latest reading; before there is one by the `first`, by default the reference."""
 
     def __init__(self, slope: Array | None, reference: float, first: float | None = None) -> None:
-        self._slope: Array = np.zeros(0) if slope is None else slope
-        self._reference = reference
-        self.latest = reference if first is None else first
-        self.follows = bool(self._slope.any())
+        self._slope: Array = np.zeros(0) if slope is None else slope  # (n,) of the offset [per K]
+        self._reference = reference  # temperature at which the offset is the calibration's [degC]
+        self.latest = reference if first is None else first  # reading [degC]
+        self.follows = bool(self._slope.any())  # whether the offset follows the temperature at all
 
     @classmethod
     def of(cls, calibration: Calibration, first: float | None = None) -> Warmth:

@@ -38,11 +38,8 @@ GRIPPER: dict[str, Any] = {
 }
 """The gripper that nobody knows: 1.37 kg, its centre of mass 85 mm out of the flange."""
 
-FINGERTIP = np.array([0.01, 0.0, 0.17])
-"""[m] where it is pressed, sensor axes."""
-
-PRESS = np.array([3.0, -2.0, -8.0])
-"""[N] at the peak, sensor axes."""
+FINGERTIP = np.array([0.01, 0.0, 0.17])  # [m] where it is pressed, sensor axes
+PRESS = np.array([3.0, -2.0, -8.0])  # [N] at the peak, sensor axes
 
 _START, _SECONDS = 0.45, 1.5  # share of the record, and [s], of the press
 _FLANGE = np.array([0.0, 0.0, 0.03, 0.0, 0.0, np.pi / 4.0])

@@ -20,8 +20,7 @@ from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.motion.spatial import cross_matrix, twist_adjoint
 from truewrench.robot.track import tracked_streams
 
-NOISE = "noise"
-"""What is left of the uncertainty when payload, clocks and gravity are known."""
+NOISE = "noise"  # what is left of the uncertainty when payload, clocks and gravity are known
 
 _DEGREE = 5
 _ACTIVE = _DEGREE + 1
@@ -74,13 +73,7 @@ class Information:
 
 
 def bound(rig: Rig, logs: Sequence[Log], gain: Array) -> Bound:
-    """RMS of the Cramer-Rao sigma of the normalised gains, with all of the rig's priors, and the oracle's.
-
-    Args:
-        rig: sensor, payloads and motion noise.
-        logs: the logs of the calibration.
-        gain: estimated gain (n, 6).
-    """
+    """RMS of the Cramer-Rao sigma of the normalised gains, with all of the rig's priors, and the oracle's."""
     found, wrenches = information(rig, logs, gain)
     rms = float(np.sqrt(np.mean(np.diag(found.covariance()))))
     return Bound(oracle_rms=oracle_rms(rig, wrenches), rms=rms)

@@ -48,15 +48,11 @@ def estimate_ekf(
 ) -> EkfEstimate:
     """Run the filter over the logs, one after the other: the gain goes on, motion and offset start afresh.
 
-    Logs hold raw channels and twist in the same rows; some rows may lack one of them.
-
-    Args:
-        rig: sensor and payloads, taken for exact; a prior on the offset adds it to the state.
-        logs: without gravity only where none acts.
-        published: start from C = I and P = I in SI units, as [A00], and not from the rig's priors.
-        process_density: of the derivative of the acceleration, one or per axis; the paper's tuning parameter.
-        acceleration_prior: 1 sigma of the acceleration at the start of a log [m/s^2, rad/s^2].
-        history_every: rows between two entries of the history.
+    Logs hold raw channels and twist in the same rows; some rows may lack one of them. Payloads are taken for
+    exact; a prior on the offset adds it to the state. As `published`, it starts from C = I and P = I in SI
+    units, and not from the rig's priors; `process_density` of the derivative of the acceleration, one or per
+    axis, is the paper's tuning parameter; `acceleration_prior` is 1 sigma of the acceleration at the start of
+    a log [m/s^2, rad/s^2]. `history_every`: rows between two entries of the history.
     """
     _refuse_unsupported(rig, logs)
     settings = _settings(rig, published)

@@ -9,8 +9,7 @@ import numpy as np
 
 from truewrench.model.arrays import Array, Integers
 
-EXACT = 1e-9
-"""Of a unit: 1 sigma that holds a parameter."""
+EXACT = 1e-9  # of a unit: 1 sigma that holds a parameter
 _NOTHING = 1e-17  # variance of one that is exact
 
 

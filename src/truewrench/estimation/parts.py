@@ -62,10 +62,6 @@ class InParts:
     So many threads are parts in hand at a time, 0: as many as there are processors and room for; no effect on
     the result. A part lasts about so many seconds. InputError: none has both motion and samples of the
     sensor.
-
-    Attributes:
-        logs: as given, with the rates of their clocks.
-        parts: in the order of the logs.
     """
 
     def __init__(self, rig: Rig, logs: Sequence[Log], threads: int = 0, seconds: float | None = None) -> None:
@@ -76,7 +72,7 @@ class InParts:
         self._workers = min(threads or os.cpu_count() or 1, max(1, int(room)))
         self._statement = statement(self._assumed)
         self._every = max(1, -(-rows // SHOWN))
-        self.logs, self._rates = list(logs), [0.0] * len(logs)
+        self.logs, self._rates = list(logs), [0.0] * len(logs)  # with the rates of their clocks
         every = self._parts_of(range(len(logs)))
         told = every
         for _ in range(ROUNDS):

@@ -15,10 +15,8 @@ from scipy.spatial.transform import Rotation
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.calibration_parts import BlindTo
 
-FORCE = 1e-3
-"""Fraction of range: the force that follows the pose whose effect is told."""
-DELAY = 1e-3
-"""[s] whose effect is told."""
+FORCE = 1e-3  # fraction of range: the force that follows the pose whose effect is told
+DELAY = 1e-3  # [s] whose effect is told
 HIDDEN_DELAY = 0.9
 """Share of what a delay does to the raw channels, from which on the gain is said to hide it."""
 

@@ -37,18 +37,10 @@ class Told:
 
 
 class Shared:
-    """What fits that share parameters say together.
-
-    Attributes:
-        places: where each shared parameter stands.
-        mean: (s,) their estimate.
-        covariance: (s, s) with (10.9).
-        without_added: (s, s) without it.
-        departure: variance of the channels' departures from linear beforehand, as found.
-    """
+    """What fits that share parameters say together."""
 
     def __init__(self, fits: Sequence[Told]) -> None:
-        self.places = {
+        self.places = {  # where each shared parameter stands
             key: i for i, key in enumerate(dict.fromkeys(key for fit in fits for key in fit.keys.values()))
         }
         size = len(self.places)
@@ -68,12 +60,13 @@ class Shared:
             bare.append(self._of(fit, fit.covariance)[0] if fit.added.any() else information)
         L, pull = np.sum(self._information, axis=0), np.sum(self._pulls, axis=0)
         u = np.array([self.places[fits[0].keys[j]] for j in range(fits[0].u.start, fits[0].u.stop)])
+        # variance of the channels' departures from linear beforehand, as found
         D[u] = self.departure = _departure(L, pull, D / unit**2, u, unit)
         prior = np.diag(unit**2 / D)
         self._P = _inverse(L + prior)
         self._y = self._P @ pull
-        self.mean = mean + unit * self._y
-        self.covariance = self._P * np.outer(unit, unit)
+        self.mean = mean + unit * self._y  # (s,)
+        self.covariance = self._P * np.outer(unit, unit)  # with (10.9), and
         self.without_added = _inverse(np.sum(bare, axis=0) + prior) * np.outer(unit, unit)
 
     def _at(self, fit: Told) -> tuple[Integers, Integers]:

@@ -17,8 +17,7 @@ from truewrench.robot.attitude import attitude_at, attitude_of, own_roots
 
 Motion = Callable[[Array], tuple[Array, Array, Array]]
 """Of times (M,): twist (M, 6) of the logged point, its derivative, free fall (M, 3) in sensor axes."""
-Wrench = Callable[[Array, Array, Array], Array]
-"""Of these three: the normalised wrench (M, 6)."""
+Wrench = Callable[[Array, Array, Array], Array]  # of these three: the normalised wrench (M, 6)
 
 _STEP = 1e-4  # [s] of the difference by time; motions of seconds are smooth over it, rounding is 1e-9 of w
 _OF_PAYLOAD = ("mass", *["center_of_mass"] * 3, *["inertia"] * 6)

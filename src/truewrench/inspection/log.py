@@ -15,8 +15,7 @@ from truewrench.io.tables import TimeReader, open_table
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 
-GAP_PERIODS = 5.0
-"""A stream pauses where this many nominal periods pass without a sample."""
+GAP_PERIODS = 5.0  # a stream pauses where this many nominal periods pass without a sample
 
 _STREAMS = (
     ("raw channels", r"raw_\d+"),

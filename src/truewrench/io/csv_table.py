@@ -66,18 +66,13 @@ NUMERIC = frozenset(
 
 
 class CsvTable(Table):
-    """A CSV file; reading it costs one block of memory.
-
-    Attributes:
-        header: its first line as it stands in the file, without the line end.
-        newline: the line end.
-    """
+    """A CSV file; reading it costs one block of memory."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
             line, names = _read_header(path, file)
         self.newline = b"\r\n" if line.endswith(b"\r\n") else b"\n"
-        self.header = line.rstrip(b"\r\n")
+        self.header = line.rstrip(b"\r\n")  # as it stands in the file
         super().__init__(path, names)
 
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[CsvChunk]:

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 from truewrench import _core
 from truewrench.model.arrays import Array, Integers, Mask
 
-APART = _core.PACKETS_APART
-"""[ns] between packets at most: what is silent for longer is a gap."""
-
-CLOSE = _core.PACKETS_CLOSE
-"""Of the mean interval, below which two samples came together."""
+APART = _core.PACKETS_APART  # [ns] between packets at most: what is silent for longer is a gap
+CLOSE = _core.PACKETS_CLOSE  # of the mean interval, below which two samples came together
 
 SHARE = _core.PACKETS_SHARE
 """Of the intervals that are so short, from which on samples come in packets, of two and more: stamps that

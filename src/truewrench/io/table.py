@@ -34,18 +34,12 @@ class Chunk(ABC):
 
 
 class Table(ABC):
-    """A table file, of any size.
-
-    Attributes:
-        path: of the file.
-        names: of the columns, each once, in order.
-        notes: what is no fault but worth a look.
-    """
+    """A table file, of any size."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         self.path = path
-        self.names = tuple(names)
-        self.notes: tuple[str, ...] = ()
+        self.names = tuple(names)  # of the columns, each once, in order
+        self.notes: tuple[str, ...] = ()  # what is no fault but worth a look
         for i, name in enumerate(self.names):
             if name in self.names[:i]:
                 found = f"`{name}` a second time"

@@ -201,20 +201,11 @@ def suspected_setup_errors(
 ) -> tuple[Suspicion, ...]:
     """Set-up errors that a gain suggests, most likely first; empty when none does.
 
-    Gains are normalised: gain_ij range_j / channel_scale_i.
-
-    Args:
-        gain: (n, 6) estimate.
-        covariance: (6n, 6n) of it, row by row, with what the payload's uncertainty leaves open.
-        nominal: (n, 6).
-        prior: 1 sigma of every gain's departure from nominal.
-        span: (6,) range of the wrench axes [N, N m]; it relates normalised axes to SI ones,
-        channel_scale: (n,) and this normalised channels to raw ones.
-        centers_of_mass: (3,) each, of the payloads carried [m]: a wrong mass, centre of mass or inertia is
-            looked for in these.
-        before_pose: (6n, 6n) the covariance before (10.10), if `covariance` is after it.
-        prior_in_estimate: False for an estimate that `prior` has not pulled towards nominal (least squares).
-        unknown: (6, 6) each, by what 1 sigma of the payloads turns gains, where `covariance` is without.
+    Gains (n, 6) are normalised, gain_ij span_j / channel_scale_i; `prior` is 1 sigma of their departure from
+    nominal, and False for `prior_in_estimate` means that it has not pulled them there (least squares). The
+    covariance (6n, 6n), row by row, has what the payload's uncertainty leaves open, or `unknown` (6, 6) each
+    are by what 1 sigma of the payloads turns gains; `before_pose` is that before (10.10), if the other is
+    after it. A wrong mass, centre of mass or inertia is looked for in payloads with these centres [m].
     """
     known = all(np.all(np.abs(x) < WIDEST) for x in (gain, covariance, nominal))  # NaN is not
     if not known or not prior > 0.0:

@@ -31,9 +31,7 @@ CLEAN_OUTLIERS = 3e-4  # share of clean samples that are masked,
 CHANCE = 1e-3  # and the probability of as many as found, below which outliers are told
 FINE = 0.3  # of the coarsest spacing of knots, below which the motion is told to be fast: 1 of 102 records
 EVENTS = 10  # contacts that are named one by one
-
-CHANNELS = ("force", "moment", "channels")
-"""What `FoundNoise.what` is where it is the sensor's."""
+CHANNELS = ("force", "moment", "channels")  # what `FoundNoise.what` is where it is the sensor's
 
 _STREAMS = {"twist": "velocities", "rate of turn": "rates of turn"}
 _FAST = {

@@ -9,9 +9,7 @@ from typing import Any
 from truewrench.model.errors import InputError
 
 _PATIENCE = 0.05  # [s] after which a topic that is late is no longer waited for
-
-RESTART = 1_000_000_000
-"""[ns] back in time, which is another run of the source and no disorder."""
+RESTART = 1_000_000_000  # [ns] back in time, which is another run of the source and no disorder
 
 
 @dataclass(order=True)

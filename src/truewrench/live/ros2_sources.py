@@ -27,17 +27,12 @@ Sample = tuple[tuple[str, ...], int, Sequence[float]]
 
 
 class Source:
-    """What a topic of a type says.
+    """What a topic of a type says."""
 
-    Attributes:
-        kind: of its messages.
-        role: what they are to the rig.
-    """
-
-    kind: type[IdlStruct]
+    kind: type[IdlStruct]  # of its messages
 
     def __init__(self, rig: Rig, role: str) -> None:
-        self.role = role
+        self.role = role  # what they are to the rig
         self._receive = rig.recording.stamps == "receive"
 
     def read(self, message: Any, info: Any) -> Sample:

@@ -104,20 +104,14 @@ class Record:
 
 
 class LiveCalibration:
-    """A record that grows, and estimates on the way; a context that ends with the estimates in work.
-
-    Attributes:
-        rig: as given.
-        record: to be fed.
-        evidence: of the result, for a report on it.
-    """
+    """A record that grows, and estimates on the way; a context that ends with the estimates in work."""
 
     def __init__(self, rig: Rig, payload: str) -> None:
         if rig.motion.source == "joints":
             robot_of(rig)  # a fault of the robot is told before the first sample
         self.rig = rig
-        self.record = Record()
-        self.evidence: list[Evidence] = []
+        self.record = Record()  # to be fed
+        self.evidence: list[Evidence] = []  # of the result, for a report on it
         self._payload = payload
         self._worker = ThreadPoolExecutor(1)
         self._running: Future[Progress] | None = None

@@ -45,11 +45,8 @@ __all__ = [
     "load_calibration",
 ]
 
-FORMAT = "truewrench/1"
-"""What the first line of a calibration file says."""
-
-UNDETERMINED = 0.5
-"""Of the prior's sigma: what is less certain than that was not determined by the data."""
+FORMAT = "truewrench/1"  # what the first line of a calibration file says
+UNDETERMINED = 0.5  # of the prior's sigma: what is less certain than that was not determined by the data
 
 
 @dataclass(frozen=True, slots=True, eq=False)

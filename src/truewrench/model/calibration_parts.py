@@ -7,11 +7,8 @@ from typing import Any, Literal
 
 from truewrench.model.arrays import Array
 
-AXES = ("fx", "fy", "fz", "mx", "my", "mz")
-"""The wrench axes, in order."""
-
-UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))
-"""Of each."""
+AXES = ("fx", "fy", "fz", "mx", "my", "mz")  # the wrench axes, in order
+UNITS = dict(zip(AXES, ["N"] * 3 + ["N m"] * 3, strict=True))  # of each
 
 KINDS = (
     *("hysteresis", "nonlinearity", "cable", "filter", "delay", "clock", "jitter", "vibration"),

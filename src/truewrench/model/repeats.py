@@ -15,8 +15,7 @@ from scipy.ndimage import median_filter
 from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
 
-SAMPLED = 0.1
-"""[s] that a value of a sampled reference stays; loads that are held or noted stay for longer."""
+SAMPLED = 0.1  # [s] that a value of a sampled reference stays; loads that are held or noted stay for longer
 
 _TOGETHER = 0.9  # share of the columns that change where any does: words for "all"
 _HELD = 0.2  # share of the values that are held, from which on the stream is slower than its rows

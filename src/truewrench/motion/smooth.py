@@ -8,13 +8,11 @@ from scipy.interpolate import BSpline, make_lsq_spline
 
 from truewrench.motion.spatial import Array
 
-DEGREE = 5
-"""Of the splines."""
+DEGREE = 5  # of the splines
 
 _SAMPLES_PER_COEFFICIENT = 3.0
 _GAP = 5.0  # nominal periods
-SILENT = 0.3
-"""[s] six knots: shorter silences do not cut a record, METHOD 10.6."""
+SILENT = 0.3  # [s] six knots: shorter silences do not cut a record, METHOD 10.6
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,7 @@ from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
 from truewrench.planning.buffered import Buffered
 
-PACKED = np.tril_indices(7)
-"""Elements of the mean of [w; 1][w; 1]^T that are kept, w over the range."""
+PACKED = np.tril_indices(7)  # elements of the mean of [w; 1][w; 1]^T that are kept, w over the range
 
 
 def packed(wrench: Array) -> Array:

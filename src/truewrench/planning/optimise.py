@@ -76,14 +76,6 @@ class Problem:
     """One period of a motion, at K nodes, as IPOPT sees it.
 
     What is minimised is the criterion, and `spread` times what one frequency a coordinate costs (spread.py).
-
-    Attributes:
-        space: coordinates, and what depends on them.
-        basis: functions of the series.
-        nodes: K.
-        size: number of unknowns.
-        bounded: quantities at every node, besides the wrench, that are limited.
-        summed: of the quantities that vanish on average, those whose integral is limited.
     """
 
     def __init__(
@@ -108,6 +100,7 @@ class Problem:
         self.size = self._start_size + n * basis.size
         z = ca.SX.sym("z", 3 * n)
         w, y, c = space.node(*ca.vertsplit(z, n))
+        # how many quantities are limited at every node, besides the wrench, and how many vanish on average
         self.bounded, self._closed = y.numel(), c.numel()
         out = ca.vertcat(w, y, c)
         self._out = 6 + self.bounded + self._closed

@@ -34,8 +34,7 @@ from truewrench.planning.check import Preview
 
 LONGER = (2, 5)
 HEAVIER = 2.0
-POSE = "pose"
-"""Source of uncertainty: what follows the pose."""
+POSE = "pose"  # source of uncertainty: what follows the pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,8 +21,7 @@ from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures
 from truewrench.robot.arm import robot_of, turning
 
-FORMAT = "truewrench-plan/1"
-"""What a plan's file says it is."""
+FORMAT = "truewrench-plan/1"  # what a plan's file says it is
 
 _UNITS = {  # of what moves along an axis, and of what turns about one
     "position": ("m", "rad"),

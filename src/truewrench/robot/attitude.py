@@ -30,10 +30,9 @@ def attitude_of(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     the turn about it (see above). Of a log of joints, gravity and twist are those that `tracked` gives. The
     root frame is that of `rig.gravity`: the inertial frame, where a base moves.
 
-    Returns:
-        Times (K,) since the first row [s] and rotations (K, 3, 3), one for every row with an attitude, or
-        with gravity: R_sensor_root @ g_root then has exactly the direction of the logged g. None where
-        nothing tells the attitude: on orbit without these columns.
+    Given are times (K,) since the first row [s] and rotations (K, 3, 3), one for every row with an attitude,
+    or with gravity: R_sensor_root @ g_root then has exactly the direction of the logged g. None where nothing
+    tells the attitude: on orbit without these columns.
     """
     if log.attitude is not None:
         known = np.isfinite(log.attitude).all(axis=1)
@@ -53,16 +52,10 @@ def attitude_of(rig: Rig, log: Log) -> tuple[Array, Array] | None:
 def own_roots(rig: Rig, log: Log, *, twists: bool = False) -> Array:
     """Root frames of a log's attitude that are that log's alone: nothing tells their headings to others.
 
-    One holds as long as the angular velocity does: five periods and six knots of silence end it.
-
-    Args:
-        rig: with the direction of gravity.
-        log: whose attitude is asked for.
-        twists: of a log of joints, those that its tachometers measure: its joints do not tell the attitude.
-
-    Returns:
-        (R, 2) from when to when each holds [s since the first row], none where logs share the root frame; the
-        first from 0 on and the last to infinity.
+    (R, 2) from when to when each holds [s since the first row], the first from 0 on and the last to infinity;
+    none where logs share the root frame. One holds as long as the angular velocity does: five periods and six
+    knots of silence end it. `twists`: of a log of joints, those that its tachometers measure, as its joints
+    do not tell the attitude.
     """
     integrated = rig.motion.source == "twist" or (rig.motion.source == "joints" and twists)
     told = log.attitude is not None and bool(np.isfinite(log.attitude).all(axis=1).any())

@@ -76,13 +76,8 @@ def with_weight_on_time(
 
     Where little but weight moves, the time offset goes only a share of the way from that of the weight to the
     right one; the share is told by what a step has left. A step that misses by more than the one before it is
-    not kept: where all that moves is weight nothing tells the share, and steps led out of the log.
-
-    Args:
-        rig: with or without a weight.
-        logs: of the estimate, with the weight.
-        estimated: of logs.
-        time_offsets: of an estimate, one a log, and their 1 sigma [s].
+    not kept: where all that moves is weight nothing tells the share, and steps led out of the log. The time
+    offsets of an estimate are one a log, with their 1 sigma [s].
     """
     found = estimated(logs)
     if rig.sensor.subtracted is None:

@@ -34,8 +34,7 @@ from truewrench.simulation.effects import (
 
 Rng = np.random.Generator
 
-FINE = 1000.0
-"""[Hz] Rate of the truth, at least."""
+FINE = 1000.0  # [Hz] rate of the truth, at least
 
 _SETTLING = 8.0  # [s] of a drift
 _PER_PERIOD = 40.0  # samples of the truth, of a vibration: linear between them to 0.3%

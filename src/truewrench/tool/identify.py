@@ -34,8 +34,7 @@ from truewrench.tool.solve import Solution, solve
 
 Progress = Callable[[str, float | None], None]
 
-DETERMINED = 0.5
-"""Of the prior's sigma: what is less certain than that the data did not tell."""
+DETERMINED = 0.5  # of the prior's sigma: what is less certain than that the data did not tell
 
 _ROUNDS = 6  # of the estimator of motion: about a linear start, then about what was found
 _SETTLED = 0.1  # sigma that the mass may still move, and the gains, RMS

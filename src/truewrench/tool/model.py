@@ -28,8 +28,7 @@ from truewrench.tool.parts import Body, HeldOut, ToolVerdict, Unknown
 
 __all__ = ["FORMAT", "Body", "HeldOut", "Tool", "ToolVerdict", "Unknown", "read_tool"]
 
-FORMAT = "truewrench-tool/1"
-"""What the first line of a tool's file says."""
+FORMAT = "truewrench-tool/1"  # what the first line of a tool's file says
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,15 +57,9 @@ def motion_information(
 ) -> MotionFit | None:
     """Run the estimator about a gain and a body; None where it finds nothing that could be solved.
 
-    Args:
-        rig: of `settings_of`.
-        moves: at least one; those of one log have one clock.
-        gain: (n, 6) about which to work [raw units], mounting within.
-        gain_std: (n, 6) 1 sigma of it.
-        body: (10,) log m, c, inertia about which to work.
-        tilt_std: [rad] of gravity.
-        walk: rate of the offset in moves where it walks, fraction of range per sqrt(s).
-        threads: of the core.
+    The rig is that of `settings_of`, the gain (n, 6) in raw units, mounting within; the body (10,) log m, c,
+    inertia; 1 sigma of gravity's tilt in rad. Moves of one log have one clock; `walk` is the rate of the
+    offset in moves where it walks, fraction of range per sqrt(s).
     """
     scale, span = rig.sensor.channel_scale, rig.sensor.range_array
     units = (scale[:, None] / span).ravel()

@@ -36,8 +36,7 @@ _BODY = (
     *(f"S_{element}" for element in ELEMENTS),
 )
 
-BELOW = tuple(f"below_{name}" for name in _BODY)
-"""Names of the ten of a body that a tool sits on."""
+BELOW = tuple(f"below_{name}" for name in _BODY)  # names of the ten of a body that a tool sits on
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,7 @@ from truewrench.robot.arm import BaseMotion, robot_of, rotation_of
 
 Columns = Mapping[str, Array]
 
-HELD = 0.1
-"""[s] that positions of joints are carried on by velocities, and a direction of gravity by Omega."""
+HELD = 0.1  # [s] that positions of joints are carried on by velocities, and a direction of gravity by Omega
 
 
 @dataclass(frozen=True, slots=True, eq=False)

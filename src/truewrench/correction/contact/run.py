@@ -19,11 +19,8 @@ from truewrench.robot.compensation import subtracted
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import channel_turn
 
-DELAY = 0.01
-"""[s] half the length of the kernels: how long after a moment its wrench is known."""
-
-CAPACITY = 32768
-"""Rows after which one that has no wrench will never have one."""
+DELAY = 0.01  # [s] half the length of the kernels: how long after a moment its wrench is known
+CAPACITY = 32768  # rows after which one that has no wrench will never have one
 
 _UNTOLD = (0, np.full(3, np.nan), np.zeros(3))  # stamp, free fall, Omega
 NEWEST_WINDOW = 0.02  # [s] of the kernels without delay

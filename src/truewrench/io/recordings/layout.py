@@ -15,9 +15,7 @@ import numpy.typing as npt
 from truewrench.model.arrays import Mask
 
 _KEPT = 16  # layouts of a topic: publishers with other names, or texts that change
-
-Definitions = Mapping[str, Any]
-"""Fields by name of a message type, as `rosbags` parses them."""
+Definitions = Mapping[str, Any]  # fields by name of a message type, as `rosbags` parses them
 
 _BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # kinds of fields in `rosbags`
 

@@ -52,14 +52,7 @@ class _Gathered:
 
 
 class Recording:
-    """A recording that is open.
-
-    Attributes:
-        path: of the file or folder.
-        format: in words.
-        ros1: whether it is of ROS 1.
-        topics: those that hold messages this package could read, and all others.
-    """
+    """A recording that is open; its topics are those that this package could read, and all others."""
 
     def __init__(self, path: Path, reader: Any, ros1: bool) -> None:
         self.path, self.ros1 = path, ros1

@@ -92,15 +92,12 @@ class _Wanted:
     """Which columns are read: joints of the arm, if it is known, and arrays as long as there are channels.
 
     Of an IMU, the angular velocity is read where it is the motion: a twist has its own.
-
-    Attributes:
-        seen: names of all joints that came by.
     """
 
     def __init__(self, rig: Rig, joints: Sequence[str] | None) -> None:
         self.channels, self.joints = rig.sensor.n, joints
         self._turning = rig.motion.source == "imu"
-        self.seen: set[str] = set()
+        self.seen: set[str] = set()  # names of all joints that came by
 
     def __call__(self, topic: Topic, columns: tuple[str, ...]) -> Sequence[int]:
         role = role_of(topic.type_name)

@@ -21,27 +21,19 @@ def _unnamed() -> IO[bytes]:
 
 
 class Spool:
-    """Rows of a time stamp and numbers, in a temporary file without a name.
-
-    Attributes:
-        width: how many numbers a row has.
-        rows: how many there are.
-        repeated: rows left out because an earlier one has their stamp; final after `finish`.
-        late: rows that came with an earlier stamp than one before them.
-        first, last: the earliest and the latest stamp [ns].
-        rate: rows a second, from the median of the first periods; 0 while there is none.
-        all_nan: whether no row has a number.
-    """
+    """Rows of a time stamp and numbers, in a temporary file without a name."""
 
     def __init__(self, width: int) -> None:
-        self.width = width
+        self.width = width  # how many numbers a row has
         self._row = np.dtype([("time", "<i8"), ("values", "<f8", (width,))])
         self._file = _unnamed()  # in order of time,
         self._late = _unnamed()  # and those that came late
-        self.rows = self.repeated = self.late = 0
-        self.first = self.last = 0
-        self.rate = 0.0
-        self.all_nan = True
+        self.rows = 0
+        self.repeated = 0  # rows left out because an earlier one has their stamp; final after `finish`
+        self.late = 0  # rows that came with an earlier stamp than one before them
+        self.first = self.last = 0  # the earliest and the latest stamp [ns]
+        self.rate = 0.0  # rows a second, from the median of the first periods; 0 while there is none
+        self.all_nan = True  # whether no row has a number
 
     def append(self, time: Integers, values: Array) -> None:
         """Add rows with stamps (N,) and numbers (N, width)."""

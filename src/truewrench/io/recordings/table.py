@@ -47,9 +47,6 @@ class RecordingTable(Table):
     Reading it costs a batch of messages of each topic; their numbers wait in temporary files. Unless `whole`,
     motion that cannot be read is left out, and a note says so. InputError: the recording is broken, or does
     not tell which topics are meant.
-
-    Attributes:
-        places: of the columns: number of the stream, and position in it.
     """
 
     def __init__(
@@ -58,7 +55,7 @@ class RecordingTable(Table):
         with open_recording(path) as recording:
             selection: Selection = select(recording, rig, whole, progress)
         self._streams = selection.streams
-        self.places = selection.places
+        self.places = selection.places  # of the columns: number of the stream, and position in it
         super().__init__(path, ["time_ns", *self.places])
         self.notes = selection.notes
 

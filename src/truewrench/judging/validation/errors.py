@@ -24,17 +24,11 @@ _TOGETHER = {"covariance", "covariance_with_gain"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carried:
-    """A payload as a calibration knows it.
+    """A payload as a calibration knows it."""
 
-    Attributes:
-        body: in sensor axes.
-        covariance: (10, 10) in the units of `payload_rates`.
-        with_gain: (10, 6n) covariance with the gain row by row, raw units.
-    """
-
-    body: _core.Payload
-    covariance: Array
-    with_gain: Array
+    body: _core.Payload  # in sensor axes
+    covariance: Array  # (10, 10) in the units of `payload_rates`
+    with_gain: Array  # (10, 6n) covariance with the gain row by row, raw units
 
 
 def was_seen(calibration: Calibration, rig: Rig, payload: str) -> bool:
@@ -119,19 +113,11 @@ def fitted(
     by_own: Array,
     variance: Array,
 ) -> tuple[Array, Array]:
-    """What residuals say of a log's own parameters, with gain and payload as uncertain as they are claimed.
+    """Mean (k,) and covariance of a log's own parameters, gain and payload as uncertain as they are claimed.
 
-    Args:
-        joint: `joint_covariance` with the log's payload.
-        prior: (k,) 1 sigma of each.
-        residual: (M, 6), from which a constant is taken.
-        wrench: (M, 6) of the payload.
-        by_payload: (M, 6, 10) its derivative by the payload.
-        by_own: (M, 6, k) by the parameters.
-        variance: (M, 6) of the residual by sensor and motion.
-
-    Returns:
-        (k,) mean and (k, k) covariance.
+    Of residuals (M, 6), a constant apart, their variance (M, 6) by sensor and motion, the payload's wrench
+    (M, 6) and its derivatives by payload (M, 6, 10) and parameters (M, 6, k); `prior` (k,) is 1 sigma of
+    each, `joint` the `joint_covariance` with the log's payload.
     """
     whole = block_diag(joint, np.diag(prior**2))
     size = len(whole)

@@ -27,8 +27,7 @@ from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
 from truewrench.robot.compensation import subtracted, uncompensated
 
-LONGEST_LAG = 60
-"""Rows over which the correlation in time, which the motion brings, is followed."""
+LONGEST_LAG = 60  # rows over which the correlation in time, which the motion brings, is followed
 
 _FEWEST = 10  # rows of a stretch
 _EDGE = 4.0  # times the median of the motion's variance: ends of splines, not compared

@@ -143,13 +143,9 @@ class Rig(Section):
         return "motion" in self.model_fields_set
 
     def check_motion(self, what: str) -> None:
-        """Refuse a rig without motion or payloads where both are needed.
+        """Refuse a rig without motion or payloads where both are needed, or something that makes up for them.
 
-        Args:
-            what: they are needed for, as in "which a simulation needs", or what would make up for them.
-
-        Raises:
-            InputError: naming the key that is absent.
+        `what` says so, as in "which a simulation needs". InputError: naming the key that is absent.
         """
         for key, told in (("motion", self.states_motion), ("payloads", bool(self.payloads))):
             if not told:

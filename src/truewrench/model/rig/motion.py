@@ -15,8 +15,7 @@ from truewrench.model.rig.strict import NonNegative, Numbers, Positives, Section
 ACCELEROMETER_BIAS_PRIOR = 0.05
 """[m/s^2] 1 sigma of an accelerometer's constant error: 5 mg, what a factory leaves of a MEMS part."""
 
-GYRO_BIAS_PRIOR = 0.005
-"""[rad/s] 1 sigma of a gyroscope's constant error: 0.3 deg/s, likewise."""
+GYRO_BIAS_PRIOR = 0.005  # [rad/s] 1 sigma of a gyroscope's constant error: 0.3 deg/s, likewise
 
 _ONLY_WITH = {
     "of": "twist",

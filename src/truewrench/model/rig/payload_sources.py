@@ -39,8 +39,7 @@ from truewrench.model.rig.strict import (
 )
 from truewrench.model.rig.urdf import link_at, nearest, read_urdf
 
-UNKNOWN_MASS_GUESS = 1.5
-"""[kg] of a payload stated as `unknown`: the middle of its prior."""
+UNKNOWN_MASS_GUESS = 1.5  # [kg] of a payload stated as `unknown`: the middle of its prior
 
 _SYMMETRIC = 1e-6  # of the largest element: what the digits of a table may leave
 

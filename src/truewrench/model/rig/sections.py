@@ -232,11 +232,8 @@ class UncertaintySpec(Section):
         return np.array([self.mass, *[self.center_of_mass] * 3, *[self.inertia] * 6])
 
 
-UNKNOWN_MASS = 0.5
-"""1 sigma of a payload's mass, relative, from which on it is not known."""
-
-UNKNOWN_GYRATION = 0.005
-"""[m^2] inertia per mass of a body that nobody knows, about each axis (docs/tool.md)."""
+UNKNOWN_MASS = 0.5  # 1 sigma of a payload's mass, relative, from which on it is not known
+UNKNOWN_GYRATION = 0.005  # [m^2] inertia per mass of a body that nobody knows, about each axis (docs/tool.md)
 
 UNKNOWN_UNCERTAINTY = UncertaintySpec(mass=1.5, center_of_mass=0.15, inertia=1.13)
 """1 sigma of log mass; [m]; of two second moments per mass, 0.004 m^2 each, over `UNKNOWN_GYRATION`."""

@@ -11,11 +11,8 @@ from truewrench.model.files import read_yaml
 from truewrench.model.rig import Rig
 from truewrench.model.rig.strict import shown
 
-UNKNOWN = "tool"
-"""Name of the payload that stands for the tool nobody knows yet."""
-
-GAIN_PRIOR = 0.02
-"""1 sigma of every gain where neither a calibration nor `sensor.gain_prior` states one."""
+UNKNOWN = "tool"  # name of the payload that stands for the tool nobody knows yet
+GAIN_PRIOR = 0.02  # 1 sigma of every gain where neither a calibration nor `sensor.gain_prior` states one
 
 TILT_PRIOR = float(np.radians(0.5))
 """[rad] 1 sigma of gravity's direction about two axes, where none is stated."""

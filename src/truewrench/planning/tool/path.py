@@ -68,9 +68,8 @@ def _way(stand: Stand, a: Array, b: Array) -> tuple[float, list[Array]]:
 def route(stand: Stand, options: list[Array]) -> tuple[list[list[Array]], list[int]]:
     """The quickest way from home through one posture of each of T options (K, n), in order, and home again.
 
-    Returns:
-        Postures of every move, the last one of each being the pose and that of the last move home; and which
-        poses were kept: one that no way leads to is left out.
+    Given are the postures of every move, the last one of each being the pose and that of the last move home;
+    and which poses were kept: one that no way leads to is left out.
     """
     costs, ends, kept = np.zeros(1), stand.home[None], []
     whole: list[list[list[Array]]] = [[]]

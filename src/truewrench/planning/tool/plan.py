@@ -35,17 +35,13 @@ from truewrench.tool.prior import settings_of
 
 Progress = Callable[[str, float | None], None]
 
-POSES = 12
-"""How many, unless stated: more hardly tell more, and drift has more time."""
+POSES = 12  # how many, unless stated: more hardly tell more, and drift has more time
 
 FEWEST, MOST = 4, 200
 """Poses at least and at most: time and memory of planning grow with their square."""
 
-DWELL_DEFAULT = 3.0
-"""[s] at a pose, of which identification leaves out the first second."""
-
-DWELL_MOST = 600.0
-"""[s] at a pose at most: averages have long ceased to gain on drift."""
+DWELL_DEFAULT = 3.0  # [s] at a pose, of which identification leaves out the first second
+DWELL_MOST = 600.0  # [s] at a pose at most: averages have long ceased to gain on drift
 
 EXPECTED: dict[str, Any] = {
     "mass": 1.5,
@@ -176,17 +172,12 @@ def plan_tool(
     payload: str | None = None,
     progress: Progress | None = None,
 ) -> ToolPlan:
-    """Plan what determines a tool: poses, or a motion where that is asked for or nothing weighs.
+    """Plan what determines a tool: poses, or a motion, which alone tells inertia, or where nothing weighs.
 
-    Args:
-        source: a rig, or a calibration, whose covariance of the gain then is what is believed beforehand.
-            A payload of the rig is the tool that is expected; of `tool_rig` it is `EXPECTED`.
-        motion: plan a motion, which alone tells the inertia.
-        poses: how many.
-        dwell: at each of them [s].
-        cone: largest angle of gravity, in the sensor, to where it points at first [rad].
-        payload: name of the one that is expected; the first of the rig if left out.
-        progress: is told what is being done, and the share of it that is done.
+    The source is a rig, or a calibration, whose covariance of the gain then is what is believed beforehand.
+    The payload, the first of the rig if left out, is the tool that is expected; of `tool_rig` it is
+    `EXPECTED`. At each pose the arm dwells [s]; the cone is the largest angle of gravity, in the sensor, to
+    where it points at first [rad].
     """
     started, tell = time.perf_counter(), progress or (lambda phase, share: None)
     rig, notes = _with_expected(source, payload)

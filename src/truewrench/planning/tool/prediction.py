@@ -22,11 +22,8 @@ from truewrench.tool.poses import SETTLE, Poses
 from truewrench.tool.prior import Prior, make_prior, widening
 from truewrench.tool.solve import REPEATABILITY, WALK, solve
 
-CONTACT_AVERAGE = 0.02
-"""[s] over which a contact wrench is taken: the kernel of `apply --tool`."""
-
-LATER = 3600.0
-"""[s] after the last pose, for what drift adds."""
+CONTACT_AVERAGE = 0.02  # [s] over which a contact wrench is taken: the kernel of `apply --tool`
+LATER = 3600.0  # [s] after the last pose, for what drift adds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
