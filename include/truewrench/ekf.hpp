@@ -5,7 +5,6 @@
 // A step neither allocates nor throws.
 #pragma once
 
-#include "truewrench/motion.hpp"
 #include "truewrench/payload.hpp"
 #include "truewrench/tile.hpp"
 #include "truewrench/types.hpp"
@@ -18,7 +17,18 @@
 namespace truewrench {
 
 using Vector12 = Eigen::Matrix<double, 12, 1>;
+using Matrix12 = Eigen::Matrix<double, 12, 12>;
 using Matrix42 = Eigen::Matrix<double, 42, 42>;
+
+// What white noise of unit density on a' leaves on nu and a after a step of dt seconds, the motion a double integrator
+// ([A00] 18-21): Q = [twist s, cross s; cross s, acceleration s] for the densities s of the six components.
+struct ProcessWeights {
+  double twist;         // dt^3 / 3
+  double cross;         // dt^2 / 2
+  double acceleration;  // dt
+};
+
+inline ProcessWeights process_weights(double dt) { return {dt * dt * dt / 3.0, 0.5 * dt * dt, dt}; }
 
 // The defaults are the published start: C = I, P = I, nu = a = 0, in SI units.
 struct EkfSettings {
@@ -59,10 +69,7 @@ struct EkfUpdate {
   Matrix12 innovation_covariance = Matrix12::Identity();  // S; identity in the rows without a sample
   double nis = 0.0;      // innovation^T S^-1 innovation: chi-square with degrees_of_freedom when consistent
   double nis_raw = 0.0;  // the part of the channels alone; the rest is the twist's, given the channels
-  int degrees_of_freedom = 0;  // the samples used
-
-  // About 1 when the filter is consistent.
-  double test_ratio() const { return nis / degrees_of_freedom; }
+  int degrees_of_freedom = 0;  // the samples used, the expectation of `nis` when consistent
 };
 
 template <bool Offset>

@@ -44,11 +44,6 @@ inline Vector6 wrench(const Payload& p, const Vector6& nu, const Vector6& a, con
   return w;
 }
 
-// The part of w that is quadratic in nu: w(nu, a, g) = w_linear(a, g) + wrench_quadratic(nu).
-inline Vector6 wrench_quadratic(const Payload& p, const Vector6& nu) {
-  return wrench(p, nu, Vector6::Zero(), Vector3::Zero());
-}
-
 // dw/da, constant for a given payload ([A00] 24, any c and I_c).
 inline Matrix6 wrench_jacobian_acceleration(const Payload& p) {
   Matrix6 j;

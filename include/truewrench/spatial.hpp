@@ -1,4 +1,4 @@
-// Cross-product matrices, the shift of a twist from one point of a rigid body to another, and small displacements.
+// Cross-product matrices, and the shift of a twist from one point of a rigid body to another.
 #pragma once
 
 #include "truewrench/types.hpp"
@@ -20,15 +20,6 @@ inline Matrix3 cross_matrix(const Vector3& x) {
 inline Matrix6 twist_shift(const Vector3& r) {
   Matrix6 x = Matrix6::Identity();
   x.topRightCorner<3, 3>() = -cross_matrix(r);
-  return x;
-}
-
-// ad of a twist in body axes: a body displaced by the small p (translation, then rotation, in its own axes) moves with
-// nu + ad(nu) p + dp/dt.
-inline Matrix6 twist_adjoint(const Vector6& nu) {
-  Matrix6 x = Matrix6::Zero();
-  x.topLeftCorner<3, 3>() = x.bottomRightCorner<3, 3>() = cross_matrix(nu.tail<3>());
-  x.topRightCorner<3, 3>() = cross_matrix(nu.head<3>());
   return x;
 }
 

@@ -248,6 +248,9 @@ class Lag {
 
   template <typename Samples, typename Cells>
   std::pair<unsigned, long> most_cells(const Samples& samples, long from, long to, const Cells& cells);
+  template <typename Samples, typename Cells, typename Single>
+  std::pair<unsigned, int> pick(const Samples& samples, long from, long to, const Cells& cells,
+                                const Single& single);
 
   void refresh();
   void jacobians(const RawRow& row, double* J, double* X) const;

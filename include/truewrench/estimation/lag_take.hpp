@@ -23,6 +23,28 @@ std::pair<unsigned, long> Lag::most_cells(const Samples& samples, long from, lon
   return {most, count};
 }
 
+// Samples to be gathered, those with the cells that most have, into window_.picked, of the others as many as there are
+// rows left to `single`; where too few are alike, samples spread evenly to `single`. The cells, and how many are picked.
+template <typename Samples, typename Cells, typename Single>
+std::pair<unsigned, int> Lag::pick(const Samples& samples, long from, long to, const Cells& cells,
+                                   const Single& single) {
+  const long all = to - from;
+  const auto [same, agree] =
+      all > kMostRows ? most_cells(samples, from, to, cells) : std::pair<unsigned, long>{0, 0};
+  int count = 0;
+  long of_same = 0, of_others = 0;
+  for (long k = from; k < to; ++k)
+    if (agree <= kMostRows) {
+      if (evenly(k - from, all, kMostRows)) single(samples[k]);
+    } else if (cells(samples[k]) == same) {
+      if (evenly(of_same++, agree, window_.nodes.capacity()))
+        window_.picked[static_cast<std::size_t>(count++)] = k;
+    } else if (evenly(of_others++, all - agree, kMostRows - kNodes)) {
+      single(samples[k]);
+    }
+  return {same, count};
+}
+
 template <typename Masked>
 void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, const Masked& masked) {
   Interval& v = interval(at);
@@ -61,24 +83,8 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
     row.cells = cells(s);
     finish(row, false);
   };
-  const long all = to - from;
-  const auto [same, agree] =
-      all > kMostRows ? most_cells(samples, from, to, cells) : std::pair<unsigned, long>{0, 0};
-  if (agree <= kMostRows) {
-    for (long k = from; k < to; ++k)
-      if (evenly(k - from, all, kMostRows)) single(samples[k]);
-    return;
-  }
-  // those with the cells that most have, gathered; of the others as many as there are rows left
-  int count = 0;
-  long of_same = 0, of_others = 0;
-  for (long k = from; k < to; ++k)
-    if (cells(samples[k]) == same) {
-      if (evenly(of_same++, agree, window_.nodes.capacity()))
-        window_.picked[static_cast<std::size_t>(count++)] = k;
-    } else if (evenly(of_others++, all - agree, kMostRows - kNodes)) {
-      single(samples[k]);
-    }
+  auto [same, count] = pick(samples, from, to, cells, single);
+  if (count == 0) return;
   std::array<std::size_t, kMostChannels> cell{};
   int channels = 0;
   for (std::size_t c = 0; c < n; ++c)
@@ -133,23 +139,9 @@ inline void Lag::take(std::size_t stream, const Ring<MotionSample>& samples, lon
       row.value[j] = row.have[j] > 0.0 ? s.value[j] : 0.0;
     }
   };
-  const long all = to - from, first = out.end();
-  const auto [same, agree] =
-      all > kMostRows ? most_cells(samples, from, to, cells) : std::pair<unsigned, long>{0, 0};
-  if (agree <= kMostRows) {
-    for (long k = from; k < to; ++k)
-      if (evenly(k - from, all, kMostRows)) single(samples[k]);
-    return;
-  }
-  int count = 0;
-  long of_same = 0, of_others = 0;
-  for (long k = from; k < to; ++k)
-    if (cells(samples[k]) == same) {
-      if (evenly(of_same++, agree, window_.nodes.capacity()))
-        window_.picked[static_cast<std::size_t>(count++)] = k;
-    } else if (evenly(of_others++, all - agree, kMostRows - kNodes)) {
-      single(samples[k]);
-    }
+  const long first = out.end();
+  const auto [same, count] = pick(samples, from, to, cells, single);
+  if (count == 0) return;
   const double begin = samples[from].time;
   const auto sample = [&](int k) -> const MotionSample& {
     return samples[window_.picked[static_cast<std::size_t>(k)]];
