@@ -15,13 +15,13 @@ from truewrench.model.files import read_yaml, write_yaml
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
 from truewrench.model.rig.fields import Fields
+from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS, symmetric
 from truewrench.motion.trajectory import Body
 from truewrench.simulation.imperfect import Readout
 
 _PERFECT = Readout()
 _MOST_ROWS = 1e8  # a day at 1 kHz
 _NO_ERROR = 1e-6  # sigma, over the largest: a direction without any
-_ELEMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Truth:
                 name: {
                     "mass": body.mass,
                     "center_of_mass": body.center_of_mass.tolist(),
-                    "inertia": {key: float(body.inertia[element]) for key, element in _ELEMENTS.items()},
+                    "inertia": dict(zip(ELEMENTS, body.inertia[ROWS, COLUMNS].tolist(), strict=True)),
                 }
                 for name, body in self.payloads.items()
             },
@@ -71,9 +71,7 @@ def read_truth(path: str | Path) -> Truth:
     payloads = {}
     for name in fields.section("payloads").data:
         body = fields.section("payloads").section(name)
-        inertia, elements = np.empty((3, 3)), body.section("inertia")
-        for key, (i, j) in _ELEMENTS.items():
-            inertia[i, j] = inertia[j, i] = elements.number(key)
+        inertia = symmetric(np.array([body.section("inertia").number(element) for element in ELEMENTS]))
         payloads[name] = Body(body.number("mass"), body.array("center_of_mass", (3,)), inertia)
     return Truth(
         gain=fields.array("gain", (n, 6)),

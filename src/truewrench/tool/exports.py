@@ -53,6 +53,26 @@ class _Held:
     assumed: bool
     words: tuple[str, ...]
 
+    @property
+    def elements(self) -> list[float]:
+        """Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
+        return list(self.inertia[ROWS, COLUMNS].tolist())
+
+    def comment(self, mark: str) -> str:
+        """Its words, line by line, for a format that holds a point mass where the inertia is assumed."""
+        lines = (*self.words, *([f"{_ASSUMED}: zeros, a point mass"] if self.assumed else []))
+        return "".join(f"{mark} {line}\n" for line in lines)
+
+    @property
+    def principal(self) -> tuple[Array, Array]:
+        """Principal moments (3,) and right-handed axes, columns (3, 3); of a point mass where assumed."""
+        if self.assumed:
+            return np.zeros(3), np.eye(3)
+        values, axes = np.linalg.eigh(self.inertia)
+        if np.linalg.det(axes) < 0.0:
+            axes[:, 2] *= -1.0
+        return np.maximum(values, 0.0), axes
+
 
 def tool_exports(tool: Tool, targets: Sequence[str]) -> dict[str, str]:
     """The text of a tool's files for some of `TARGETS`, by their names in the folder of tool.yaml.
@@ -126,33 +146,18 @@ def _held(tool: Tool) -> _Held:
     return _Held(body.mass, center, inertia, body.inertia_assumed, tuple(words))
 
 
-def _elements(tensor: Array) -> list[float]:
-    """Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
-    return list(tensor[ROWS, COLUMNS].tolist())
-
-
 def _numbers(values: Sequence[float] | Array) -> str:
     return ", ".join(f"{float(value):.9g}" for value in values)
 
 
-def _principal(tensor: Array) -> tuple[Array, Array]:
-    """Principal moments (3,) and right-handed axes, columns (3, 3)."""
-    values, axes = np.linalg.eigh(tensor)
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 2] *= -1.0
-    return np.maximum(values, 0.0), axes
-
-
 def _ur(tool: Tool, held: _Held) -> list[str]:
-    inertia = [0.0] * 6 if held.assumed else _elements(held.inertia)
+    inertia = [0.0] * 6 if held.assumed else held.elements
     if max(map(abs, inertia)) > _UR_LARGEST:
         raise InputError.at(
             None, "export ur", f"an inertia of {max(map(abs, inertia)):.4g} kg m^2", "133 at most"
         )
-    note = f"# {_ASSUMED}: zeros, a point mass\n" if held.assumed else ""
     text = (
-        "".join(f"# {word}\n" for word in held.words)
-        + note
+        held.comment("#")
         + "# [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity. Calling this zeroes the sensor.\n"
         + f"set_target_payload({held.mass:.9g}, [{_numbers(held.center)}], [{_numbers(inertia)}])\n"
     )
@@ -173,7 +178,7 @@ def _franka(tool: Tool, held: _Held) -> list[str]:
 
 
 def _urdf(tool: Tool, held: _Held) -> list[str]:
-    ixx, iyy, izz, ixy, ixz, iyz = _elements(held.inertia)
+    ixx, iyy, izz, ixy, ixz, iyz = held.elements
     words = [*held.words, *([f"{_ASSUMED}: assumed, a solid sphere."] if held.assumed else [])]
     comment = "\n".join(f"  <!-- {word.replace('--', '- -')} -->" for word in words)
     text = f"""<?xml version="1.0"?>
@@ -193,13 +198,11 @@ izz="{izz:.12g}"/>
 
 
 def _abb(tool: Tool, held: _Held) -> list[str]:
-    moments, axes = (np.zeros(3), np.eye(3)) if held.assumed else _principal(held.inertia)
+    moments, axes = held.principal
     x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    note = f"  ! {_ASSUMED}: zeros, a point mass\n" if held.assumed else ""
     text = (
         "MODULE tool_load\n"
-        + "".join(f"  ! {word}\n" for word in held.words)
-        + note
+        + held.comment("  !")
         + "  ! mass [kg], centre of gravity [mm], axes of moment, principal moments [kg m^2]\n"
         + f"  PERS loaddata tool_load := [{held.mass:.9g}, [{_numbers(1e3 * held.center)}], "
         + f"[{_numbers([w, x, y, z])}], {_numbers(moments)}];\n"
@@ -209,14 +212,12 @@ def _abb(tool: Tool, held: _Held) -> list[str]:
 
 
 def _kuka(tool: Tool, held: _Held) -> list[str]:
-    moments, axes = (np.zeros(3), np.eye(3)) if held.assumed else _principal(held.inertia)
+    moments, axes = held.principal
     roll, pitch, yaw = np.degrees(roll_pitch_yaw(axes.T))  # A about z, B about y', C about x''
     x, y, z = 1e3 * held.center
-    note = f"; {_ASSUMED}: zeros, a point mass\n" if held.assumed else ""
     text = (
         "DEFDAT tool_load\n"
-        + "".join(f"; {word}\n" for word in held.words)
-        + note
+        + held.comment(";")
         + "; kg; mm; degrees; principal moments about the centre of mass [kg m^2]\n"
         + f"DECL LOAD TOOL_LOAD={{M {held.mass:.9g},CM {{X {x:.9g},Y {y:.9g},Z {z:.9g},"
         + f"A {yaw:.9g},B {pitch:.9g},C {roll:.9g}}},J {{X {moments[0]:.9g},Y {moments[1]:.9g},"

@@ -26,7 +26,7 @@ from truewrench.tool.judge import Judged, judge, misfit_of_motion
 from truewrench.tool.model import Body, Tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.motion import MotionFit, body_start, motion_information
-from truewrench.tool.parameters import ELEMENTS, channel_turn, inertia_of
+from truewrench.tool.parameters import COLUMNS, ROWS, channel_turn, inertia_of, second_moments
 from truewrench.tool.poses import Split, split_poses
 from truewrench.tool.prior import make_prior, settings_of, widening, with_known_wrenches
 from truewrench.tool.setup import mistakes_of_motion
@@ -197,8 +197,6 @@ def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, M
 
 def _start_from(problem: Problem, body: Array) -> Array:
     """The prior's mean, but for the body that the motion found."""
-    from truewrench.tool.parameters import second_moments
-
     x, v = problem.prior_of_all()[0], problem.vector
     mass = float(np.exp(body[0]))
     if not v.on:
@@ -323,6 +321,4 @@ def exported_body(body: Array, P: Array, inertia: bool, housing: Array) -> Body:
     else:
         tensor = 0.4 * mass * max(0.05, float(np.linalg.norm(center))) ** 2 * np.eye(3)
     mass, center, tensor = joined(mass, center, tensor, float(housing[0]), housing[1:])
-    pairs = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-    elements = np.array([tensor[pairs[name]] for name in ELEMENTS])
-    return Body(mass, center.copy(), elements, inertia_assumed=not inertia)
+    return Body(mass, center.copy(), tensor[ROWS, COLUMNS], inertia_assumed=not inertia)

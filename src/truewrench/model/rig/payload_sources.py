@@ -24,6 +24,7 @@ from truewrench.model.rig.sections import (
     InertiaSpec,
     PayloadSpec,
     UncertaintySpec,
+    symmetric,
 )
 from truewrench.model.rig.strict import (
     Numbers,
@@ -100,9 +101,8 @@ class UrPayload(Section):
     def body(self, folder: Path) -> dict[str, Any]:
         """Mass, centre of mass and inertia at the sensor."""
         load = self.ur
-        xx, yy, zz, xy, xz, yz = load.inertia
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return _seen_from(load.flange_to_sensor.matrix, load.mass, np.array(load.center_of_gravity), inertia)
+        inertia, center = symmetric(np.array(load.inertia)), np.array(load.center_of_gravity)
+        return _seen_from(load.flange_to_sensor.matrix, load.mass, center, inertia)
 
 
 class UrdfPayload(Section):
@@ -148,9 +148,9 @@ class UrdfPayload(Section):
                 continue
             T_sensor_body = T @ _origin(inertial)
             (m,) = _stated(inertial, "mass", "value")
-            xx, yy, zz, xy, xz, yz = _stated(inertial, "inertia", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+            elements = _stated(inertial, "inertia", *(f"i{element}" for element in ELEMENTS))
             R, p = T_sensor_body[:3, :3], T_sensor_body[:3, 3]
-            inertia = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
+            inertia = R @ symmetric(np.array(elements)) @ R.T
             mass, moment = mass + m, moment + m * p
             about_origin += inertia + m * (p @ p * np.eye(3) - np.outer(p, p))
         if mass <= 0.0:
