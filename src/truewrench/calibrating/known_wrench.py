@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from truewrench import _core
+from truewrench.estimation.assembly import log_report
 from truewrench.estimation.estimate import Estimate, without_motion
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
@@ -169,7 +170,7 @@ def known_wrench_figures(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEst
     }
 
 
-def known_wrench_reports(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate) -> list[LogReport]:
+def known_wrench_reports(logs: Sequence[Log], estimate: KnownWrenchEstimate) -> list[LogReport]:
     """What each log contributed."""
     reports = []
     for k, log in enumerate(logs):
@@ -178,19 +179,9 @@ def known_wrench_reports(rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEst
             "between plateaus": int(estimate.between[k]),
             "contradict the other rows": estimate.outliers[k].size,
         }
-        reports.append(
-            LogReport(
-                log.path,
-                log.sha256,
-                log.payload,
-                estimate.offsets[k],
-                estimate.offsets_std[k],
-                used=estimate.rows[k].size,
-                masked={reason: count for reason, count in masked.items() if count},
-                dropped_rows=log.dropped_rows,
-                nan_counts=log.nan_counts,
-            )
-        )
+        masked = {reason: count for reason, count in masked.items() if count}
+        offset, std = estimate.offsets[k], estimate.offsets_std[k]
+        reports.append(log_report(log, offset, std, estimate.rows[k].size, masked=masked))
     return reports
 
 

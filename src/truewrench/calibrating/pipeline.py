@@ -27,7 +27,7 @@ from truewrench.calibrating.unknown_bodies import (
     known_payload,
     notes_on_bodies,
 )
-from truewrench.estimation.assembly import assemble, assemble_motion
+from truewrench.estimation.assembly import assemble, assemble_motion, log_report
 from truewrench.estimation.bound import oracle_rms
 from truewrench.estimation.ekf import estimate_ekf
 from truewrench.estimation.evidence import Evidence
@@ -36,7 +36,7 @@ from truewrench.estimation.least_squares import least_squares
 from truewrench.estimation.reference_clock import with_reference_on_time
 from truewrench.judging import of_references
 from truewrench.judging.channels import motion_columns
-from truewrench.model.calibration import Bound, Calibration, LogReport, Verdict
+from truewrench.model.calibration import Bound, Calibration, Verdict
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.repeats import without_repeats
@@ -144,7 +144,7 @@ def _from_known_wrench(
         estimate.gain,
         estimate.covariance,
         judgement.verdict,
-        known_wrench_reports(rig, logs, estimate),
+        known_wrench_reports(logs, estimate),
         offset_temperature=estimate.offset_temperature,
         time_offset_std=rig.sensor.time_offset_prior,  # of a motion: nothing was learnt of it
         axes=judgement.axes,
@@ -218,16 +218,7 @@ def _from_reference(
     n = rig.sensor.n
     offset_std = np.sqrt(np.diag(covariance)[6 * n :])
     reports = [
-        LogReport(
-            log.path,
-            log.sha256,
-            log.payload,
-            offset,
-            offset_std,
-            used=int(used),
-            dropped_rows=log.dropped_rows,
-            nan_counts=log.nan_counts,
-        )
+        log_report(log, offset, offset_std, int(used))
         for log, offset, used in zip(logs, offsets, samples, strict=True)
     ]
     return assemble(

@@ -18,6 +18,7 @@ import numpy as np
 from truewrench.calibrating.known_wrench import BLOCKS, FOLDS, FREEDOM, improvement_by_axis, worse_on_rows
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
+from truewrench.estimation.assembly import log_report
 from truewrench.estimation.estimate import Estimate, of_joint, without_motion
 from truewrench.estimation.unknowns import horizontal_axes
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
@@ -261,16 +262,5 @@ def still_figures(found: StillEstimate) -> dict[str, Any]:
 def still_reports(logs: Sequence[Log], found: StillEstimate) -> list[LogReport]:
     """What each log contributed."""
     e = found.estimate
-    return [
-        LogReport(
-            log.path,
-            log.sha256,
-            log.payload,
-            e.offsets[k],
-            e.offsets_std[k],
-            used=int(np.count_nonzero(found.poses.log == k)),
-            dropped_rows=log.dropped_rows,
-            nan_counts=log.nan_counts,
-        )
-        for k, log in enumerate(logs)
-    ]
+    used = [int(np.count_nonzero(found.poses.log == k)) for k in range(len(logs))]
+    return [log_report(*of) for of in zip(logs, e.offsets, e.offsets_std, used, strict=True)]

@@ -76,20 +76,22 @@ def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
         masked["contact" if event.lasting else "outliers"] += event.samples
     sensed = int(np.isfinite(log.raw).any(axis=1).sum())
     outside = max(0, sensed - rows.samples)
-    return LogReport(
-        log.path,
-        log.sha256,
-        log.payload,
+    return log_report(
+        log,
         estimate.offsets[k],
         estimate.offsets_std[k],
+        rows.samples - rows.left_out,
         time_offset=float(estimate.time_offsets[k]),
-        used=rows.samples - rows.left_out,
         masked=dict(masked),
         rejected={"outside every stretch of motion": outside} if outside else {},
         disturbances=tuple((e.begin, e.end) for e in estimate.events[k]),
-        dropped_rows=log.dropped_rows,
-        nan_counts=log.nan_counts,
     )
+
+
+def log_report(log: Log, offset: Array, offset_std: Array, used: int, **rest: Any) -> LogReport:
+    """What a log contributed: so many samples, and `rest`, further fields of it."""
+    rest |= {"dropped_rows": log.dropped_rows, "nan_counts": log.nan_counts}
+    return LogReport(log.path, log.sha256, log.payload, offset, offset_std, used=used, **rest)
 
 
 def assemble(

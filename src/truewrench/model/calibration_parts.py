@@ -1,5 +1,6 @@
 """What a calibration is made of besides its numbers: verdict, reports, and what the estimate assumed."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -81,6 +82,12 @@ class Verdict:
     reasons: tuple[str, ...] = ()
     undetermined: tuple[Undetermined, ...] = ()
     blind_to: tuple[BlindTo, ...] = ()
+
+    @property
+    def undetermined_words(self) -> list[str]:
+        """The directions of the gain that the data leave open, alike ones together."""
+        count = Counter(direction.words for direction in self.undetermined)
+        return [f"{words} ({n} directions)" if n > 1 else words for words, n in count.items()]
 
     def to_mapping(self) -> dict[str, Any]:
         """As every file and the command line have it."""

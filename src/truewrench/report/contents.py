@@ -280,7 +280,7 @@ def _excitation(c: Calibration, record: Record) -> Section:
         words = [
             f"The record does not determine {len(c.verdict.undetermined)} of {6 * sensor.n} directions of "
             "the gain; there the nominal gain is believed as before: "
-            f"{'; '.join(findings.undetermined_words(c))}."
+            f"{'; '.join(c.verdict.undetermined_words)}."
         ]
     units = (sensor.range_array / sensor.channel_scale[:, None]).ravel()
     size = 6 * sensor.n

@@ -30,12 +30,6 @@ _REFERENCES = ("ekf", "ls")
 _COLOURED = 1.5  # of the density at low frequencies
 
 
-def undetermined_words(calibration: Calibration) -> list[str]:
-    """The directions of the gain that the data leave open, alike ones together."""
-    count = Counter(direction.words for direction in calibration.verdict.undetermined)
-    return [f"{words} ({n} directions)" if n > 1 else words for words, n in count.items()]
-
-
 def helps(calibration: Calibration) -> Iterator[str]:
     """What a person can do where a calibration is not usable, in the order of its effect."""
     c = calibration

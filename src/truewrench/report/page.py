@@ -46,7 +46,7 @@ def page(calibration: Calibration, evidence: Evidence) -> str:
         figures=_json(figures),
         sections=shown,
         helps=list(findings.helps(calibration)) if not calibration.verdict.usable else [],
-        undetermined=[] if told else findings.undetermined_words(calibration),
+        undetermined=[] if told else calibration.verdict.undetermined_words,
         unfit=[axis for axis, fit in calibration.axes.items() if not fit],
         notes=calibration.figures.get("notes") or [],
         stated=float(np.sqrt(np.mean(calibration.gain_std_normalised**2))),

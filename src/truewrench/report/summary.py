@@ -1,7 +1,6 @@
 """Results in words and tables that a person reads in a terminal."""
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -79,8 +78,8 @@ def _verdict(calibration: Calibration) -> RenderableType:
         text.append(f"\nAxes that may not be used: {', '.join(unfit)}.")
     if verdict.undetermined:
         text.append("\nThe data do not determine:")
-        for words, count in Counter(direction.words for direction in verdict.undetermined).items():
-            text.append(f"\n  - {words}" + (f" ({count} directions)" if count > 1 else ""))
+    for words in verdict.undetermined_words:
+        text.append(f"\n  - {words}")
     for note in calibration.figures.get("notes", ()):
         text.append(f"\nNote: {note}")
     return text
