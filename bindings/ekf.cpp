@@ -20,7 +20,6 @@ struct EkfRecord {
   RowMatrix covariance;
   RowMatrix innovation;        // N x 12
   Eigen::VectorXd nis;         // N
-  Eigen::VectorXd nis_raw;     // N
   Indices degrees_of_freedom;  // N
   Indices history_row;         // M
   RowMatrix history_gain;      // M x 36
@@ -35,7 +34,6 @@ EkfRecord run(const Payload& payload, const EkfSettings& settings, const Times& 
   EkfRecord out;
   out.innovation.setConstant(n, 12, std::numeric_limits<double>::quiet_NaN());
   out.nis.setZero(n);
-  out.nis_raw.setZero(n);
   out.degrees_of_freedom.setZero(n);
   const std::int64_t kept = (n + history_every - 1) / history_every;
   out.history_row.resize(kept);
@@ -54,7 +52,6 @@ EkfRecord run(const Payload& payload, const EkfSettings& settings, const Times& 
     const EkfUpdate& update = filter->last_update();
     out.innovation.row(i) = update.innovation.transpose();
     out.nis(i) = update.nis;
-    out.nis_raw(i) = update.nis_raw;
     out.degrees_of_freedom(i) = update.degrees_of_freedom;
     // The last row of each stretch, and the last of all.
     if ((i + 1) % history_every == 0 || i + 1 == n) {
@@ -108,8 +105,6 @@ void bind_ekf(nb::module_& m) {
       .def_ro("covariance", &EkfRecord::covariance, "Of the state.")
       .def_ro("innovation", &EkfRecord::innovation, "(N, 12): channels, twist; NaN where there is no sample.")
       .def_ro("nis", &EkfRecord::nis, "(N,) innovation^T S^-1 innovation.")
-      .def_ro("nis_raw", &EkfRecord::nis_raw,
-              "(N,) the part of the channels; the rest is the twist's, given them.")
       .def_ro("degrees_of_freedom", &EkfRecord::degrees_of_freedom, "(N,) samples used in each row.")
       .def_ro("history_row", &EkfRecord::history_row, "(M,) rows of history_gain.")
       .def_ro("history_gain", &EkfRecord::history_gain, "(M, 36) gain row by row after those rows.")

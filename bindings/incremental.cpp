@@ -56,16 +56,13 @@ RecordedLog without_samples(const RecordedLog& log) {
   return out;
 }
 
-double rate_of(const Eigen::VectorXd& time) {
-  double least = 1e300;  // half of the samples are closer than twice the median
-  if (time.size() < 2) return 1.0;
-  least = median_period(time);
-  return 1.5 / std::max(least, 1e-6);
+double rate_of(const Eigen::VectorXd& time) {  // half of the samples are closer than twice the median
+  return time.size() < 2 ? 1.0 : 1.5 / std::max(median_period(time), 1e-6);
 }
 
 // All samples of a log in the order of time; `spans`: what was left out of it, read after every push, as memory for them is fixed.
-Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out,
-            std::vector<MaskedSpan>* spans) {
+Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate& out,
+            std::vector<MaskedSpan>& spans) {
   if (online.lag().streams() != log.motion.size()) return Status::wrong_size;
   if (const Status status = check_samples(online.lag().rig(), log); status != Status::ok) return status;
   std::vector<Eigen::Index> at(log.motion.size(), 0);
@@ -77,10 +74,9 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out,
   std::int64_t blocks = online.blocks();
   const auto note = [&](Status s, double t) {
     if (s != Status::ok && s != Status::not_finite) worst = s;
-    for (std::size_t i = 0; spans != nullptr && i < online.masked_spans(); ++i)
-      spans->push_back(online.masked_span(i));
+    for (std::size_t i = 0; i < online.masked_spans(); ++i) spans.push_back(online.masked_span(i));
     online.clear_masked();
-    if (out == nullptr || online.blocks() == blocks || !online.ready()) return;
+    if (online.blocks() == blocks || !online.ready()) return;
     blocks = online.blocks();
     time.push_back(t);
     const auto C = online.gain();
@@ -115,14 +111,12 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate* out,
     }
   }
   note(online.finish(), log.time.size() > 0 ? log.time[log.time.size() - 1] : 0.0);
-  if (out != nullptr) {
-    out->history_time.emplace_back(
-        Eigen::Map<const Eigen::VectorXd>(time.data(), static_cast<Eigen::Index>(time.size())));
-    RowMatrix all(static_cast<Eigen::Index>(gain.size()), gain.empty() ? 0 : gain[0].size());
-    for (std::size_t i = 0; i < gain.size(); ++i) all.row(static_cast<Eigen::Index>(i)) = gain[i].transpose();
-    out->history_gain.push_back(std::move(all));
-    out->tilts.push_back(std::move(tilts));
-  }
+  out.history_time.emplace_back(
+      Eigen::Map<const Eigen::VectorXd>(time.data(), static_cast<Eigen::Index>(time.size())));
+  RowMatrix all(static_cast<Eigen::Index>(gain.size()), gain.empty() ? 0 : gain[0].size());
+  for (std::size_t i = 0; i < gain.size(); ++i) all.row(static_cast<Eigen::Index>(i)) = gain[i].transpose();
+  out.history_gain.push_back(std::move(all));
+  out.tilts.push_back(std::move(tilts));
   return worst;
 }
 
@@ -174,7 +168,7 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     const std::int64_t before = online->samples();
     const int dropped = online->dropped();
     std::vector<MaskedSpan> spans;
-    const Status status = feed(*online, log, &out, &spans);
+    const Status status = feed(*online, log, out, spans);
     if (status != Status::ok) out.status = status;
     online->covariance();
     out.moments.emplace_back(online->moments().begin(),
@@ -256,31 +250,11 @@ void bind_incremental(nb::module_& m) {
             return out;
           },
           nb::arg("time"), nb::arg("raw"), nb::arg("R_sensor_root") = nb::none())
-      .def(
-          "feed", [](Incremental& self, const RecordedLog& log) { return feed(self, log, nullptr, nullptr); },
-          nb::arg("log"), nb::call_guard<nb::gil_scoped_release>(),
-          "All samples of a log in the order of time, and its end.")
       .def("finish", &Incremental::finish)
-      .def("next_root", &Incremental::next_root)
       .def("next_log",
            [](Incremental& self, const RecordedLog& about) { return self.next_log(without_samples(about)); })
-      .def_prop_ro("ready", &Incremental::ready)
-      .def_prop_ro("blocks", &Incremental::blocks)
-      .def_prop_ro("samples", &Incremental::samples)
-      .def_prop_ro("masked_samples", &Incremental::masked_samples)
-      .def_prop_ro("dropped", &Incremental::dropped)
-      .def_prop_ro("unresolved", &Incremental::unresolved)
       .def_prop_ro("status", [](const Incremental& self) { return self.status(); })
-      .def_prop_ro("spacing", &Incremental::spacing)
-      .def_prop_ro("theta", [](const Incremental& self) { return self.theta(); })
-      .def_prop_ro("gain", [](const Incremental& self) { return RowMatrix(self.gain()); })
-      .def_prop_ro("offset", [](const Incremental& self) { return Eigen::VectorXd(self.offset()); })
-      .def_prop_ro("covariance", [](Incremental& self) { return self.covariance(); })
-      .def_prop_ro("theta_covariance", [](Incremental& self) { return self.theta_covariance(); })
-      .def_prop_ro("moments", [](const Incremental& self) { return self.moments(); })
-      .def_prop_ro("pose", &Incremental::pose)
-      .def_prop_ro("sizes", [](const Incremental& self) { return self.sizes(); })
-      .def("agreement", &Incremental::agreement);
+      .def_prop_ro("gain", [](const Incremental& self) { return RowMatrix(self.gain()); });
   nb::class_<OnlineEstimate>(m, "OnlineEstimate", "What the estimator found as samples arrived.")
       .def_ro("status", &OnlineEstimate::status)
       .def_ro("theta", &OnlineEstimate::theta)

@@ -67,8 +67,7 @@ inline Status check(const EkfSettings& s) {
 struct EkfUpdate {
   Vector12 innovation = Vector12::Constant(std::numeric_limits<double>::quiet_NaN());  // NaN: no sample
   Matrix12 innovation_covariance = Matrix12::Identity();  // S; identity in the rows without a sample
-  double nis = 0.0;      // innovation^T S^-1 innovation: chi-square with degrees_of_freedom when consistent
-  double nis_raw = 0.0;  // the part of the channels alone; the rest is the twist's, given the channels
+  double nis = 0.0;  // innovation^T S^-1 innovation: chi-square with degrees_of_freedom when consistent
   int degrees_of_freedom = 0;  // the samples used, the expectation of `nis` when consistent
 };
 
@@ -146,7 +145,7 @@ class Ekf {
       last_.degrees_of_freedom += missing[i] ? 0 : 1;
       if (!missing[i] && !std::isfinite(last_.innovation(i))) return Status::not_finite;
     }
-    last_.nis = last_.nis_raw = 0.0;
+    last_.nis = 0.0;
     if (last_.degrees_of_freedom == 0) return Status::ok;
 
     mirror();
@@ -266,7 +265,6 @@ class Ekf {
       for (int k = 0; k < i; ++k) sum -= l(i, k) * z_[k];
       z_[i] = inverse_pivot(i) * sum;
       last_.nis += z_[i] * z_[i];
-      if (i == 5) last_.nis_raw = last_.nis;
     }
     for (int j = 0; j < stride; j += tile_columns) {
       whiten_rows<0>(l, inverse_pivot, j);

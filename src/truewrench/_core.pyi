@@ -229,10 +229,6 @@ class EkfRecord:
         """(N,) innovation^T S^-1 innovation."""
 
     @property
-    def nis_raw(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """(N,) the part of the channels; the rest is the twist's, given them."""
-
-    @property
     def degrees_of_freedom(self) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
         """(N,) samples used in each row."""
 
@@ -886,12 +882,6 @@ class Fit:
     def prior(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
 
     @property
-    def robust(self) -> bool: ...
-
-    @robust.setter
-    def robust(self, arg: bool, /) -> None: ...
-
-    @property
     def lagged(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]: ...
 
     @lagged.setter
@@ -905,9 +895,6 @@ class Fit:
 
     @property
     def converged(self) -> bool: ...
-
-    @property
-    def failed(self) -> bool: ...
 
     @property
     def mean(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
@@ -1117,64 +1104,15 @@ class Incremental:
 
     def push_raw(self, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], raw: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], R_sensor_root: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None) -> list[Status]: ...
 
-    def feed(self, log: RecordedLog) -> Status:
-        """All samples of a log in the order of time, and its end."""
-
     def finish(self) -> Status: ...
 
-    def next_root(self) -> Status: ...
-
     def next_log(self, arg: RecordedLog, /) -> Status: ...
-
-    @property
-    def ready(self) -> bool: ...
-
-    @property
-    def blocks(self) -> int: ...
-
-    @property
-    def samples(self) -> int: ...
-
-    @property
-    def masked_samples(self) -> int: ...
-
-    @property
-    def dropped(self) -> int: ...
-
-    @property
-    def unresolved(self) -> bool: ...
 
     @property
     def status(self) -> Status: ...
 
     @property
-    def spacing(self) -> float: ...
-
-    @property
-    def theta(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
-
-    @property
     def gain(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]: ...
-
-    @property
-    def offset(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
-
-    @property
-    def covariance(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]: ...
-
-    @property
-    def theta_covariance(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]: ...
-
-    @property
-    def moments(self) -> list[Moment]: ...
-
-    @property
-    def pose(self) -> PoseShare: ...
-
-    @property
-    def sizes(self) -> Sizes: ...
-
-    def agreement(self) -> Agreement: ...
 
 class OnlineEstimate:
     """What the estimator found as samples arrived."""
