@@ -100,7 +100,7 @@ def least_squares(
 
 def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array]:
     """Wrench (N, 6) with the sign of the rig and raw channels (N, n) of one log."""
-    time, raw, twist, gravity = _complete_rows(rig, log)
+    time, raw, twist, gravity = _complete_rows(log)
     wrenches, raws = [], []
     for piece in segments(time):
         t, nu, g = time[piece], twist[piece], gravity[piece]
@@ -120,7 +120,7 @@ def _regressors(rig: Rig, log: Log, smooth: str | None) -> tuple[Array, Array]:
     return np.concatenate(wrenches), np.concatenate(raws)
 
 
-def _complete_rows(rig: Rig, log: Log) -> tuple[Array, Array, Array, Array]:
+def _complete_rows(log: Log) -> tuple[Array, Array, Array, Array]:
     if log.twist is None:
         raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
     gravity = np.zeros((len(log.raw), 3)) if log.gravity is None else log.gravity

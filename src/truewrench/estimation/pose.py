@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
-from truewrench.model.arrays import Array, Mask
+from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import BlindTo
 
 FORCE = 1e-3  # fraction of range: the force that follows the pose whose effect is told
@@ -51,13 +51,9 @@ class DelayShare:
     slope: Array  # (6, 6) M of the regression dw/dt = M w + const [1/s]: the gain moves by -tau C M
 
 
-def pose_share(time: Array, twist: Array, wrench: Array, mask: Mask | None = None) -> PoseShare:
-    """A of (10.10) and E w w^T of one gap-free record: its twist (N, 6) and normalised wrench (N, 6).
-
-    Samples where the mask (N,) is True are left out.
-    """
-    used = slice(None) if mask is None else ~mask
-    return pooled_pose_share([pose_of_twist(time, twist)[used]], [wrench[used]])
+def pose_share(time: Array, twist: Array, wrench: Array) -> PoseShare:
+    """A of (10.10) and E w w^T of one gap-free record: its twist (N, 6) and normalised wrench (N, 6)."""
+    return pooled_pose_share([pose_of_twist(time, twist)], [wrench])
 
 
 def pooled_pose_share(poses: Sequence[Array], wrenches: Sequence[Array]) -> PoseShare:
@@ -98,10 +94,9 @@ def pose_about_mean(position: Array, rotation: Array) -> Array:
     return np.column_stack([_centred(position), (turned.mean().inv() * turned).as_rotvec()])
 
 
-def delay_share(time: Array, wrench: Array, mask: Mask | None = None) -> DelayShare:
+def delay_share(time: Array, wrench: Array) -> DelayShare:
     """What a delay looks like in one gap-free record; arguments as for `pose_share`."""
-    used = slice(None) if mask is None else ~mask
-    return pooled_delay_share([np.gradient(wrench, time, axis=0)[used]], [wrench[used]])
+    return pooled_delay_share([np.gradient(wrench, time, axis=0)], [wrench])
 
 
 def pooled_delay_share(rates: Sequence[Array], wrenches: Sequence[Array]) -> DelayShare:

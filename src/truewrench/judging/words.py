@@ -247,17 +247,12 @@ def _noise(
 ) -> Iterator[Assumed]:
     where, positions = log_name(logs, k), []
     for found in estimate.noise[k]:
-        what, stream = found.what, ""
-        if what.startswith("motion stream "):
-            number = int(what.rsplit(" ", 1)[-1]) - 1
-            stream = estimate.clocks[k][number].stream if number < len(estimate.clocks[k]) else ""
-            what = stream or what
-        if "positions" in (what.split(" ")[0], stream) and _positions_unstated(rig, logs[k]):
+        if found.what == "positions" and _positions_unstated(rig, logs[k]):
             positions.append(found.factor)
         elif not 1.0 / _core.NOISE_TOLD <= found.factor <= _core.NOISE_TOLD:
             kinds = (*[kind for kind in fast if found.factor > _core.NOISE_TOLD], "noise")
-            words = f"noise of the {plural(what)} is {found.factor:.2g} x the stated"
-            meaning = f"of the {plural(what)}, times the stated"
+            words = f"noise of the {plural(found.what)} is {found.factor:.2g} x the stated"
+            meaning = f"of the {plural(found.what)}, times the stated"
             yield Assumed(_what(kinds[-MOST:], meaning), where, found.factor, None, words)
     if positions:
         value = FIRST_POSITION_NOISE * max(positions)

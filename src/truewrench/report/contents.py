@@ -59,7 +59,7 @@ def sections(calibration: Calibration, evidence: Evidence) -> list[Section]:
         _improvement(calibration),
         _limits(calibration),
         _wrench(record),
-        _residuals(calibration, record),
+        _residuals(record),
         _noise(record),
         _consistency(calibration, evidence, record),
         _excitation(calibration, record),
@@ -150,7 +150,7 @@ def _wrench(record: Record) -> Section:
     return Section("wrench", title, words, (), figures, time_axis=record.end)
 
 
-def _residuals(c: Calibration, record: Record) -> Section:
+def _residuals(record: Record) -> Section:
     title = "Residuals over time"
     if record.none_because:
         return Section("residuals", title, (f"No residuals: {record.none_because}.",))
