@@ -41,10 +41,8 @@ def test_assumptions_are_fractions_of_each_channels_range(settings: dict[str, An
     root = np.sqrt([1.5, 1.5, 0.4])
     inertia = 1e-2 * np.array([1.5, 1.5, 0.4, root[0] * root[1], root[0] * root[2], root[1] * root[2]])
     np.testing.assert_allclose(assumed.body_prior[0], [1e-3, 5e-4, 5e-4, 5e-4, *inertia])
-    named = assumed.to_mapping()
-    assert named["range"] == [500.0, 500.0, 500.0, 50.0, 50.0, 50.0]
-    assert "position_noise" not in named
-    assert {line.unit for line in assumed.lines() if line.name == "tilt_prior"} == {"rad"}
+    np.testing.assert_array_equal(assumed.range, [500.0, 500.0, 500.0, 50.0, 50.0, 50.0])
+    assert assumed.position_noise is None
 
 
 def test_stated_filter_moves_the_means_of_the_clock(settings: dict[str, Any]) -> None:

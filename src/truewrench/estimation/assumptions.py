@@ -5,9 +5,8 @@ Channels are fractions of R_i = |nominal_i| @ range, wrench axes of range_j (doc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,75 +24,36 @@ _KAPPA_FILTER, _GAMMA_FILTER = 0.0, 1.0  # of a first-order filter of the sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Assumption:
-    """One line of what an estimate assumed, for people: `value` is a number, an array or text."""
-
-    name: str
-    value: Any
-    unit: str
-    meaning: str
-
-
-def _told(unit: str, meaning: str) -> dict[str, str]:
-    return {"unit": unit, "meaning": meaning}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Assumptions:
     """Numbers that an estimate of n channels assumes; a sigma of 0 holds a parameter at its mean."""
 
-    channel_scale: Array = field(
-        metadata=_told("raw units", "(n,) R_i = |nominal_i| @ range: full scale of a channel")
-    )
-    range: Array = field(metadata=_told("N, N m", "(6,) full scale of a wrench axis"))
-    sign: int = field(metadata=_told("1", "of the wrench: +1 where the sensor feels the payload's reaction"))
-    nominal: Array = field(metadata=_told("1", "(n, 6) nominal gain, nominal_ij range_j / R_i: mean of C"))
-    gain_prior: float = field(metadata=_told("1", "1 sigma of every gain's departure from nominal"))
-    noise: Array = field(
-        metadata=_told("fraction of range", "(n,) 1 sigma of a sample of a channel; a factor is found")
-    )
-    offset_prior: Array = field(metadata=_told("fraction of range", "(n,) 1 sigma of b"))
-    pool_offsets: bool = field(metadata=_told("", "one offset for all logs"))
-    slope_prior: float = field(
-        metadata=_told("fraction of range / K", "1 sigma of the offset's slope with temperature")
-    )
-    reference_temperature: float = field(metadata=_told("degC", "at which the offset is told"))
-    gravity: Array = field(metadata=_told("m/s^2", "(3,) free fall in the root frame"))
-    tilt_prior: float = field(metadata=_told("rad", "1 sigma of the direction of gravity about two axes"))
-    bodies: tuple[str, ...] = field(metadata=_told("", "names of the payloads, in the order of body_prior"))
-    body_prior: tuple[Array, ...] = field(
-        metadata=_told(
-            "1, m, kg m^2", "(10,) a payload: 1 sigma of log mass, centre of mass, inertia xx yy zz xy xz yz"
-        )
-    )
-    time_offset_prior: float = field(
-        metadata=_told("s", "1 sigma of s = -time_offset of a stream; data may show more")
-    )
-    clock_mean: float = field(metadata=_told("s", "s_0: how late the sensor is against the motion"))
-    kappa_mean: float = field(metadata=_told("1", "of (10.4): 1/2 a clock, 0 a filter of the sensor"))
-    gamma_mean: float = field(metadata=_told("1", "of (10.5): 1 where the sensor alone is late"))
-    motion_noise: Array | None = field(
-        metadata=_told(
-            "m/s, rad/s",
-            "1 sigma of a sample: (6,) of the twist, of a joint's velocity, (3,) of an IMU's Omega",
-        )
-    )
-    position_noise: Array | None = field(
-        metadata=_told("rad, m", "1 sigma of a joint's position; a factor is found")
-    )
-    position_noise_found: bool = field(
-        metadata=_told("", "position_noise is not stated, but where its search begins")
-    )
-    acceleration_noise: Array | None = field(
-        metadata=_told(
-            "m/s^2, rad/s^2", "1 sigma of a sample: (6,) of the twist's derivative, or (3,) of specific force"
-        )
-    )
-    accelerometer_bias_prior: float = field(metadata=_told("m/s^2", "1 sigma of each axis' constant error"))
-    gyro_bias_prior: float = field(metadata=_told("rad/s", "1 sigma of each axis' constant error"))
-    discrepancy: float = field(
-        metadata=_told("fraction of range", "-1: found; 0: none; f: at least so much (10.10)")
-    )
+    channel_scale: Array  # (n,) R_i = |nominal_i| @ range: full scale of a channel [raw units]
+    range: Array  # (6,) full scale of a wrench axis [N, N m]
+    sign: int  # of the wrench: +1 where the sensor feels the payload's reaction
+    nominal: Array  # (n, 6) nominal gain, nominal_ij range_j / R_i: mean of C
+    gain_prior: float  # 1 sigma of every gain's departure from nominal
+    noise: Array  # (n,) 1 sigma of a sample of a channel, fraction of range; a factor is found
+    offset_prior: Array  # (n,) 1 sigma of b, fraction of range
+    pool_offsets: bool  # one offset for all logs
+    slope_prior: float  # 1 sigma of the offset's slope with temperature [fraction of range / K]
+    reference_temperature: float  # [degC] at which the offset is told
+    gravity: Array  # (3,) free fall in the root frame [m/s^2]
+    tilt_prior: float  # 1 sigma of the direction of gravity about two axes [rad]
+    bodies: tuple[str, ...]  # names of the payloads, in the order of body_prior
+    # (10,) a payload: 1 sigma of log mass, centre of mass [m], inertia xx yy zz xy xz yz [kg m^2]
+    body_prior: tuple[Array, ...]
+    time_offset_prior: float  # 1 sigma of s = -time_offset of a stream [s]; data may show more
+    clock_mean: float  # s_0: how late the sensor is against the motion [s]
+    kappa_mean: float  # of (10.4): 1/2 a clock, 0 a filter of the sensor
+    gamma_mean: float  # of (10.5): 1 where the sensor alone is late
+    # 1 sigma of a sample: (6,) of the twist, of a joint's velocity, (3,) of an IMU's Omega [m/s, rad/s]
+    motion_noise: Array | None
+    position_noise: Array | None  # 1 sigma of a joint's position [rad, m]; a factor is found
+    # 1 sigma of a sample: (6,) of the twist's derivative, or (3,) of specific force [m/s^2, rad/s^2]
+    acceleration_noise: Array | None
+    accelerometer_bias_prior: float  # 1 sigma of each axis' constant error [m/s^2]
+    gyro_bias_prior: float  # the same of a gyroscope [rad/s]
+    discrepancy: float  # fraction of range; -1: found; 0: none; f: at least so much (10.10)
 
     @classmethod
     def of(cls, rig: Rig, logs: Sequence[Log]) -> Assumptions:
@@ -106,9 +66,8 @@ class Assumptions:
         clock, kappa, gamma = 0.0, _KAPPA_CLOCK, _GAMMA_CLOCK
         if sensor.lowpass_hz is not None:
             clock, kappa, gamma = 1.0 / (2.0 * np.pi * sensor.lowpass_hz), _KAPPA_FILTER, _GAMMA_FILTER
-        position, found, acceleration = None, False, _array(motion.acceleration_noise)
+        position, acceleration = None, _array(motion.acceleration_noise)
         if motion.source == "joints":
-            found = motion.position_noise is None and any(log.position is not None for log in logs)
             if motion.position_noise is not None:
                 position = np.array(motion.position_noise)
             elif motion.noise is not None:
@@ -136,7 +95,6 @@ class Assumptions:
             if motion.noise is None
             else motion.noise_array * growth_of(logs, "twist", "velocity", "angular_velocity"),
             position_noise=position,
-            position_noise_found=found,
             acceleration_noise=None
             if acceleration is None
             else acceleration * growth_of(logs, "specific_force"),
@@ -148,19 +106,6 @@ class Assumptions:
     def body(self, payload: str) -> int:
         """Where a payload stands in `body_prior`."""
         return self.bodies.index(payload)
-
-    def lines(self) -> list[Assumption]:
-        """All of them, what is not assumed left out."""
-        values = [(f, getattr(self, f.name)) for f in fields(self)]
-        return [
-            Assumption(f.name, value, f.metadata["unit"], f.metadata["meaning"])
-            for f, value in values
-            if value is not None
-        ]
-
-    def to_mapping(self) -> Mapping[str, Any]:
-        """Plain numbers and lists by name."""
-        return {line.name: _plain(line.value) for line in self.lines()}
 
 
 def statement(assumptions: Assumptions) -> _core.Statement:
@@ -207,9 +152,3 @@ def _slope_prior(rig: Rig, logs: Sequence[Log]) -> float:
 
 def _array(values: Sequence[float] | None) -> Array | None:
     return None if values is None else np.array(values)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return [_plain(one) for one in value] if isinstance(value, tuple) else value
