@@ -75,6 +75,7 @@ void bind_record(nb::module_& m) {
       .def_rw("own_roots", &RecordedLog::own_roots)
       .def_rw("temperature", &RecordedLog::temperature)
       .def_rw("motion", &RecordedLog::motion)
+      .def("__copy__", [](const RecordedLog& log) { return log; })
       .def(
           "set_chain",
           [](RecordedLog& log, const Chain& chain, std::optional<nb::callable> carried, bool gravity) {

@@ -617,6 +617,8 @@ class RecordedLog:
     @motion.setter
     def motion(self, arg: Sequence[MotionStream], /) -> None: ...
 
+    def __copy__(self) -> RecordedLog: ...
+
     def set_chain(self, chain: Chain, carried: Callable[..., object] | None, gravity: bool) -> None:
         """
         The arm of a mapped motion; `carried`: of times (K,) what `Chain.motion` takes of its root, or None.

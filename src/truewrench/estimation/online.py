@@ -1,6 +1,7 @@
 """The estimate as samples arrive (METHOD 10.6), in the terms of the one that looks at the whole record."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,12 +9,6 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.model.arrays import Array, Integers
-
-# of a record, but for its motion
-_FIELDS = (
-    "source", "payload", "point", "body", "offset_knots", "offset_walk", "time", "raw", "R_sensor_root",
-    "own_roots", "temperature",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,10 +48,7 @@ class OnlineFound:
 
 def _at_clocks(record: Any, clocks: Array) -> Any:
     """A record whose clocks are expected where they were found: by these its velocities tell the motion."""
-    out = _core.RecordedLog()
-    for name in _FIELDS:
-        setattr(out, name, getattr(record, name))
-    streams = record.motion
+    out, streams = copy(record), record.motion
     for stream, s in zip(streams, clocks, strict=True):
         stream.clock_mean = float(s)
     out.motion = streams
