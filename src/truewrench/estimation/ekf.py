@@ -26,9 +26,7 @@ class EkfEstimate:
 
     gain: Array  # (6, 6)
     covariance: Array  # (42, 42) of [gain row by row, offset of the last log]
-    offset: Array  # (6,) of the last log
     offsets: Array  # (L, 6), one per log
-    offsets_std: Array  # (L, 6)
     samples: Integers  # (L,) rows with a sample of either stream
     history_time: Array  # (M,) since the first row of its log [s]
     history_log: Integers  # (M,) which log it belongs to
@@ -63,16 +61,15 @@ def estimate_ekf(
     with_offset = bool(rig.sensor.offset_prior_array.any())
 
     records: list[_core.EkfRecord] = []
-    offsets, offsets_std = np.zeros((len(logs), 6)), np.zeros((len(logs), 6))
+    offsets = np.zeros((len(logs), 6))
     for k, log in enumerate(logs):
         if k > 0:
             _carry_over(rig, records[-1], settings)
         records.append(_run(rig, log, settings, with_offset, history_every))
         if with_offset:
             offsets[k] = records[-1].state[48:]
-            offsets_std[k] = np.sqrt(np.diag(records[-1].covariance)[48:])
     if rig.sensor.pool_offsets:
-        offsets[:], offsets_std[:] = offsets[-1], offsets_std[-1]
+        offsets[:] = offsets[-1]
     last = records[-1]
     covariance = np.zeros((42, 42))
     parameters = last.state.size - 12
@@ -80,9 +77,7 @@ def estimate_ekf(
     return EkfEstimate(
         gain=last.state[12:48].reshape(6, 6).copy(),
         covariance=covariance,
-        offset=offsets[-1].copy(),
         offsets=offsets,
-        offsets_std=offsets_std,
         samples=np.array([np.count_nonzero(r.degrees_of_freedom) for r in records], dtype=np.int64),
         history_time=np.concatenate([log.time[r.history_row] for log, r in zip(logs, records, strict=True)]),
         history_log=np.repeat(np.arange(len(logs)), [r.history_row.size for r in records]),

@@ -29,7 +29,6 @@ class LeastSquaresEstimate:
 
     gain: Array  # (n, 6)
     covariance: Array  # (7n, 7n) of [gain row by row, offset of the last log]: that of the sensor noise alone
-    offset: Array  # (n,) of the last log
     offsets: Array  # (L, n), one per log
     chi_square: Array  # (n,) residual chi-square per degree of freedom of each channel
     samples: Integers  # (L,) rows used of each log
@@ -91,7 +90,6 @@ def least_squares(
     return LeastSquaresEstimate(
         gain=gain * unit,
         covariance=covariance * units[:, None] * units,
-        offset=in_si[-1],
         offsets=np.broadcast_to(in_si, (len(logs), n)).copy(),
         chi_square=chi_square,
         samples=samples,

@@ -22,7 +22,6 @@ class SmoothTwist:
     twist: Array  # (N, 6)
     acceleration: Array  # (N, 6) its component-wise derivative
     spacing: Array  # (6,) of the knots [s]
-    chi_square: Array  # (6,) of the residuals, per degree of freedom
 
 
 def segments(time: Array, shortest: float = 0.0) -> list[slice]:
@@ -45,10 +44,9 @@ def smooth_twist(time: Array, twist: Array, noise: Array) -> SmoothTwist:
     """
     fits = [_fit(time, y, sigma) for y, sigma in zip(twist.T, noise, strict=True)]
     return SmoothTwist(
-        np.column_stack([spline(time) for spline, _, _ in fits]),
-        np.column_stack([spline(time, nu=1) for spline, _, _ in fits]),
-        np.array([(time[-1] - time[0]) / intervals for _, intervals, _ in fits]),
-        np.array([chi_square for _, _, chi_square in fits]),
+        np.column_stack([spline(time) for spline, _ in fits]),
+        np.column_stack([spline(time, nu=1) for spline, _ in fits]),
+        np.array([(time[-1] - time[0]) / intervals for _, intervals in fits]),
     )
 
 
@@ -67,7 +65,7 @@ def uniform_spline(time: Array, values: Array, intervals: int) -> BSpline:
         return make_lsq_spline(time, values, knots, k=DEGREE, method="qr")
 
 
-def _fit(time: Array, values: Array, sigma: float) -> tuple[BSpline, int, float]:
+def _fit(time: Array, values: Array, sigma: float) -> tuple[BSpline, int]:
     finest = max(1, int(time.size / _SAMPLES_PER_COEFFICIENT) - DEGREE)
     intervals = 1
     while True:
@@ -75,5 +73,5 @@ def _fit(time: Array, values: Array, sigma: float) -> tuple[BSpline, int, float]
         freedom = time.size - intervals - DEGREE
         chi_square = float(np.sum(((values - spline(time)) / sigma) ** 2) / freedom)
         if intervals == finest or chi_square < 1.0 + 3.0 * np.sqrt(2.0 / freedom):
-            return spline, intervals, chi_square
+            return spline, intervals
         intervals = min(finest, max(intervals + 1, int(np.ceil(intervals * 4 / 3))))

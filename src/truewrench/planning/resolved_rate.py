@@ -43,7 +43,6 @@ class FollowedTwist:
     twist: Array  # (N, 6) of the sensor's origin half-way to the next time, sensor axes [m/s, rad/s]
     twist_error: Array  # (N, 6) `twist` less the plan's
     position_error: Array  # (N,) distance of the sensor from its planned place [m]
-    attitude_error: Array  # (N,) angle to its planned attitude [rad]
 
 
 def limits_of(rig: Rig) -> JointLimits:
@@ -123,7 +122,6 @@ def follow_twist(
         twist=np.vstack([twist, rest]),
         twist_error=np.vstack([twist - wanted, rest]),
         position_error=np.linalg.norm(error[:, :3], axis=1),
-        attitude_error=np.linalg.norm(error[:, 3:], axis=1),
     )
 
 

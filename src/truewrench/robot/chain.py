@@ -17,7 +17,6 @@ class SensorMotion:
     """How the sensor frame moves, in N rows, sensor axes."""
 
     twist: Array  # (N, 6) of its origin [m/s, rad/s]
-    acceleration: Array  # (N, 6) its component-wise derivative
     R_sensor_inertial: Array  # (N, 3, 3)
     jacobian: Array  # (N, 6, n) J of nu = J qd, the base at rest
     jacobian_rate: Array  # (N, 6, n) Jdot, its component-wise derivative: a = J qdd + Jdot qd
@@ -33,18 +32,15 @@ def chain_of(robot: Robot) -> _core.Chain:
     return _core.Chain(np.ascontiguousarray(xi.T), placement.rotation, placement.translation)
 
 
-def sensor_motion(
-    chain: _core.Chain, base: BasePath, time: Array, q: Array, qd: Array, qdd: Array | None = None
-) -> SensorMotion:
+def sensor_motion(chain: _core.Chain, base: BasePath, time: Array, q: Array, qd: Array) -> SensorMotion:
     """The motion of the sensor frame at times (N,) [s] of joints (N, n) and their derivatives."""
     n, parts = chain.joints, []
     for begin in range(0, max(1, len(q)), _CHUNK):
         rows = slice(begin, begin + _CHUNK)
-        third = np.zeros_like(qd[rows]) if qdd is None else qdd[rows]
-        nu, a, R, found = chain.motion(q[rows], qd[rows], third, *base.carried(time[rows]))
+        nu, _, R, found = chain.motion(q[rows], qd[rows], np.zeros_like(qd[rows]), *base.carried(time[rows]))
         by = found.reshape(-1, 2, 6, 3, n)  # of nu and a, by q, qd and qdd
         # d nu / d q_i = [nu of the links before i, J_i], and d a / d qd_i is that and Jdot_i
         parts.append(
-            SensorMotion(nu, a, R.reshape(-1, 3, 3), by[:, 0, :, 1].copy(), by[:, 1, :, 1] - by[:, 0, :, 0])
+            SensorMotion(nu, R.reshape(-1, 3, 3), by[:, 0, :, 1].copy(), by[:, 1, :, 1] - by[:, 0, :, 0])
         )
     return SensorMotion(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(SensorMotion)))

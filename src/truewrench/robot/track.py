@@ -207,9 +207,7 @@ def _reference(rig: Rig, chain: _core.Chain, base: BasePath, log: Log, fit: Join
     knots = np.concatenate([np.full(5, fit.begin), breakpoints, np.full(5, fit.end)])
     sites = np.array([knots[k + 1 : k + 6].mean() for k in range(count + 5)])  # Greville's
     sites[[0, -1]] = fit.begin, fit.end
-    moving = sensor_motion(
-        chain, base, sites, fit.position(sites), fit.velocity(sites), fit.acceleration(sites)
-    )
+    moving = sensor_motion(chain, base, sites, fit.position(sites), fit.velocity(sites))
     time = np.linspace(fit.begin, fit.end, _FALLS * count + 1)
     fall = None
     if rig.in_gravity:

@@ -12,11 +12,10 @@ from truewrench.tool.poses import Poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recipe:
-    """Mass, mass times centre of mass, and offsets in units of the wrench."""
+    """Mass and mass times centre of mass."""
 
     mass: float  # [kg], of either sign
     moment: Array  # (3,) mass times centre of mass [kg m]
-    offset: Array  # (6,) [N, N m]
     residual: Array  # (T, 6) of all poses [N, N m]
 
     @property
@@ -41,4 +40,4 @@ def recipe(rig: Rig, poses: Poses, chosen: Integers) -> Recipe:
     found: Array = np.asarray(
         np.linalg.lstsq(rows, (wrench[chosen] * weight).ravel(), rcond=1e-9)[0], dtype=np.float64
     )
-    return Recipe(float(found[0]), found[1:4], found[4:], wrench - A @ found)
+    return Recipe(float(found[0]), found[1:4], wrench - A @ found)
