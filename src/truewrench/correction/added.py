@@ -15,14 +15,10 @@ from truewrench.model.errors import InputError
 Added = Iterator[tuple[Chunk, Array]]  # chunks in their order, with their cells (rows, columns); NaN is empty
 
 
-def check_other(output: str | Path, log: Path) -> None:
-    """Refuse an output that is the log itself."""
-    if Path(output).exists() and Path(output).samefile(log):
+def check_added(output: str | Path, table: Table, columns: Sequence[str] = ()) -> None:
+    """Refuse an output that is the log itself, and a log that has one of the columns already."""
+    if Path(output).exists() and Path(output).samefile(table.path):
         raise InputError.at(output, "", "the log itself", "another file to write")
-
-
-def check_absent(table: Table, columns: Sequence[str]) -> None:
-    """Refuse a log that has one of the columns already."""
     for name in columns:
         if name in table.names:
             expected = "a log without it"
@@ -50,17 +46,11 @@ def _lines(table: CsvTable, columns: Sequence[str], added: Added) -> Iterator[by
     yield table.header + b"," + ",".join(columns).encode() + table.newline
     for chunk, cells in added:
         assert isinstance(chunk, CsvChunk)
-        new = _as_csv(cells)
+        batch = pa.RecordBatch.from_arrays([pa.array(x, from_pandas=True) for x in cells.T], list(columns))
+        sink = pa.BufferOutputStream()
+        pacsv.write_csv(batch, sink, pacsv.WriteOptions(include_header=False))
+        new = sink.getvalue().to_pybytes().splitlines()
         yield b"".join(a + b"," + b + table.newline for a, b in zip(chunk.lines, new, strict=True))
-
-
-def _as_csv(cells: Array) -> list[bytes]:
-    names = [str(j) for j in range(cells.shape[1])]
-    batch = pa.RecordBatch.from_arrays([pa.array(column, from_pandas=True) for column in cells.T], names)
-    sink = pa.BufferOutputStream()
-    pacsv.write_csv(batch, sink, pacsv.WriteOptions(include_header=False))
-    lines: list[bytes] = sink.getvalue().to_pybytes().split(b"\n")
-    return lines[:-1]
 
 
 def _batches(columns: Sequence[str], added: Added) -> Iterator[pa.RecordBatch]:

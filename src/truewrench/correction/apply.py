@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from truewrench import _core
-from truewrench.correction.added import Added, check_absent, check_other, write_added
+from truewrench.correction.added import Added, check_added, write_added
 from truewrench.correction.warmth import Warmth
 from truewrench.io.cells import numbers
 from truewrench.io.table import Chunk, Table
@@ -46,7 +46,7 @@ def apply(
     """
     source = named_payload(log, calibration.rig)[0]
     run = Run(calibration, source, output, progress)
-    check_absent(run.table, NEW_COLUMNS)
+    check_added(output, run.table, NEW_COLUMNS)
     write_added(output, run.table, NEW_COLUMNS, run.read, run.added)
     return run.applied
 
@@ -62,7 +62,7 @@ class Run:
         progress: Callable[[int], object] | None,
     ) -> None:
         self.table: Table = open_table(source, calibration.rig, whole=False)
-        check_other(output, source)
+        check_added(output, self.table)
         self._rows = 0
         self._corrected = 0
         self._corrector = corrector(calibration, source)

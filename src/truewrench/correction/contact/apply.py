@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from truewrench.correction.added import Added, check_absent, check_other, write_added
+from truewrench.correction.added import Added, check_added, write_added
 from truewrench.correction.contact.run import (
     CAPACITY,
     DELAY,
@@ -76,8 +76,7 @@ def apply_contact(
     """
     source = named_payload(log, tool.rig)[0]
     table: Table = open_table(source, tool.rig)
-    check_other(output, source)
-    check_absent(table, NEW_COLUMNS)
+    check_added(output, table, NEW_COLUMNS)
     run = ContactRun(tool, table.names, calibration=calibration, delay=delay, view=view, place=source)
     done = _Pass(table, run, tool.n, progress)
     if Path(output).suffix.lower() == ".mcap":
