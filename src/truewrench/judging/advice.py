@@ -6,6 +6,7 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimation.estimate import Estimate
+from truewrench.judging.words import listed
 from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
 
@@ -87,7 +88,7 @@ def _words(estimate: Estimate, rig: Rig, factors: dict[str, float], payload: str
             )
     if not causes:
         return ""
-    return f"limited by {_listed(causes)}: {_listed(cures)} would do"
+    return f"limited by {listed(causes, 'and')}: {listed(cures, 'and')} would do"
 
 
 _PAYLOAD = {
@@ -117,7 +118,3 @@ def _two_digits(value: float, *, up: bool) -> str:
     scaled = value * 10.0**digits
     rounded = (math.ceil(scaled * (1.0 - 1e-9)) if up else math.floor(scaled * (1.0 + 1e-9))) / 10.0**digits
     return f"{rounded:.{max(digits, 0)}f}".rstrip("0").rstrip(".") if digits > 0 else f"{rounded:.0f}"
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -121,9 +121,9 @@ def log_name(logs: Sequence[Log], k: int) -> str:
     return number if path is None else f"{number} ({path.name})"
 
 
-def listed(kinds: Sequence[str]) -> str:
+def listed(words: Sequence[str], last: str = "or") -> str:
     """`hysteresis, cable or drift`."""
-    return kinds[0] if len(kinds) == 1 else f"{', '.join(kinds[:-1])} or {kinds[-1]}"
+    return f" {last} ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _likeliest(looks: Sequence[Looks]) -> tuple[str, ...]:

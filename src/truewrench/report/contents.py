@@ -8,6 +8,7 @@ from bokeh.plotting import figure
 
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
+from truewrench.judging.words import listed
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, UNDETERMINED, Calibration
 from truewrench.model.calibration_parts import UNITS
@@ -89,7 +90,7 @@ def _improvement(c: Calibration) -> Section:
         why = none_because or "this estimator is a reference, and is not judged by held-out data"
         return Section("improvement", "What improves", (f"Nominal and new gain were not compared: {why}.",))
     better, worse = (
-        findings.axes_listed([a for a, judged in c.improvement.items() if judged.better is so]) or "none"
+        listed([a for a, judged in c.improvement.items() if judged.better is so], "and") or "none"
         for so in (True, False)
     )
     words = [f"The new gain is better on {better}, and worse on {worse}."]

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from truewrench import _core
+from truewrench.judging.words import listed
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.report.consistency import CHANCE, Consistency
 from truewrench.report.convergence import Convergence
@@ -57,7 +58,7 @@ def helps(calibration: Calibration) -> Iterator[str]:
     worse = [axis for axis, judged in c.improvement.items() if judged.better is False and judged.held_out]
     if worse:
         yield (
-            f"On {axes_listed(worse)} the nominal gain is better: check mass and centre of mass of the "
+            f"On {listed(worse, 'and')} the nominal gain is better: check mass and centre of mass of the "
             "payload, and that nothing touches it."
         )
     if any(not p >= _AGREE for p in (c.figures.get("parts_agree") or {}).values()):
@@ -125,7 +126,7 @@ def spectrum_words(found: Spectrum) -> str:
     for where, words in ((raised, slow), (peaks, sharp)):
         if np.any(where):
             names = [axis for axis, shows in zip(AXES, where, strict=True) if shows]
-            return f"{axes_listed(names)}: more than the expected noise {words}."
+            return f"{listed(names, 'and')}: more than the expected noise {words}."
     return "All axes lie along 1: the noise is as large and as white as expected."
 
 
@@ -163,8 +164,3 @@ def convergence_words(found: Convergence, calibration: Calibration) -> str:
     rest = "; the rest comes from what else is uncertain, and a longer record would hardly help"
     known = rest if len(calibration.figures.get("limited_by") or {}) > 1 else ""
     return f"{words} With the motion (or reference) known, noise alone would leave {noise:.2g} %{known}."
-
-
-def axes_listed(names: list[str]) -> str:
-    """`fx, fy and fz`."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
