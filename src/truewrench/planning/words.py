@@ -3,11 +3,10 @@
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from rich import box
 from rich.console import RenderableType
-from rich.table import Table
 from rich.text import Text
 
+from truewrench.io.terminal import titled_table, verdict_text
 from truewrench.model.calibration_parts import AXES
 from truewrench.planning.result import Plan
 
@@ -30,14 +29,7 @@ def plan_words(plan: Plan) -> Iterator[RenderableType]:
 
 def verdict_words(feasible: bool, within: str, reasons: Iterable[str], notes: Iterable[str]) -> Text:
     """What every plan says first: `within` where it is feasible, why not where it is not, and its notes."""
-    text = Text()
-    if feasible:
-        text.append("FEASIBLE", style="bold green")
-        text.append(f": {within}")
-    else:
-        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
-    for reason in reasons:
-        text.append(f"\n  - {reason}")
+    text = verdict_text(feasible, "FEASIBLE", f": {within}", reasons)
     for note in notes:
         text.append(f"\nNote: {note}")
     return text
@@ -71,24 +63,17 @@ def _hidden(plan: Plan) -> str:
 def _sigma(plan: Plan) -> RenderableType:
     found = plan.prediction
     assert found is not None
-    table = _table("Predicted 1 sigma, % of full scale", ["channel", *AXES])
+    table = titled_table("Predicted 1 sigma, % of full scale", ["channel", *AXES])
     for channel, row in zip(plan.rig.sensor.channels, found.std, strict=True):
         table.add_row(Text(channel), *(f"{100 * s:.2g}" for s in row))
     return table
 
 
 def _limits(plan: Plan) -> RenderableType:
-    table = _table("Limits used most", ["limit", "of", "used", "reached", "allowed", "at"])
+    table = titled_table("Limits used most", ["limit", "of", "used", "reached", "allowed", "at"])
     for use in sorted(plan.usage, key=lambda use: -use.share)[:_SHOWN]:
         share = f"{100 * use.share:.4g} %" if np.isfinite(use.share) else "-"
         table.add_row(
             use.limit, Text(use.axis), share, f"{use.value:.4g}", f"{use.bound:.4g}", f"{use.time:.2f} s"
         )
-    return table
-
-
-def _table(title: str, columns: list[str]) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
-    for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left", no_wrap=True)
     return table

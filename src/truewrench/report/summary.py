@@ -4,12 +4,11 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from rich import box
 from rich.console import Console, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from truewrench.io.exports import Exports
+from truewrench.io.terminal import titled_table, verdict_text
 from truewrench.judging.validation import Validation
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, Calibration, LogReport
@@ -65,14 +64,8 @@ def calibration_summary(calibration: Calibration) -> Iterator[RenderableType]:
 
 def _verdict(calibration: Calibration) -> RenderableType:
     verdict = calibration.verdict
-    text = Text()
-    if verdict.usable:
-        text.append("USABLE", style="bold green")
-        text.append(": gain and offset may be used as they stand.")
-    else:
-        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
-    for reason in verdict.reasons:
-        text.append(f"\n  - {reason}")
+    may = ": gain and offset may be used as they stand."
+    text = verdict_text(verdict.usable, "USABLE", may, verdict.reasons)
     unfit = [axis for axis, fit in calibration.axes.items() if not fit]
     if unfit:
         text.append(f"\nAxes that may not be used: {', '.join(unfit)}.")
@@ -107,16 +100,8 @@ def _items(title: str, lines: Sequence[str]) -> RenderableType:
     return Text("\n  - ".join([title, *lines[:FEW], *more]))
 
 
-def _table(title: str, columns: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column(columns[0], overflow="fold")
-    for column in columns[1:]:
-        table.add_column(column, justify="right", no_wrap=True)
-    return table
-
-
 def _gain(calibration: Calibration, axes: Sequence[str]) -> RenderableType:
-    table = _table(f"Gain, raw per {UNITS[axes[0]]} (± 1 sigma)", ["channel", *axes])
+    table = titled_table(f"Gain, raw per {UNITS[axes[0]]} (± 1 sigma)", ["channel", *axes])
     columns = [AXES.index(axis) for axis in axes]
     for i, channel in enumerate(calibration.rig.sensor.channels):
         cells = [with_uncertainty(calibration.gain[i, j], calibration.gain_std[i, j]) for j in columns]
@@ -129,7 +114,7 @@ def _gain(calibration: Calibration, axes: Sequence[str]) -> RenderableType:
 
 
 def _offset(calibration: Calibration) -> RenderableType:
-    table = _table("Offset, raw (± 1 sigma)", ["channel", "at the end of the last log"])
+    table = titled_table("Offset, raw (± 1 sigma)", ["channel", "at the end of the last log"])
     for i, channel in enumerate(calibration.rig.sensor.channels):
         table.add_row(Text(channel), with_uncertainty(calibration.offset[i], calibration.offset_std[i]))
     return table
@@ -141,7 +126,7 @@ def _improvement(calibration: Calibration) -> RenderableType:
     why = calibration.figures.get("held_out", {}).get("none_because")
     if why:
         data += f": {why}"
-    table = _table(f"RMS error on {data}", ["axis", "nominal gain", "new gain", "better"])
+    table = titled_table(f"RMS error on {data}", ["axis", "nominal gain", "new gain", "better"])
     words = {True: "yes", False: "no", "unsure": "unsure"}
     for name, axis in calibration.improvement.items():
         unit = UNITS.get(name, "")
@@ -164,14 +149,14 @@ def _limits(calibration: Calibration) -> RenderableType:
     """What each source of uncertainty contributes to the gains on a wrench axis."""
     sources = calibration.figures["limited_by"]
     names = [name.replace("_", " ").replace("center", "centre") for name in sources]
-    table = _table("What limits the accuracy (1 sigma, % of range)", ["axis", *names])
+    table = titled_table("What limits the accuracy (1 sigma, % of range)", ["axis", *names])
     for axis in AXES:
         table.add_row(axis, *(f"{100 * by_axis[axis]:.2g}" for by_axis in sources.values()))
     return table
 
 
 def _logs(calibration: Calibration) -> RenderableType:
-    table = _table("Logs", ["path", "payload", "samples used", "left out"])
+    table = titled_table("Logs", ["path", "payload", "samples used", "left out"])
     for log in calibration.logs:
         reasons = {**log.masked, **log.rejected}
         left_out = ", ".join(f"{count} ({reason})" for reason, count in reasons.items() if count) or "none"
@@ -213,16 +198,9 @@ def _largest(error: Array) -> str:
 
 def validation_summary(validation: Validation) -> Iterator[RenderableType]:
     """The verdict first, then the axes, and what the comparison rests on."""
-    text = Text()
-    if validation.verdict.usable:
-        better = [name for name, axis in validation.axes.items() if axis.better is True]
-        text.append("HOLDS", style="bold green")
-        text.append(f": better than the nominal gain on {', '.join(better) or 'no axis'}, worse on none.")
-    else:
-        text.append("NOT TO BE USED AS IT STANDS", style="bold red")
-    for reason in validation.verdict.reasons:
-        text.append(f"\n  - {reason}")
-    yield text
+    better = [name for name, axis in validation.axes.items() if axis.better is True]
+    holds = f": better than the nominal gain on {', '.join(better) or 'no axis'}, worse on none."
+    yield verdict_text(validation.verdict.usable, "HOLDS", holds, validation.verdict.reasons)
     data = "held-out data" if validation.held_out else "data it was calibrated with"
     columns = [
         "axis",
@@ -234,7 +212,7 @@ def validation_summary(validation: Validation) -> Iterator[RenderableType]:
         "within 95 %",
         "keep",
     ]
-    table = _table(f"RMS residual on {data}", columns)
+    table = titled_table(f"RMS residual on {data}", columns)
     words = {True: "yes", False: "no", "unsure": "unsure"}
     for name, axis in validation.axes.items():
         unit = UNITS[name]
