@@ -91,8 +91,9 @@ class MotionAlone {
         }
       Values q{};
       for (int j = 0; j < M; ++j) {
-        q[at(j)] = smoothness_found(log, j, h, energy[at(j)], size[at(j)] - trace[at(j)] / z.q[j]);
-        move = std::max(move, std::abs(std::log(q[at(j)] / z.q[j])));
+        const double left = size[at(j)] - trace[at(j)] / z.q[j];
+        q[at(j)] = smoothness_found(log, j, h, energy[at(j)], left);
+        move = std::max(move, smoothness_move(q[at(j)] / z.q[j], z.q[j], energy[at(j)], left));
       }
       const bool last = (!held && move < constants::move) || iteration + 1 == most;
       held = held && move >= 0.1 && iteration + 1 < longest_held;

@@ -45,14 +45,20 @@ inline int smoothness_order(Source source, int component) {
 }
 
 // q of a component by (10.6), from e^T R e and what is left of its coefficients; at least so much that the rows of R stay within
-// bounds beside a sample's own: where nothing moved q would fall until nothing could be factored.
+// bounds beside a sample's own: where nothing moved q would fall until nothing could be factored. Of a motion that is nearly the
+// polynomial which R leaves free, less than one coefficient is left.
 inline double smoothness_found(const RecordedLog& log, int component, double h, double energy, double left) {
   double sample = std::numeric_limits<double>::infinity();
   for (const MotionStream& m : log.motion)
     sample = std::min(sample, std::pow(m.sigma[component] * std::pow(h, m.derivative), 2.0));
   return std::max(
-      energy / std::max(left, 1.0),
+      energy / std::max(left, 1e-3),
       constants::smoothness_least * sample * std::pow(h, 1 - 2 * smoothness_order(log.source, component)));
+}
+
+// What such a step does: to log q, but no more than to (10.7), whose derivative in log q is left - energy / q.
+inline double smoothness_move(double ratio, double q, double energy, double left) {
+  return std::min(std::abs(std::log(ratio)), std::abs(energy / q - left));
 }
 
 // (10.6) of one factor on noise, from squares in the stated sigma, rows, and how many of them the fit used; returns its move. Held
@@ -70,8 +76,9 @@ inline double resize_smoothness(Sizes& sizes, const RecordedLog& log, int compon
                                 double left) {
   double& q = sizes.q[component];
   const double ratio = std::clamp(smoothness_found(log, component, h, energy, left) / q, 1e-3, 1e3);
+  const double move = 0.5 * smoothness_move(ratio, q, energy, left);
   q *= ratio;
-  return 0.5 * std::abs(std::log(ratio));
+  return move;
 }
 
 }  // namespace truewrench
