@@ -79,6 +79,7 @@ void bind_record(nb::module_& m) {
       .def(
           "set_chain",
           [](RecordedLog& log, const Chain& chain, std::optional<nb::callable> carried, bool gravity) {
+            log.carried = carried.has_value();
             log.map = map_of(chain, std::move(carried), gravity);
           },
           nb::arg("chain"), nb::arg("carried").none(), nb::arg("gravity"),

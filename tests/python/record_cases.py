@@ -53,10 +53,11 @@ def masked(found: Any) -> int:
     return int(np.sum(found.fit.rows(0)["masked"]))
 
 
-def base_log(rig: Rig, time: Array, joints: int) -> Log:
+def base_log(rig: Rig, time: Array, joints: int, *, hurry: float = 1.0) -> Log:
     """A base that turns and drifts, told at these times."""
-    rate = np.column_stack([0.3 * np.cos(0.9 * time + k) for k in range(6)])
-    turn = Rotation.from_euler("xyz", np.column_stack([0.4 * np.sin(0.5 * time + k) for k in range(3)]))
+    sped = hurry * time
+    rate = np.column_stack([0.3 * np.cos(0.9 * sped + k) for k in range(6)])
+    turn = Rotation.from_euler("xyz", np.column_stack([0.4 * np.sin(0.5 * sped + k) for k in range(3)]))
     return Log(
         None,
         next(iter(rig.payloads)),

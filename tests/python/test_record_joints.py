@@ -202,21 +202,23 @@ def test_velocities_alone_give_the_gain_within_its_sigma(arm_rig: RigOf) -> None
     assert nees(estimate(rig, run.log), rig, run.truth) < HONEST
 
 
-def test_arm_on_a_moving_base_gives_the_gain_within_its_sigma(arm_rig: RigOf) -> None:
+@pytest.mark.parametrize("late", [0.0, 0.01])
+def test_arm_on_a_moving_base_gives_the_gain_within_its_sigma(arm_rig: RigOf, late: float) -> None:
     rig = arm_with(arm_rig, "panda_ground")
     robot = robot_of(rig)
-    time = np.arange(0.0, 8.0, 0.01)
+    stamps = np.arange(0.0, 8.0, 0.01)
+    time = stamps + late  # of joints and base, when the sensor reads what it stamps so
     start = np.array([0, -0.785, 0, -2.356, 0, 1.571, 0.785])
     hz = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 0.95, 1.1])
     w = 2.0 * np.pi * hz
     phase = np.outer(time, w) + np.arange(7)
     q, qd, qdd = start + 0.3 * np.sin(phase), 0.3 * w * np.cos(phase), -0.3 * w**2 * np.sin(phase)
-    log = base_log(rig, time, robot.n)
-    rate = np.column_stack([-0.27 * np.sin(0.9 * time + k) for k in range(6)])
-    assert log.base_twist is not None
-    assert log.base_attitude is not None
-    motion = robot.motion(q, qd, qdd, BaseMotion(log.base_twist, rate))
-    turn = Rotation.from_quat(log.base_attitude[:, [1, 2, 3, 0]]).as_matrix() @ motion.R_root_sensor
+    base = base_log(rig, time, robot.n, hurry=3.0)
+    rate = np.column_stack([-0.81 * np.sin(2.7 * time + k) for k in range(6)])
+    assert base.base_twist is not None
+    assert base.base_attitude is not None
+    motion = robot.motion(q, qd, qdd, BaseMotion(base.base_twist, rate))
+    turn = Rotation.from_quat(base.base_attitude[:, [1, 2, 3, 0]]).as_matrix() @ motion.R_root_sensor
     fall = np.einsum("kji,j->ki", turn, rig.gravity_array)
     truth = stated(rig.payloads["default"])
     wrench = wrench_on_sensor(truth, np.zeros(3), motion.twist, motion.acceleration, fall)
@@ -226,14 +228,17 @@ def test_arm_on_a_moving_base_gives_the_gain_within_its_sigma(arm_rig: RigOf) ->
         + 0.1 * rng.standard_normal((6, 6)) * rig.sensor.range_array[:, None] / rig.sensor.range_array
     )
     assert rig.motion.position_noise is not None
+    q, qd = start + 0.3 * np.sin(phase - w * late), 0.3 * w * np.cos(phase - w * late)
     log = replace(
-        log,
+        base_log(rig, stamps, robot.n, hurry=3.0),
         raw=wrench @ gain.T + rig.sensor.noise_array * rng.standard_normal((time.size, 6)),
         position=q + np.array(rig.motion.position_noise) * rng.standard_normal(q.shape),
         velocity=qd + rig.motion.noise_array * rng.standard_normal(q.shape),
     )
     found = estimate(rig, log)
     assert nees(found, rig, Truth(gain, np.zeros(6), 0.0, {}, 0)) < HONEST
+    # 0.0072 on one clock; a base at another time than its joints takes the motion for rougher: 0.0144
+    assert np.sqrt(np.mean(np.diag(found.gain_covariance))) < 0.008
 
 
 def test_samples_while_the_base_is_not_known_are_left_out(arm_rig: RigOf) -> None:

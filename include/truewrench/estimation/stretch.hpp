@@ -176,21 +176,24 @@ class Stretch {
     predict_raw(columns, theta, lagged, discrepancy);
   }
 
-  // The twist and its derivative at the raw samples alone.
-  void evaluate_motion() {
+  // The twist and its derivative at the raw samples alone; `late` [s]: of what carries the arm, which has the stamps of the
+  // motion and not the sensor's.
+  void evaluate_motion(double late) {
     const Eigen::Index rows = raw.rows();
     for (RowMatrix* m : {&now.nu, &now.a}) m->resize(rows, 6);
     if (log_->source == Source::mapped) {
-      if (mapped_at_.size() == c.size() && mapped_at_ == c) return;  // theta plays no part in it
+      // theta plays no other part in it
+      if (mapped_at_.size() == c.size() && mapped_at_ == c && mapped_late_ == late) return;
       std::array<RowMatrix, 3> x;
       for (std::size_t p = 0; p < 3; ++p) {
         x[p].resize(rows, M_);
         for (Eigen::Index k = 0; k < rows; ++k) value_at(k, p, c, x[p].data() + k * M_);
       }
-      log_->map(raw.time, x[0], x[1], x[2], mapped);
+      log_->map((raw.time.array() - late).matrix(), x[0], x[1], x[2], mapped);
       now.nu = mapped.nu;
       now.a = mapped.a;
       mapped_at_ = c;
+      mapped_late_ = late;
       return;
     }
     double x0[max_components], x1[max_components];
@@ -252,6 +255,7 @@ class Stretch {
   int M_ = 6, n_ = 6;
   double begin_ = 0.0, end_ = 0.0;  // [s] of the samples
   RowMatrix mapped_at_;             // the coefficients that `mapped` is of
+  double mapped_late_ = 0.0;        // and the delay [s]
 
   // twist = nu(t + s) + (kappa - 1/2) s^2 nuddot + sigma_v eps                                                     (10.4)
   void predict_motion(const Columns& columns, const Eigen::VectorXd& theta) {
@@ -293,7 +297,7 @@ class Stretch {
   // raw = C w + b + u (C_0 w)^2 + ramps + sum a 1[t >= t_j] + d + slope dT                                         (10.3)
   void predict_raw(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
                    bool discrepancy) {
-    evaluate_motion();
+    evaluate_motion(log_->carried ? theta[columns.clock[0]] : 0.0);
     const Eigen::Index rows = raw.rows();
     now.g.resize(rows, 3);
     now.w.resize(rows, 6);

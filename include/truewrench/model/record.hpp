@@ -69,7 +69,8 @@ struct RecordedLog {
   // this log alone, anew from each of these times on, where stretches begin and end; empty: the root frame that logs share
   std::vector<double> own_roots;
   std::vector<MotionStream> motion;
-  MotionMap map;  // of a mapped motion
+  MotionMap map;         // of a mapped motion
+  bool carried = false;  // whether it depends on the time: what carries an arm has the stamps of the motion
   // of rows that stand for more than a sample, else empty:
   Eigen::VectorXd size;              // (K) samples
   RowMatrix remainder;               // (K, n) their sum of squares about it

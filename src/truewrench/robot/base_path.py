@@ -59,9 +59,11 @@ class BasePath:
         """What `_core.Chain.motion` takes of the root at times (K,): twist, its derivative, attitude."""
         twist, rate, R_inertial_root = np.empty((0, 6)), np.empty((0, 6)), np.empty((0, 9))
         if self.twist is not None:
-            twist, rate = np.asarray(self.twist(time)), np.asarray(self.twist(time, 1))
+            at = _held(self.twist, time)
+            twist, rate = np.asarray(self.twist(at)), np.asarray(self.twist(at, 1))
         if self.attitude is not None:
-            R_inertial_root = rotation_of(np.asarray(self.attitude(time))).reshape(-1, 9)
+            turned = np.asarray(self.attitude(_held(self.attitude, time)))
+            R_inertial_root = rotation_of(turned).reshape(-1, 9)
         return twist, rate, R_inertial_root
 
     @property
@@ -75,6 +77,11 @@ def _spline(time: Array, values: Array | None) -> CubicSpline | None:
         return None
     rows = np.isfinite(values).all(axis=1)
     return CubicSpline(time[rows], values[rows], axis=0)
+
+
+def _held(path: CubicSpline, time: Array) -> Array:
+    """Times within those told: the sensor's clock may lead out of them, and cubics run away there."""
+    return np.asarray(np.clip(time, path.x[0], path.x[-1]))
 
 
 def _continuous(attitude: Array | None) -> Array | None:
