@@ -102,6 +102,35 @@ def test_joints_that_no_arm_moves_so_are_named(
     assert words in found[0]
 
 
+@pytest.mark.parametrize("velocities", [True, False])
+def test_streams_with_stamps_of_their_own_are_tested_alike(
+    arm_rig: Callable[..., Rig], velocities: bool
+) -> None:
+    """As any recording has them: nothing was, and a turned joint was the motion of another run."""
+    rig = arm_rig("panda_ground", plan={"duration": 10}, simulate={"rate": 125, "sensor_rate": 300})
+    log = as_read(tw.simulate_arm(rig, seed=1).log)
+    log = log if velocities else replace(log, velocity=None)
+    assert hopeless(rig, [log], [log]) == []
+    assert log.position is not None
+    factor = np.where(np.arange(7) == 3, -1.0, 1.0)
+    velocity = None if log.velocity is None else log.velocity * factor
+    turned = replace(log, position=log.position * factor, velocity=velocity)
+    (said,) = hopeless(rig, [turned], [turned])
+    assert said.startswith("joint panda_joint4: its sign is turned")
+
+
+@pytest.mark.parametrize("gravity", [(0, 0, 9.81), (0, -9.81, 0), (0, 0, 0), (0, 0, -1)])
+def test_gravity_that_a_rig_states_otherwise_is_named(
+    arm: tuple[Rig, Log], gravity: tuple[float, float, float]
+) -> None:
+    """It was a gain 1e100 to 1 off, after ten times as long."""
+    rig, log = arm
+    wrong = Rig.from_mapping({**rig.to_mapping(), "gravity": list(gravity)}, rig.path)
+    (said,) = hopeless(wrong, [log], [log])
+    assert said.startswith("gravity is not [")
+    assert "] in the root frame, but [0, 0, -9.81]" in said
+
+
 def turned(log: Log) -> Log:
     """With an attitude that follows gravity and the rate of turn, in place of gravity."""
     assert log.twist is not None

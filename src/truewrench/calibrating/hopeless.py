@@ -1,6 +1,6 @@
 """What needs no estimate to be refused: the joints themselves, or least squares on a few seconds, tell it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,6 +15,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
+from truewrench.motion.smooth import covered
 from truewrench.robot.arm import robot_of, turning
 from truewrench.robot.joint_faults import gravity_faults, joint_faults
 from truewrench.robot.track import tracked
@@ -24,6 +25,7 @@ LARGEST = 40.0  # of nominal: what is larger is noise to the estimator, and noth
 FREE = 1e3  # 1 sigma of the gains that pulls none
 FOLLOWED = 0.02  # share of the raw output that least squares leave, up to which its gain is the sensor's
 LEFT, MISFIT = 0.003, 4.0  # the same, and chi-square, from which on joints may be logged otherwise,
+STANDARD = 9.81  # [m/s^2] of free fall
 BETTER = 10.0  # and how many times less must be left then
 
 
@@ -79,7 +81,7 @@ def _plain(rig: Rig, logs: Sequence[Log]) -> _Plain | None:
     with np.errstate(all="ignore"):  # whatever the cells hold: the estimate tells what is wrong with them
         try:
             # differences of noisy velocities would shrink the gain, which looks like a wrong unit
-            found = least_squares(rig, tracked(rig, logs), "spline")
+            found = least_squares(rig, [_in_common(log) for log in tracked(rig, logs)], "spline")
         except (InputError, np.linalg.LinAlgError):
             return None
         variance = np.nanvar(np.concatenate([log.raw for log in logs]), axis=0)
@@ -89,19 +91,32 @@ def _plain(rig: Rig, logs: Sequence[Log]) -> _Plain | None:
     return _Plain(found.gain, P, left, float(np.median(found.chi_square))) if np.isfinite(left) else None
 
 
+def _in_common(log: Log) -> Log:
+    """Where hardly a row has both sides, channels at the stamps of the motion: least squares merge nothing.
+
+    Of these rows no more than the sensor has samples, or each would count several times.
+    """
+    if log.twist is None:
+        return log
+    sensed, moved = (np.flatnonzero(np.isfinite(x).all(axis=1)) for x in (log.raw, log.twist))
+    fewer = min(sensed.size, moved.size)
+    if fewer == 0 or 2 * np.intersect1d(sensed, moved).size >= fewer:
+        return log
+    rows = moved[:: -(-moved.size // sensed.size)]
+    rows = rows[covered(log.time[sensed], log.time[rows])]
+    raw = np.full_like(log.raw, np.nan)
+    for channel in range(raw.shape[1]):
+        raw[rows, channel] = np.interp(log.time[rows], log.time[sensed], log.raw[sensed, channel])
+    return rows_of(replace(log, raw=raw), np.isin(np.arange(len(raw)), rows))
+
+
 def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]:
     """What was done to the joints, positions and velocities alike, or to gravity: turned, or in degrees."""
     if not (plain.left > LEFT and plain.chi_square > MISFIT):
         return []
-    guesses: dict[str, Callable[[Log], Log]] = {}
-    if rig.motion.source == "joints":
-        guesses = _of_joints(rig)
-    elif all(log.gravity is not None and log.attitude is None for log in logs):
-        words = "gx gy gz point up, as what an accelerometer reads at rest does"
-        guesses[words] = lambda log: replace(log, gravity=None if log.gravity is None else -log.gravity)
     best, said = min(plain.left / BETTER, FOLLOWED), ""
-    for words, logged in guesses.items():
-        other = _plain(rig, [logged(log) for log in logs])
+    for words, stated, logged in _guesses(rig):
+        other = _plain(stated, [logged(log) for log in logs])
         if other is not None and other.left < best:
             best, said = other.left, words
     if not said:
@@ -112,18 +127,33 @@ def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]
     ]
 
 
-def _of_joints(rig: Rig) -> dict[str, Callable[[Log], Log]]:
+def _guesses(rig: Rig) -> Iterator[tuple[str, Rig, Callable[[Log], Log]]]:
+    """In words, as a rig, and as a log, what may have been meant."""
+    if rig.motion.source != "joints":
+        words = "gx gy gz point up, as what an accelerometer reads at rest does"
+        yield words, rig, lambda log: replace(log, gravity=None if log.gravity is None else -log.gravity)
+        return
     robot = robot_of(rig)
-    guesses = {"the joints are in degrees": np.where(turning(robot), np.pi / 180.0, 1.0)}
+    turns = turning(robot)
+    yield "the joints are in degrees", rig, partial(_scaled, factor=np.where(turns, np.pi / 180.0, 1.0))
+    if not turns.all():
+        yield "the joints that slide are in mm", rig, partial(_scaled, factor=np.where(turns, 1.0, 1e-3))
     for j, name in enumerate(robot.joints):
         words = (
             f"joint {name}: its sign is turned, or its axis is the other way round in the robot's description"
         )
-        guesses[words] = np.where(np.arange(robot.n) == j, -1.0, 1.0)
-    return {words: partial(_scaled, factor=factor) for words, factor in guesses.items()}
+        yield words, rig, partial(_scaled, factor=np.where(np.arange(robot.n) == j, -1.0, 1.0))
+    for axis in np.vstack([np.eye(3), -np.eye(3)]):
+        fall = tuple((STANDARD * axis + 0.0).tolist())
+        words = f"gravity is not {_listed(rig.gravity)} in the root frame, but {_listed(fall)}"
+        yield words, rig.model_copy(update={"gravity": fall}), partial(_scaled, factor=1.0)
 
 
-def _scaled(log: Log, factor: Array) -> Log:
+def _listed(values: Sequence[float]) -> str:
+    return f"[{', '.join(f'{x:g}' for x in values)}]"
+
+
+def _scaled(log: Log, factor: Array | float) -> Log:
     """The log with other joints, from which its motion follows anew."""
     position = None if log.position is None else log.position * factor
     velocity = None if log.velocity is None else log.velocity * factor

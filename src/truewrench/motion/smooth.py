@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 
+from truewrench.model.arrays import Mask
 from truewrench.motion.spatial import Array
 
 DEGREE = 5  # of the splines
@@ -33,6 +34,14 @@ def segments(time: Array, shortest: float = 0.0) -> list[slice]:
         [[0], np.flatnonzero(steps > max(_GAP * np.median(steps), shortest)) + 1, [time.size]]
     )
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+
+def covered(known: Array, at: Array) -> Mask:
+    """Whether times (N,) lie between samples of a stream, and in no gap of it."""
+    inside = np.zeros(at.size, dtype=np.bool_)
+    for piece in segments(known):
+        inside |= (at >= known[piece.start]) & (at <= known[piece.stop - 1])
+    return inside
 
 
 def smooth_twist(time: Array, twist: Array, noise: Array) -> SmoothTwist:

@@ -14,12 +14,12 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from truewrench import _core
-from truewrench.model.arrays import Array, Integers, Mask
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log, Reference, Tracking
 from truewrench.model.rig import Rig
 from truewrench.motion.joint_spline import JointSpline, fit_joints
-from truewrench.motion.smooth import segments
+from truewrench.motion.smooth import covered, segments
 from truewrench.robot.arm import Robot, robot_of
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import SensorMotion, chain_of, sensor_motion
@@ -188,7 +188,7 @@ def _exact_positions(rig: Rig, robot: Robot, base: BasePath, log: Log) -> Log:
         expected = "joint velocities, where position_noise is not given"
         raise InputError.at(log.path, "header", "no column dq_*", expected)
     rows, known = _rows(log, log.velocity, "dq_*"), _rows(log, log.position, "q_*")
-    rows = rows[_covered(log.time[known], log.time[rows])]
+    rows = rows[covered(log.time[known], log.time[rows])]
     time, q = log.time[rows], _of(log.position, rows)
     if not np.isin(rows, known).all():
         q = np.asarray(CubicSpline(log.time[known], _of(log.position, known), axis=0)(time))
@@ -239,14 +239,6 @@ def _rows(log: Log, values: Array | None, columns: str) -> Integers:
             log.path, columns, found, f"at least {_FEWEST} rows with all joints, and most of them"
         )
     return rows
-
-
-def _covered(known: Array, at: Array) -> Mask:
-    """Whether times (N,) lie between samples of a stream, and in no gap of it."""
-    inside = np.zeros(at.size, dtype=np.bool_)
-    for piece in segments(known):
-        inside |= (at >= known[piece.start]) & (at <= known[piece.stop - 1])
-    return inside
 
 
 def _of(values: Array | None, rows: Integers) -> Array:
