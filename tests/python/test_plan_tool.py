@@ -396,7 +396,9 @@ def test_an_imu_is_refused() -> None:
 
 
 def test_a_home_that_is_not_allowed_is_named() -> None:
-    with pytest.raises(InputError, match=r"motion\.initial_position: .*nothing touches"):
+    with pytest.raises(
+        InputError, match=r"motion\.initial_position: .*expected sensor and tool within the workspace$"
+    ):
         plan_tool(an_arm(limits={"workspace": [[0.2, 0.75], [0.3, 0.5], [0.2, 0.9]]}))
 
 

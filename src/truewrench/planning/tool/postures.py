@@ -64,21 +64,29 @@ class Stand:
 
     def allowed(self, q: Array) -> Mask:
         """Whether every limit holds at rest, and nothing touches, in each of N postures (N, n)."""
-        out = ((q >= self.limits.lower) & (q <= self.limits.upper)).all(axis=1)
-        rest = np.zeros_like(q).T
-        wrench, every = (x.T for x in Buffered(self.outputs.function.map(len(q)))(q.T, rest, rest))
-        share = _SPARE * self.limits.wrench / self.rig.sensor.range_array
-        out &= (np.abs(wrench) <= share).all(axis=1)
-        low, high = self.limits.workspace.T
-        place = every[:, self.outputs.workspace].reshape(-1, 2, 3)
-        out &= ((place >= low) & (place <= high)).all(axis=(1, 2))
-        torque = every[:, self.outputs.torque]
-        out &= (np.abs(torque) <= _SPARE * self.limits.torque[: torque.shape[1]]).all(axis=1)
-        out &= (every[:, self.outputs.distance] <= _SPARE * self.limits.clearance**-2.0).all(axis=1)
+        out = np.all(list(self.kept(q).values()), axis=0)
         if self.collisions is not None and out.any():
             at = np.flatnonzero(out)
             out[at] = ~self.collisions.touch(q[at])
         return np.asarray(out)
+
+    def kept(self, q: Array) -> dict[str, Mask]:
+        """Which limits hold, by what a person calls them."""
+        rest = np.zeros_like(q).T
+        wrench, every = (x.T for x in Buffered(self.outputs.function.map(len(q)))(q.T, rest, rest))
+        share = _SPARE * self.limits.wrench / self.rig.sensor.range_array
+        low, high = self.limits.workspace.T
+        place = every[:, self.outputs.workspace].reshape(-1, 2, 3)
+        torque, near = every[:, self.outputs.torque], every[:, self.outputs.distance]
+        return {
+            "joints within their limits": ((q >= self.limits.lower) & (q <= self.limits.upper)).all(axis=1),
+            "a wrench within the sensor's range": (np.abs(wrench) <= share).all(axis=1),
+            "sensor and tool within the workspace": ((place >= low) & (place <= high)).all(axis=(1, 2)),
+            "torques within the joints' effort": (
+                np.abs(torque) <= _SPARE * self.limits.torque[: torque.shape[1]]
+            ).all(axis=1),
+            "sensor and tool clear of the links": (near <= _SPARE * self.limits.clearance**-2.0).all(axis=1),
+        }
 
     def fall(self, q: Array) -> Array:
         """Direction of gravity (N, 3) in the sensor."""
@@ -106,7 +114,8 @@ def reach_of(stand: Stand, widest: float, seed: int) -> Reach:
     """
     rng, home, n = np.random.default_rng(seed), stand.home, stand.robot.n
     if not stand.allowed(home[None])[0]:
-        expected = "a posture within limits, workspace and range, in which nothing touches"
+        missed = [words for words, holds in stand.kept(home[None]).items() if not holds[0]]
+        expected = ", ".join(missed or ["links that do not touch"])
         raise InputError.at(stand.rig.path, "motion.initial_position", f"{home.tolist()}", expected)
     wrist = np.arange(n) >= n - _WRIST
     draws = [
