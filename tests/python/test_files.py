@@ -103,6 +103,32 @@ def test_file_appears_only_when_complete(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == "half"
 
 
+def test_what_is_no_file_keeps_its_place(tmp_path: Path) -> None:
+    """`-o /dev/null`, as root, put a file where the device had been."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    link = tmp_path / "stdout"
+    link.symlink_to(pipe)
+    for path in (pipe, link):
+        with (
+            pytest.raises(InputError, match=r"found a device or a pipe, expected a file"),
+            atomic_output(path),
+        ):
+            pass
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert link.is_symlink()
+
+
+def test_a_link_stays_one(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    link = tmp_path / "out.txt"
+    link.symlink_to(Path("data") / "out.txt")
+    with atomic_output(link) as temporary:
+        temporary.write_text("new", encoding="utf-8")
+    assert link.is_symlink()
+    assert (tmp_path / "data" / "out.txt").read_text(encoding="utf-8") == "new"
+
+
 def test_file_has_the_permissions_that_the_user_wants(tmp_path: Path) -> None:
     before = os.umask(0o027)
     try:

@@ -15,6 +15,7 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from truewrench.model.errors import InputError
+from truewrench.model.files import is_special
 
 if TYPE_CHECKING:
     from truewrench.model.log import Log
@@ -61,12 +62,14 @@ def check_folder(path: Path) -> None:
 def check_output(output: Path, *inputs: Path | str | None, recording: bool = False) -> None:
     """Refuse to write a file over an input of the same command, before any work is done.
 
-    Refused is also a folder, and the name of a recording for a table, unless FILE.mcap becomes a `recording`.
-    An input that does not exist is told by whoever reads it.
+    Refused are also a folder, a device, and the name of a recording for a table, unless FILE.mcap becomes a
+    `recording`. An input that does not exist is told by whoever reads it.
     """
     exists = os.path.exists  # False, and no error, of a name that no file can have
     if exists(output) and output.is_dir():
         raise InputError.at(output, "", "a folder", "a file to write")
+    if is_special(output):
+        raise InputError.at(output, "", "a device or a pipe", "a file to write")
     for given in inputs:
         if given is not None and exists(output) and exists(given) and output.samefile(given):
             raise InputError.at(output, "", "an input of the command itself", "another file to write")

@@ -165,22 +165,30 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     return InputError(f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}")
 
 
+def is_special(path: Path) -> bool:
+    """Whether something stands there that is neither a file nor a folder."""
+    return os.path.exists(path) and not (path.is_file() or path.is_dir())
+
+
 @contextmanager
 def atomic_output(path: str | Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place when the block ends without an error.
 
-    Until then nothing that stood at `path` is touched; after an error nothing of the attempt is left.
-    InputError: it is a folder, lies in none that can be written, or there is no room for it.
+    Until then nothing that stood at `path` is touched; after an error nothing of the attempt is left. A link
+    stays one. InputError: it is a folder, lies in none that can be written, or there is no room for it; or a
+    device or a pipe, whose place a file would take.
     """
-    target = Path(path)
+    named, target = Path(path), Path(os.path.realpath(path))
     try:
+        if is_special(target):
+            raise InputError.at(named, "", "a device or a pipe", "a file to write")
         if target.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         created = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
     except OSError as error:
-        raise _unwritable(target, error) from error
+        raise _unwritable(named, error) from error
     os.close(handle)
     temporary = Path(name)
     try:
@@ -191,12 +199,12 @@ def atomic_output(path: str | Path) -> Iterator[Path]:
             temporary.chmod(0o666 & ~mask)  # mkstemp made it private
             temporary.replace(target)
         except OSError as error:
-            raise _unwritable(target, error) from error
+            raise _unwritable(named, error) from error
     except BaseException as error:
         temporary.unlink(missing_ok=True)
         for folder in created:
             with suppress(OSError):  # something else has been put there meanwhile
                 folder.rmdir()
         if isinstance(error, OSError) and error.errno in _NO_ROOM:
-            raise _unwritable(target, error) from error
+            raise _unwritable(named, error) from error
         raise
