@@ -47,6 +47,19 @@ def test_main_returns_the_status_and_the_process_exits_with_it(capsys: pytest.Ca
         assert done.returncode == status
 
 
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no device that is always full")
+@pytest.mark.parametrize("words", [["--version"], ["inspect", "log.csv"], ["inspect", "log.csv", "--json"]])
+def test_a_full_disk_below_standard_output_is_no_internal_fault(tmp_path: Path, words: list[str]) -> None:
+    (tmp_path / "log.csv").write_text("time_s,raw_0\n0,1\n1,2\n", encoding="utf-8")
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        command = [sys.executable, "-m", "truewrench", *words]
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr == "truewrench: standard output: cannot be written: No space left on device\n"
+
+
 @pytest.fixture
 def rig_file(tmp_path: Path, settings: dict[str, Any]) -> Path:
     path = tmp_path / "rig.yaml"

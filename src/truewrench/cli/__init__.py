@@ -16,6 +16,7 @@ from truewrench.cli import calibrations, live, logs, motions, tools, trials
 from truewrench.cli.common import Outcome
 from truewrench.cli.terminal import fail, show_outcome
 from truewrench.model.errors import InputError
+from truewrench.model.files import NO_ROOM
 
 app = typer.Typer(
     name="truewrench",
@@ -79,6 +80,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has gone; its end is not our fault
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
+        # of standard output: files have an InputError
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return fail([f"standard output: cannot be written: {error.strerror}"], 2, False, None)
         hint = "" if debug else " (--debug shows where)"
         reason = f"internal fault: {type(error).__name__}: {error}{hint}"
         status = fail([reason], 1, as_json, error if debug else None)

@@ -158,7 +158,7 @@ def write_yaml(path: str | Path, data: Mapping[str, Any]) -> None:
 
 
 # what only writing meets: any other OSError of a block may be that of an input it reads
-_NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EROFS})
+NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EROFS})
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
@@ -205,6 +205,6 @@ def atomic_output(path: str | Path) -> Iterator[Path]:
         for folder in created:
             with suppress(OSError):  # something else has been put there meanwhile
                 folder.rmdir()
-        if isinstance(error, OSError) and error.errno in _NO_ROOM:
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
             raise _unwritable(named, error) from error
         raise
