@@ -131,6 +131,30 @@ def test_gravity_that_a_rig_states_otherwise_is_named(
     assert "] in the root frame, but [0, 0, -9.81]" in said
 
 
+@pytest.mark.parametrize(
+    ("payloads", "words"),
+    [
+        (("default", "heavy"), None),
+        (("heavy", "default"), "log 1 and log 2 carry each other's payload"),
+        (("default", "default"), "log 2 carries `heavy`, not `default`"),
+    ],
+)
+def test_payloads_of_pooled_logs_that_were_mixed_up_are_named(
+    payloads: tuple[str, str], words: str | None
+) -> None:
+    """They were a gain 1e30 to 1 off, or a centre of mass, after up to two minutes."""
+    heavy = {
+        "mass": 9,
+        "center_of_mass": [-0.03, 0.01, 0.15],
+        "inertia": {"xx": 0.09, "yy": 0.08, "zz": 0.04},
+    }
+    both = Rig.from_mapping({**TWIST, "payloads": {**TWIST["payloads"], "heavy": heavy}})
+    logs = [tw.simulate(both, seed=1, payload=name).log for name in ("default", "heavy")]
+    logs = [replace(log, payload=name) for log, name in zip(logs, payloads, strict=True)]
+    found = hopeless(both, logs, logs)
+    assert [said.split(":")[0] for said in found] == ([words] if words else [])
+
+
 def turned(log: Log) -> Log:
     """With an attitude that follows gravity and the rate of turn, in place of gravity."""
     assert log.twist is not None

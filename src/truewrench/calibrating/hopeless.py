@@ -1,8 +1,8 @@
 """What needs no estimate to be refused: the joints themselves, or least squares on a few seconds, tell it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from truewrench import _core
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.least_squares import least_squares
 from truewrench.judging import gross_errors
+from truewrench.judging.words import log_name
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -111,12 +112,12 @@ def _in_common(log: Log) -> Log:
 
 
 def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]:
-    """What was done to the joints, positions and velocities alike, or to gravity: turned, or in degrees."""
+    """What was done to the joints, positions and velocities alike, to gravity, or to payloads."""
     if not (plain.left > LEFT and plain.chi_square > MISFIT):
         return []
     best, said = min(plain.left / BETTER, FOLLOWED), ""
-    for words, stated, logged in _guesses(rig):
-        other = _plain(stated, [logged(log) for log in logs])
+    for words, stated, guess in chain(_of_payloads(rig, logs), _of_motion(rig, logs)):
+        other = _plain(stated, guess)
         if other is not None and other.left < best:
             best, said = other.left, words
     if not said:
@@ -127,33 +128,56 @@ def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]
     ]
 
 
-def _guesses(rig: Rig) -> Iterator[tuple[str, Rig, Callable[[Log], Log]]]:
-    """In words, as a rig, and as a log, what may have been meant."""
+Guess = tuple[str, Rig, list[Log]]
+"""In words, as a rig, and as logs, what may have been meant."""
+
+
+def _of_payloads(rig: Rig, logs: Sequence[Log]) -> Iterator[Guess]:
+    known = [name for name, payload in rig.payloads.items() if not payload.unknown]
+    for k, log in enumerate(logs):
+        for name in known:
+            if name != log.payload:
+                words = f"{log_name(logs, k)} carries `{name}`, not `{log.payload}`"
+                yield words, rig, [*logs[:k], replace(log, payload=name), *logs[k + 1 :]]
+    for i, j in combinations(range(len(logs)), 2):
+        if logs[i].payload != logs[j].payload:
+            swapped = list(logs)
+            swapped[i] = replace(logs[i], payload=logs[j].payload)
+            swapped[j] = replace(logs[j], payload=logs[i].payload)
+            yield f"{log_name(logs, i)} and {log_name(logs, j)} carry each other's payload", rig, swapped
+
+
+def _of_motion(rig: Rig, logs: Sequence[Log]) -> Iterator[Guess]:
     if rig.motion.source != "joints":
-        words = "gx gy gz point up, as what an accelerometer reads at rest does"
-        yield words, rig, lambda log: replace(log, gravity=None if log.gravity is None else -log.gravity)
+        if all(log.gravity is not None and log.attitude is None for log in logs):
+            up = [replace(log, gravity=None if log.gravity is None else -log.gravity) for log in logs]
+            yield "gx gy gz point up, as what an accelerometer reads at rest does", rig, up
         return
+
+    def scaled(factor: Array) -> list[Log]:
+        return [_scaled(log, factor) for log in logs]
+
     robot = robot_of(rig)
     turns = turning(robot)
-    yield "the joints are in degrees", rig, partial(_scaled, factor=np.where(turns, np.pi / 180.0, 1.0))
+    yield "the joints are in degrees", rig, scaled(np.where(turns, np.pi / 180.0, 1.0))
     if not turns.all():
-        yield "the joints that slide are in mm", rig, partial(_scaled, factor=np.where(turns, 1.0, 1e-3))
+        yield "the joints that slide are in mm", rig, scaled(np.where(turns, 1.0, 1e-3))
     for j, name in enumerate(robot.joints):
         words = (
             f"joint {name}: its sign is turned, or its axis is the other way round in the robot's description"
         )
-        yield words, rig, partial(_scaled, factor=np.where(np.arange(robot.n) == j, -1.0, 1.0))
+        yield words, rig, scaled(np.where(np.arange(robot.n) == j, -1.0, 1.0))
     for axis in np.vstack([np.eye(3), -np.eye(3)]):
         fall = tuple((STANDARD * axis + 0.0).tolist())
         words = f"gravity is not {_listed(rig.gravity)} in the root frame, but {_listed(fall)}"
-        yield words, rig.model_copy(update={"gravity": fall}), partial(_scaled, factor=1.0)
+        yield words, rig.model_copy(update={"gravity": fall}), scaled(np.ones(robot.n))
 
 
 def _listed(values: Sequence[float]) -> str:
     return f"[{', '.join(f'{x:g}' for x in values)}]"
 
 
-def _scaled(log: Log, factor: Array | float) -> Log:
+def _scaled(log: Log, factor: Array) -> Log:
     """The log with other joints, from which its motion follows anew."""
     position = None if log.position is None else log.position * factor
     velocity = None if log.velocity is None else log.velocity * factor
