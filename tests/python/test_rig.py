@@ -185,7 +185,7 @@ def test_unknown_key_is_named_with_the_nearest_known_one(
             "feels",
         ),
         ("sensor.nominal_gain", np.ones((6, 6)).tolist(), "sensor.nominal_gain", "rank 1", "rank 6"),
-        ("payloads", {}, "payloads", "no key", "at least 1"),
+        ("payloads", {}, "payloads", "a mapping with no key", "one entry at least"),
         ("payloads", [], "payloads", "[]", "a mapping"),
         ("payloads.default.mass", 0, "payloads.default.mass", "0", "greater than 0"),
         ("payloads.default.center_of_mass", [0, 0], "payloads.default.center_of_mass", "2 entries", "3"),
@@ -302,6 +302,7 @@ def test_key_given_twice_is_an_error_with_both_lines(settings: dict[str, Any], t
     ("text", "expected"),
     [
         ("", "a mapping with sensor, payloads and motion"),
+        ("5: 1\n", "text as a key"),
         ("- 1\n- 2\n", "a mapping with sensor, payloads and motion"),
         ("sensor: [1, 2\n", "line"),
         ("sensor: !!python/object:os.system x\n", "line 1"),

@@ -169,6 +169,8 @@ _EXPECTED = {
     "string_type": "text",
     "string_too_short": "text that is not empty",
     "tuple_type": "a list",
+    "too_short": "one entry at least",
+    "invalid_key": "text as a key",
     "dict_type": "a mapping",
     "model_type": "a mapping",
 }
