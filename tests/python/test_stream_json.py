@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -11,6 +12,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ import yaml
 
 from truewrench.calibrating.pipeline import calibrate
 from truewrench.cli import main
-from truewrench.live.json_lines import correct_lines
+from truewrench.live.json_lines import calibrate_lines, correct_lines
 from truewrench.live.lines import LONGEST, Output, batches
 from truewrench.live.stop import Stop
 from truewrench.model.calibration import AXES, Calibration, Verdict, load_calibration
@@ -323,6 +325,27 @@ def test_signal_ends_a_calibration_with_that_of_the_whole_record(run: Any, tmp_p
     departure = (made.gain - simulated.truth.gain) / made.gain_std
     assert np.abs(departure).max() < 5.0
     assert made.logs[0].path == folder / "record.parquet"
+
+
+def test_a_full_disk_below_the_output_loses_no_calibration(run: Any, tmp_path: Path) -> None:
+    class Full(Output):
+        def write(self, line: str) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    finished: list[Path] = []
+    session: Any = SimpleNamespace(
+        rig=Rig.from_mapping(run[0]),
+        record=SimpleNamespace(add=lambda *_: None),
+        poll=lambda: SimpleNamespace(to_mapping=dict),
+        finish=finished.append,
+    )
+    source, sink = os.pipe()
+    os.write(sink, line(1))
+    os.close(sink)
+    with Stop() as stop, pytest.raises(OSError, match="No space left"):
+        calibrate_lines(session, tmp_path, Full(), stop, print, source)
+    os.close(source)
+    assert finished == [tmp_path]
 
 
 def test_calibration_from_nothing_writes_nothing(command: Any, run: Any, tmp_path: Path) -> None:

@@ -162,7 +162,11 @@ def calibrate_lines(
         if (progress := session.poll()) is not None:
             output.write(_progress(progress))
 
-    lines.run(use, source, stop, between=tell)
+    try:
+        lines.run(use, source, stop, between=tell)
+    except OSError:  # of the output, whose disk is full, say: what has arrived is not lost with it
+        session.finish(folder)
+        raise
     final = session.finish(folder)
     output.write(_progress(final))
     return lines, final
