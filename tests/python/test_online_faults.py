@@ -18,6 +18,8 @@ from truewrench.estimation.record import recorded_logs
 from truewrench.judging import findings
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
+from truewrench.motion.trajectory import HarmonicTwist
+from truewrench.simulation.free_body import simulate
 
 
 def _streams(seconds: float, rate: float) -> tuple[Any, Any]:
@@ -161,3 +163,18 @@ def test_clocks_of_all_logs_are_told_and_as_well_known_as_those_of_map() -> None
     assert (np.asarray(found.offsets_std) < 3.0 * np.asarray(whole.offsets_std)).all()
     told = [a.where for a in findings(found, rig, logs) if a.what.startswith("clock")]
     assert told == ["log 1", "log 2", "log 3"]
+
+
+def test_a_motion_slower_than_the_lag_is_found_as_by_the_whole_record() -> None:
+    """Over a lag it is nearly a parabola: its velocities were taken for noise, and no lag could be solved."""
+    rig = light_rig(seconds=80.0, rate=20.0, gain_prior=0.3, offset_prior=0)
+    rig = rig.model_copy(update={"motion": rig.motion.model_copy(update={"noise": (1e-4,) * 6})})
+    frequency = np.array([[0.030, 0.051, 0.069, 0.039, 0.060, 0.087]])
+    phase = np.array([[0.0, 1.0, 2.0, 0.5, 1.5, 2.5]])
+    motion = HarmonicTwist(np.full((1, 6), 0.05), frequency, phase, 80.0)
+    log = simulate(rig, motion, seed=3).log
+    whole, online = (estimate(rig, [log], online=online) for online in (False, True))
+    assert online.solved
+    sigma = np.sqrt(np.diag(whole.normalised_covariance)[:36]).reshape(6, 6)
+    scale = rig.sensor.range_array[:, None] / rig.sensor.range_array
+    assert (np.abs(online.gain - whole.gain) / scale / sigma).max() < 1.0

@@ -12,7 +12,7 @@ from record_cases import HONEST, G, RigOf, arm_with, base_log, estimate, masked,
 from truewrench import _core
 from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.assumptions import Assumptions
-from truewrench.estimation.record import recorded, recorded_logs
+from truewrench.estimation.record import recorded_logs
 from truewrench.judging.validation import comparison
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -171,10 +171,13 @@ def test_samples_without_a_direction_of_gravity_are_left_out_and_told(settings: 
     gravity = log.gravity.copy()  # type: ignore[union-attr]
     gravity[:100], gravity[300:350] = np.nan, np.nan
     known = replace(log, gravity=gravity)
-    found = recorded(rig, Assumptions.of(rig, [known]), known)
-    assert found.notes == ("150 samples of the sensor left out: the direction of gravity is not known then",)
-    assert np.isnan(found.streams.raw).all(axis=1).sum() == 150
-    assert np.isfinite(found.streams.R_sensor_root).all()
+    notes: list[str] = []
+    _, _, (streams,) = recorded_logs(rig, [known], notes=notes)
+    words = "150 samples of the sensor left out: the direction of gravity is not known then"
+    assert notes == [f"{known.path}: {words}"]
+    assert np.isnan(streams.raw).all(axis=1).sum() == 150
+    assert np.isfinite(streams.R_sensor_root).all()
+    assert any(words in note for note in calibrate(rig, known).figures["notes"])
 
 
 def test_attitude_between_two_rows_follows_the_turn(settings: dict[str, Any]) -> None:

@@ -79,6 +79,8 @@ def calibrate_from_motion(
         compared = "nothing of the record could be fitted"
     elif estimate.unresolved.any() or (estimate.unexplained > _core.MOST_LOST).any():
         compared = "the record does not follow its motion"
+    elif not estimate.parts_agree:
+        compared = "the parts of the record disagree"
     elif held_out and not known:
         compared = "no payload is known, by which the gains could be compared"
     elif held_out:
@@ -108,6 +110,7 @@ def calibrate_from_motion(
             "held_out": compared.figures,
             "notes": [
                 *(f"{log.path}: {note}" for log in logs for note in log.notes),
+                *estimate.notes,
                 *still_motion(moving),
                 *judgement.notes,
                 *notes_on_bodies(rig, logs, estimate.payloads),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from truewrench import _core
 from truewrench.estimation.joint import Joint, body_part
 from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
@@ -182,7 +183,13 @@ class Estimate:
     # `body_part` and the departure of its inertia, `inertia NAME` [kg m^2], and `offset K` of each log,
     # together; None where nothing moved
     joint: Joint | None = None
+    notes: tuple[str, ...] = ()  # what of the logs was not read
     deviance: float = math.nan  # -2 log L of `map` (10.7), nan of `online` and of parts
+
+    @property
+    def parts_agree(self) -> bool:
+        """By (10.11)."""
+        return self.p_halves >= 0.5 * _core.DOUBT and self.p_quarters >= 0.5 * _core.DOUBT
 
     @property
     def time_offsets(self) -> Array:

@@ -1,6 +1,7 @@
 """From a rig and logs to an `Estimate`: the core's loop (METHOD 10.3), its numbers in SI and raw units."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,8 @@ def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = 
     The number of threads, 0 for all, has no effect on the result. `online` is forward only, block by block
     (METHOD 10.6), and not the whole record at once.
     """
-    assumed, statement, records = recorded_logs(rig, logs, twists=online)
+    notes: list[str] = []
+    assumed, statement, records = recorded_logs(rig, logs, twists=online, notes=notes)
     settings = _core.Settings()
     settings.threads = threads
     settings.discrepancy = assumed.discrepancy
@@ -47,8 +49,8 @@ def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = 
     else:
         found = _core.estimate(statement, records, settings)
     if found.status != _core.Status.ok:
-        return unsolved(rig, logs, found)
-    return solved(rig, assumed, logs, found, records)
+        return replace(unsolved(rig, logs, found), notes=tuple(notes))
+    return replace(solved(rig, assumed, logs, found, records), notes=tuple(notes))
 
 
 def solved(

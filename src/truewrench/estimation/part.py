@@ -89,7 +89,7 @@ def part_of(
     One of `every` so many rows is kept.
     """
     try:
-        record = recorded(rig, assumed, log).streams
+        record = recorded(rig, assumed, log)
     except InputError:
         return None
     found = _core.estimate(statement, [record], settings)

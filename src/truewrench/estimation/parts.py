@@ -223,7 +223,7 @@ class InParts:
         log, _ = self._cut(self.parts[i].log, self.parts[i].rows)
         fit = self.parts[i].fit
         assert fit is not None
-        if not fit.settle(recorded(self._rig, self._assumed, log).streams, place):
+        if not fit.settle(recorded(self._rig, self._assumed, log), place):
             return before
         return replace(before, theta=np.array(fit.theta), covariance=np.array(fit.covariance))
 

@@ -4,7 +4,6 @@ Times are seconds since the log's first stamp; channels are fractions of R_i; th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -32,30 +31,29 @@ _SHORTEST_GAP = 0.05  # [s] that the attitude is not interpolated over, where it
 _LINEAR, _ANGULAR = slice(0, 3), slice(3, 6)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Recorded:
-    """One log for the estimator."""
-
-    # what the core reads; its samples of the sensor are the rows of the log, NaN where missing
-    streams: _core.RecordedLog
-    notes: tuple[str, ...]  # what was left out, for people
-
-
 def recorded_logs(
-    rig: Rig, logs: Sequence[Log], *, twists: bool = False
+    rig: Rig, logs: Sequence[Log], *, twists: bool = False, notes: list[str] | None = None
 ) -> tuple[Assumptions, _core.Statement, list[_core.RecordedLog]]:
     """What is assumed of a rig and its logs, the same for the core, and the logs' streams.
 
     A subtracted weight is added back already (`compensation.uncompensated`). With `twists`, what the
-    tachometers measure of the sensor's twist stands in place of the joints. InputError: a log without motion,
-    without samples of the sensor, or without gravity where it acts.
+    tachometers measure of the sensor's twist stands in place of the joints. What was not read is added to
+    the notes, for people. InputError: a log without motion, without samples of the sensor, or without gravity
+    where it acts.
     """
     assumptions = Assumptions.of(rig, logs)
-    streams = [recorded(rig, assumptions, log, twists=twists).streams for log in logs]
+    streams = []
+    for log in logs:
+        of_log: list[str] = []
+        streams.append(recorded(rig, assumptions, log, twists=twists, notes=of_log))
+        if notes is not None:
+            notes += [f"{log.path}: {note}" for note in of_log]
     return assumptions, statement(assumptions), streams
 
 
-def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = False) -> Recorded:
+def recorded(
+    rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = False, notes: list[str] | None = None
+) -> _core.RecordedLog:
     """The streams of one log, as of `recorded_logs`.
 
     Samples of the sensor at which the attitude, or the motion of the base, is needed and not known are left
@@ -70,7 +68,7 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = Fal
     out.point = spec.center_of_mass_array if of_com else np.zeros(3)
     if not np.isfinite(log.raw).any():
         raise InputError.at(log.path, "raw_*", "no samples of the sensor", "its channels")
-    notes: list[str] = []
+    notes = [] if notes is None else notes
     known = np.ones(len(log.time_ns), dtype=np.bool_)
     joints = rig.motion.source == "joints"
     if rig.motion.source == "twist" or (joints and twists):
@@ -108,7 +106,7 @@ def recorded(rig: Rig, assumptions: Assumptions, log: Log, *, twists: bool = Fal
     warm = temperature_at(log, log.time_ns) if assumptions.slope_prior > 0.0 else None
     if warm is not None:
         out.temperature = warm - assumptions.reference_temperature
-    return Recorded(out, tuple(notes))
+    return out
 
 
 def _stream(

@@ -77,7 +77,7 @@ def motion_information(
     shared = statement(assumed)
     streams = []
     for move in moves:
-        record = recorded(rig, assumed, move.record).streams
+        record = recorded(rig, assumed, move.record)
         record.payload = _physical(body)
         if move.knots.size:
             record.offset_knots, record.offset_walk = move.knots.tolist(), walk
