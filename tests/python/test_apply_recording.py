@@ -117,6 +117,17 @@ def test_both_readers_find_raw_corrected_and_predicted(
     np.testing.assert_allclose(list(predicted.values()), true, atol=0.02 * np.abs(true).max())
 
 
+def test_prediction_has_no_hole_where_its_parts_meet(
+    calibration: Calibration, settings: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calibration, run = exact(calibration, settings)
+    write_table(tmp_path / "run.csv", columns_of(run))
+    monkeypatch.setattr(apply_recording, "_ROWS", len(run.log.time_ns) // 2)
+    apply_to_recording(calibration, tmp_path / "run.csv", tmp_path / "out.mcap")
+    stamps = [stamp for stamp, _ in by_rosbags(tmp_path / "out.mcap")[PREDICTED]]
+    assert np.diff(stamps)[20:-20].max() == 10_000_000
+
+
 @pytest.mark.parametrize("seen", [True, False])
 def test_prediction_is_that_of_the_body_which_the_calibration_found(
     calibration: Calibration, settings: dict[str, Any], tmp_path: Path, seen: bool

@@ -70,9 +70,11 @@ def _predicted(calibration: Calibration, log: Log) -> tuple[Integers, Array]:
     """Stamps (M,) and wrenches (M, 6) where the motion tells the acceleration."""
     rig, body = calibration.rig, carried(calibration, calibration.rig, log.payload).body
     times, wrenches = [np.empty(0, dtype=np.int64)], [np.empty((0, 6))]
+    margin = _ROWS // 10  # where parts meet, neither ends
     for start in range(0, len(log.time_ns), _ROWS):
+        first, end = max(0, start - margin), start + _ROWS
         rows = np.zeros(len(log.time_ns), dtype=bool)
-        rows[start : start + _ROWS] = True
+        rows[first : end + margin] = True
         part = rows_of(log, rows)
         chunks = InertialMotion(rig, part, body).wrench(calibration.time_offset, 0)
         if not chunks:
@@ -80,6 +82,7 @@ def _predicted(calibration: Calibration, log: Log) -> tuple[Integers, Array]:
         usual = np.median(np.concatenate([chunk.variance for chunk in chunks]), axis=0)
         for chunk in chunks:
             inside = (chunk.variance <= _EDGE * usual).all(axis=1)
+            inside &= (chunk.rows >= start - first) & (chunk.rows < end - first)
             times.append(part.time_ns[chunk.rows[inside]])
             wrenches.append(chunk.wrench[inside])
     if len(times) == 1:
