@@ -62,7 +62,7 @@ def main() -> None:
         "filterpy": seconds(lambda: filterpy_state(rig, short), 1) / len(short.raw),
         "ekf": seconds(lambda: estimate_ekf(rig, [log]), arguments.repeat) / rows,
         "online": seconds(lambda: estimate(rig, [log], threads=1, online=True), arguments.repeat) / rows,
-        "map": seconds(lambda: estimate(rig, [log], threads=1), 1) / rows,
+        "map": seconds(lambda: estimate(rig, [log], threads=1), arguments.repeat) / rows,
     }
     print(f"{rows} rows, one thread, core `{_core.variant}`\n")
     print("| estimator | µs per sample | over `ekf` | filterpy over it |")
