@@ -18,7 +18,7 @@ from truewrench.calibrating.unknown_bodies import (
     scale_unknown,
     with_first_guess,
 )
-from truewrench.estimation.assembly import assemble_motion, motion_figures
+from truewrench.estimation.assembly import assemble_motion, log_notes, motion_figures
 from truewrench.estimation.clock_rate import clock_rates, with_rate, with_weight_told
 from truewrench.estimation.colour import without_filters
 from truewrench.estimation.estimate import Estimate, undisturbed
@@ -109,7 +109,7 @@ def calibrate_from_motion(
             **pooled.figures(),
             "held_out": compared.figures,
             "notes": [
-                *(f"{log.path}: {note}" for log in logs for note in log.notes),
+                *log_notes(logs),
                 *estimate.notes,
                 *still_motion(moving),
                 *judgement.notes,

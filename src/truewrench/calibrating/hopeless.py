@@ -128,11 +128,10 @@ def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]
     ]
 
 
-Guess = tuple[str, Rig, list[Log]]
-"""In words, as a rig, and as logs, what may have been meant."""
+_Guess = tuple[str, Rig, list[Log]]  # in words, as a rig, and as logs, what may have been meant
 
 
-def _of_payloads(rig: Rig, logs: Sequence[Log]) -> Iterator[Guess]:
+def _of_payloads(rig: Rig, logs: Sequence[Log]) -> Iterator[_Guess]:
     known = [name for name, payload in rig.payloads.items() if not payload.unknown]
     for k, log in enumerate(logs):
         for name in known:
@@ -147,7 +146,7 @@ def _of_payloads(rig: Rig, logs: Sequence[Log]) -> Iterator[Guess]:
             yield f"{log_name(logs, i)} and {log_name(logs, j)} carry each other's payload", rig, swapped
 
 
-def _of_motion(rig: Rig, logs: Sequence[Log]) -> Iterator[Guess]:
+def _of_motion(rig: Rig, logs: Sequence[Log]) -> Iterator[_Guess]:
     if rig.motion.source != "joints":
         if all(log.gravity is not None and log.attitude is None for log in logs):
             up = [replace(log, gravity=None if log.gravity is None else -log.gravity) for log in logs]

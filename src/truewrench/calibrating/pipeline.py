@@ -27,7 +27,7 @@ from truewrench.calibrating.unknown_bodies import (
     known_payload,
     notes_on_bodies,
 )
-from truewrench.estimation.assembly import assemble, assemble_motion, log_report
+from truewrench.estimation.assembly import assemble, assemble_motion, log_notes, log_report
 from truewrench.estimation.bound import oracle_rms
 from truewrench.estimation.ekf import estimate_ekf
 from truewrench.estimation.evidence import Evidence
@@ -137,7 +137,7 @@ def _from_known_wrench(
         for log, rows in zip(logs, estimate.rows, strict=True)
     ]
     figures = known_wrench_figures(rig, logs, estimate)
-    notes = [*_log_notes(logs), *figures.pop("notes"), *judgement.notes]
+    notes = [*log_notes(logs), *figures.pop("notes"), *judgement.notes]
     return assemble(
         rig,
         "reference",
@@ -185,7 +185,7 @@ def _from_still_poses(
             **still_figures(found),
             "held_out": compared.figures,
             "notes": [
-                *_log_notes(logs),
+                *log_notes(logs),
                 *judgement.notes,
                 *notes_on_bodies(rig, logs, estimate.payloads),
             ],
@@ -231,10 +231,6 @@ def _from_reference(
         figures=figures,
         timings={"estimate": time.perf_counter() - started},
     )
-
-
-def _log_notes(logs: Sequence[Log]) -> list[str]:
-    return [f"{log.path}: {note}" for log in logs for note in log.notes]
 
 
 def _check_sensor(rig: Rig, estimator: EstimatorName) -> None:

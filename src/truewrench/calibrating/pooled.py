@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from truewrench import _core
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.still_poses import (
     StillEstimate,
@@ -27,7 +26,7 @@ from truewrench.calibrating.still_poses import (
     still_figures,
     still_reports,
 )
-from truewrench.estimation.estimate import Estimate, no_rows, of_joint
+from truewrench.estimation.estimate import AGREE, Estimate, no_rows, of_joint
 from truewrench.estimation.estimator import estimate as estimate_motion
 from truewrench.estimation.joint import Joint, body_part, explained
 from truewrench.estimation.parts import InParts, is_long
@@ -73,7 +72,7 @@ class Pooled:
         if self.still is None:
             return []
         poses = [log for k, log in enumerate(logs) if k not in self.moving]
-        if self.agreement >= 0.5 * _core.DOUBT:
+        if self.agreement >= AGREE:
             reasons = misfit_of_still(self.still)
         else:
             reasons = [

@@ -88,6 +88,11 @@ def _motion_report(log: Log, k: int, estimate: Estimate) -> LogReport:
     )
 
 
+def log_notes(logs: Sequence[Log]) -> list[str]:
+    """What their readers have to say of logs."""
+    return [f"{log.path}: {note}" for log in logs for note in log.notes]
+
+
 def log_report(log: Log, offset: Array, offset_std: Array, used: int, **rest: Any) -> LogReport:
     """What a log contributed: so many samples, and `rest`, further fields of it."""
     rest |= {"dropped_rows": log.dropped_rows, "nan_counts": log.nan_counts}

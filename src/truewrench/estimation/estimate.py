@@ -13,6 +13,8 @@ from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
 from truewrench.model.rig import PayloadSpec, Rig
 
+AGREE = 0.5 * _core.DOUBT  # p of each of the two comparisons of (10.11), from which on parts agree
+
 
 @dataclass(frozen=True, slots=True)
 class PayloadDeparture:
@@ -189,7 +191,7 @@ class Estimate:
     @property
     def parts_agree(self) -> bool:
         """By (10.11)."""
-        return self.p_halves >= 0.5 * _core.DOUBT and self.p_quarters >= 0.5 * _core.DOUBT
+        return self.p_halves >= AGREE and self.p_quarters >= AGREE
 
     @property
     def time_offsets(self) -> Array:

@@ -48,9 +48,9 @@ def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = 
         found = found_online(statement, records, assumed.discrepancy)
     else:
         found = _core.estimate(statement, records, settings)
-    if found.status != _core.Status.ok:
-        return replace(unsolved(rig, logs, found), notes=tuple(notes))
-    return replace(solved(rig, assumed, logs, found, records), notes=tuple(notes))
+    ended = found.status == _core.Status.ok
+    out = solved(rig, assumed, logs, found, records) if ended else unsolved(rig, logs, found)
+    return replace(out, notes=tuple(notes))
 
 
 def solved(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truewrench import _core
-from truewrench.estimation.estimate import Estimate
+from truewrench.estimation.estimate import AGREE, Estimate
 from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.judging.advice import advice
 from truewrench.judging.blind import blind_to
@@ -239,9 +239,7 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
             f" {_largest_departure(estimate, rig, logs)}"
         )
     p = {"halves": estimate.p_halves, "quarters 1 + 3 and 2 + 4": estimate.p_quarters}
-    parts = [
-        f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= 0.5 * _core.DOUBT
-    ]  # NaN, too
+    parts = [f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= AGREE]  # NaN, too
     if parts:
         reasons.append(
             f"parts of the record disagree on the gain ({'; '.join(parts)}): something does not fit the "

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from truewrench import _core
+from truewrench.estimation.estimate import AGREE
 from truewrench.judging.words import listed
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.report.consistency import CHANCE, Consistency
@@ -25,7 +26,6 @@ CURES = {
 }
 """What makes each source of uncertainty smaller."""
 
-_AGREE = 0.5 * _core.DOUBT  # p of each comparison of parts
 _HIDES = 0.9  # of the pose that the wrench repeats
 _REFERENCES = ("ekf", "ls")
 _COLOURED = 1.5  # of the density at low frequencies
@@ -61,7 +61,7 @@ def helps(calibration: Calibration) -> Iterator[str]:
             f"On {listed(worse, 'and')} the nominal gain is better: check mass and centre of mass of the "
             "payload, and that nothing touches it."
         )
-    if any(not p >= _AGREE for p in (c.figures.get("parts_agree") or {}).values()):
+    if any(not p >= AGREE for p in (c.figures.get("parts_agree") or {}).values()):
         yield (
             "The parts of the record do not agree on the gain: something changed while it was taken. Look "
             "at wrench and residuals over time, fasten payload and cables, let the sensor warm up, and "
@@ -96,11 +96,11 @@ def agreement_words(calibration: Calibration) -> list[str]:
     p = calibration.figures.get("parts_agree") or {}
     if not p:
         return []
-    agree = all(value >= _AGREE for value in p.values())
+    agree = all(value >= AGREE for value in p.values())
     return [
         f"The parts of the record {'agree' if agree else 'do not agree'} on the gain: by chance its halves "
         f"differ as much in {100 * p['halves']:.2g} % of records, its quarters 1 + 3 and 2 + 4 in "
-        f"{100 * p['quarters']:.2g} %; below {100 * _AGREE:g} % something changed within the record."
+        f"{100 * p['quarters']:.2g} %; below {100 * AGREE:g} % something changed within the record."
     ]
 
 

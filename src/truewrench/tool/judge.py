@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from truewrench import _core
+from truewrench.estimation.estimate import AGREE
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -221,7 +222,7 @@ def misfit_of_motion(motion: MotionFit | None) -> list[str]:
             f"{100 * motion.slow:.1f}% of range follows neither weight nor motion: attitude, sign or axes of "
             "the log are not as stated, or a cable pulls."
         )
-    if motion.agreement < 0.5 * _core.DOUBT:
+    if motion.agreement < AGREE:
         out.append(f"Parts of the motion tell different sensors (p = {motion.agreement:.1g}).")
     return out
 
