@@ -7,15 +7,16 @@ they do; or an autoregressive model A(z), whose inverse A(z) / A(1) leaves white
 undoes the delay (docs/method.md, M12a).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
-from truewrench.model.arrays import Array, Integers
+from truewrench.estimation.evenly import at_places, filled, places_of, welch
+from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Whitened
 from truewrench.motion.smooth import segments
 
@@ -26,7 +27,7 @@ LINES = 15  # bins of a running median, which passes over spectral lines
 FEWEST = 512  # samples of a stretch, and of a spectrum
 MOST = 131_072  # that are looked at
 LONGEST = 64  # samples of a mean
-HOLES = 0.04  # of a column, up to which they are filled: 0 of 60 white logs were coloured, 7 of 24 with 0.05
+TAKEN = 3.0  # [Hz] about a line that was taken out, where the spectrum tells nothing
 FASTER, SLOWEST = 1.5, 50.0  # what is kept of an autoregressive stream: to so many times the corner, and [Hz]
 
 TOLD = 30.0
@@ -83,13 +84,14 @@ def without_filters(log: Log) -> Log:
             continue
         rows = np.flatnonzero(np.isfinite(values).any(axis=1))
         time = log.time[rows]
-        colour = colour_of(time, values[rows])
+        lines = [line.hz for line in log.lines] if name == "raw" else []
+        colour = colour_of(time, values[rows], lines)
         if colour is None:
             continue
         out = np.full_like(values, np.nan)
         for piece in segments(time):
-            places = _places(time[piece])
-            out[rows[piece]] = colour.whitened(_at_places(places, values[rows[piece]]))[places]
+            places = places_of(time[piece])
+            out[rows[piece]] = colour.whitened(at_places(places, values[rows[piece]]))[places]
         period = float(np.median(np.diff(time)))
         changed[name] = out
         corner = colour.corner / period
@@ -97,9 +99,12 @@ def without_filters(log: Log) -> Log:
     return replace(log, **changed, whitened=whitened) if changed else log
 
 
-def colour_of(time: Array, values: Array) -> Colour | None:
-    """Of samples (N, M) at times (N,); None where their noise is white, or no model holds."""
-    found = _spectrum(time, values)
+def colour_of(time: Array, values: Array, without: Sequence[float] = ()) -> Colour | None:
+    """Of samples (N, M) at times (N,); None where their noise is white, or no model holds.
+
+    `without` are frequencies whose bands have been taken out [Hz].
+    """
+    found = _spectrum(time, values, without)
     if found is None:
         return None
     omega, power, averages, period = found
@@ -130,7 +135,9 @@ def colour_of(time: Array, values: Array) -> Colour | None:
     return colour if matters else None
 
 
-def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] | None:
+def _spectrum(
+    time: Array, values: Array, without: Sequence[float]
+) -> tuple[Array, Array, float, float] | None:
     """Angular frequencies (F,) a sample, densities (F, M) without lines, segments averaged, period [s]."""
     pieces = [piece for piece in segments(time) if piece.stop - piece.start >= FEWEST]
     if not pieces:
@@ -138,15 +145,17 @@ def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] |
     period = float(np.median(np.diff(time)))
     frequency = np.fft.rfftfreq(FEWEST, period)
     use = (frequency >= BEGIN) & (frequency <= END * 0.5 / period)
+    for hz in without:
+        use &= np.abs(frequency - hz) > TAKEN
     if use.sum() < 2 * LINES:
         return None
     total: Array = np.zeros((int(use.sum()), values.shape[1]))
     count = 0
     for piece in pieces:
-        part = _filled(_at_places(_places(time[piece]), values[piece])[:MOST])
+        part = filled(at_places(places_of(time[piece]), values[piece])[:MOST])
         if len(part) >= FEWEST + 2:
             twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast
-            total += welch(twice, period)[use] * len(part)
+            total += welch(twice, period, FEWEST)[use] * len(part)
             count += len(part)
     if not count:
         return None
@@ -154,57 +163,6 @@ def _spectrum(time: Array, values: Array) -> tuple[Array, Array, float, float] |
     power: Array = _without_lines(total / count / (2.0 - 2.0 * np.cos(omega))[:, None] ** 2)
     power = power[:, (power > 0.0).all(axis=0)]
     return (omega, power, count / FEWEST, period) if power.size else None
-
-
-def _places(time: Array) -> Integers:
-    """Numbers (N,) of samples of a piece that are taken evenly: those of lost ones are passed over.
-
-    A sample was lost where a stamp, and the median of the nine from there on, come a period late; stamps that
-    jitter do not stay late.
-    """
-    rows = np.arange(time.size)
-    if time.size < 3:
-        return rows
-    late = (time - time[0]) * (time.size - 1) / (time[-1] - time[0]) - rows  # periods
-    stays = median_filter(late, 9, mode="nearest")
-    stays = stays[np.minimum(rows[1:] + 4, rows[-1])] - stays[np.maximum(rows[:-1] - 4, 0)]
-    lost = np.where(stays > 0.5, np.rint(np.diff(late)), 0.0)
-    return np.concatenate([[0], np.cumsum(1.0 + np.maximum(lost, 0.0))]).astype(np.int64)
-
-
-def _at_places(places: Integers, values: Array) -> Array:
-    out: Array = np.full((int(places[-1]) + 1, values.shape[1]), np.nan)
-    out[places] = values
-    return out
-
-
-def _filled(values: Array) -> Array:
-    """Samples with cubics in place of the missing ones; none where these are too many.
-
-    Left out, they would bring what is slow on both sides together: a step that looks like coloured noise.
-    """
-    out, missing = values.copy(), ~np.isfinite(values)
-    if missing.mean(axis=0).max() > HOLES:
-        return out[:0]
-    for column, holes in zip(out.T, missing.T, strict=True):
-        if holes.any():
-            known = np.flatnonzero(~holes)
-            column[holes] = make_interp_spline(known, column[known], k=3)(np.flatnonzero(holes))
-    return out
-
-
-def welch(values: Array, period: float) -> Array:
-    """One-sided densities (FEWEST // 2 + 1, M) by Welch's method: medians of segments that overlap by half.
-
-    SciPy's brings scipy.stats, a third of what `truewrench calibrate` takes to import.
-    """
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(FEWEST) / FEWEST)  # Hann's
-    parts = np.lib.stride_tricks.sliding_window_view(values, FEWEST, axis=0)[:: FEWEST // 2]
-    parts = parts - parts.mean(axis=-1, keepdims=True)
-    power = 2.0 * period / np.sum(window**2) * np.abs(np.fft.rfft(window * parts, axis=-1)) ** 2
-    even = 2.0 * np.arange(1, (len(parts) - 1) // 2 + 1)
-    median_over_mean = 1.0 - np.sum(1.0 / even - 1.0 / (even + 1.0))  # of exponential values
-    return np.asarray(np.median(power, axis=0).T / median_over_mean)
 
 
 def _without_lines(power: Array) -> Array:

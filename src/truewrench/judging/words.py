@@ -50,7 +50,7 @@ def findings(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Assumed
     slow, fast = looks_slow(estimate, rig, logs), fast_looks(estimate, rig, logs)
     found: list[Assumed] = []
     for k in range(len(estimate.rows)):
-        found += _undone(logs, k)
+        found += _undone(rig, logs, k)
         found += _clocks(estimate, rig, logs, k)
         found += _slow(estimate, rig, logs, k, slow)
         found += _noise(estimate, rig, logs, k, [looks.kind for looks in fast])
@@ -135,10 +135,19 @@ def _what(kinds: Sequence[str], meaning: str) -> str:
     return f"{', '.join(kinds[:MOST])}: {meaning}"
 
 
-def _undone(logs: Sequence[Log], k: int) -> Iterator[Assumed]:
-    """Filters and a clock's rate, which the estimate's log is without."""
+def _undone(rig: Rig, logs: Sequence[Log], k: int) -> Iterator[Assumed]:
+    """Vibrations, filters and a clock's rate, which the estimate's log is without."""
     if k >= len(logs):
         return
+    for line in logs[k].lines:
+        share = np.asarray(line.size) / rig.sensor.channel_scale
+        i = int(np.argmax(share))
+        words = (
+            f"a vibration at {line.hz:.3g} Hz, {100 * share[i]:.2g}% of range in {rig.sensor.channels[i]}, "
+        )
+        words += "that the motion does not show; left out"
+        what = "vibration: mean amplitude at one frequency, fraction of range"
+        yield Assumed(what, log_name(logs, k), float(share[i]), None, words)
     for found in logs[k].whitened.values():
         kind = "filter: corner of a stream's noise, Hz"
         yield Assumed(kind, log_name(logs, k), found.corner, None, found.words)

@@ -32,6 +32,14 @@ class Reference:
         return np.asarray(twist(time)), np.asarray(twist(time, nu=1)), np.asarray(gravity)
 
 
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A vibration of the channels that the motion does not show, taken out."""
+
+    hz: float
+    size: tuple[float, ...]  # (n,) its mean amplitude [raw units]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracking:
     """What the n joints say of the sensor's motion, per row of the log; NaN where there is no sample."""
@@ -97,6 +105,7 @@ class Log:
         offset_jumps_ns: time stamps at which the offset begins anew.
         tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
         whitened: fields of which a filter has been undone, as the estimate reads them.
+        lines: vibrations that have been taken out of the channels, likewise.
         clock_rate: how much faster than the motion's the sensor's clock ran, undone.
         weight_offset: how much later than the sensor's stamps the motion was taken by which a weight that the
             driver had subtracted was added back [s]; None where none was.
@@ -125,6 +134,7 @@ class Log:
     offset_jumps_ns: tuple[int, ...] = ()
     tracking: Tracking | None = None
     whitened: Mapping[str, Whitened] = field(default_factory=dict)
+    lines: tuple[Line, ...] = ()
     clock_rate: float = 0.0
     weight_offset: float | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)

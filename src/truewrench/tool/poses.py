@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from truewrench.estimation.colour import without_filters
+from truewrench.estimation.lines import without_lines
 from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -84,7 +85,8 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     for k, log in enumerate(logs):
         pieces, kept, seconds = _cut(rig, log)
         parts.append(_poses(rig, k, log, pieces))
-        if kept.size and (move := _move(k, without_filters(log), kept, seconds, bool(pieces))) is not None:
+        white = without_filters(without_lines(log)) if kept.size else log
+        if kept.size and (move := _move(k, white, kept, seconds, bool(pieces))) is not None:
             moves.append(move)
     joined = Poses(*(np.concatenate([getattr(part, x.name) for part in parts]) for x in fields(Poses)))
     return Split(joined, tuple(moves), tuple(int(log.time_ns[-1]) for log in logs))
