@@ -7,8 +7,10 @@ and without a trace of anything slow (docs/method.md, M12b). A line that the mot
 the payload's own wrench and stays.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,20 +45,40 @@ _MOTION = ("position", "velocity", "twist", "angular_velocity", "specific_force"
 
 
 def without_lines(log: Log) -> Log:
-    """The log with its channels as they would be without lines that its motion does not show; else itself."""
-    rows = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
-    time, raw = log.time[rows], log.raw[rows]
-    lines = _lines(log, time, raw)
-    if not lines:
-        return log
-    period = float(np.median(np.diff(time)))
-    kernel = _kernel([line.hz for line in lines], period)
-    out: Array = np.full_like(log.raw, np.nan)
+    """The log without lines in its channels, nor in the motion where that shows them; else itself."""
+    lines = _lines(log)
+    changed: dict[str, Any] = {}
+    if shown := [line.hz for line in lines if line.shown]:
+        streams = _motion(log)
+        changed = {
+            name: left for name, values in streams.items() if (left := _left(log, values, shown)) is not None
+        }
+        if len(changed) < len(streams) or not all(_moves(changed[name], streams[name]) for name in streams):
+            lines, changed = tuple(line for line in lines if not line.shown), {}
+    raw = _left(log, log.raw, [line.hz for line in lines]) if lines else None
+    return log if raw is None else replace(log, **changed, raw=raw, lines=lines)
+
+
+def _moves(left: Array, values: Array) -> bool:
+    """Whether lines were the smaller part of a motion, and not what it was made of."""
+    return bool(np.nanvar(left, axis=0).sum() > 0.5 * np.nanvar(values, axis=0).sum())
+
+
+def _motion(log: Log) -> dict[str, Array]:
+    """Its streams; the twist of joints is none, which they made."""
+    names = [name for name in _MOTION if name != "twist" or log.tracking is None]
+    return {name: values for name in names if (values := getattr(log, name)) is not None}
+
+
+def _left(log: Log, values: Array, hz: Sequence[float]) -> Array | None:
+    """A stream without the bands of lines; None where less than half of its samples would be left."""
+    rows, out = np.flatnonzero(np.isfinite(values).any(axis=1)), np.full_like(values, np.nan)
+    time = log.time[rows]
+    kernel = _kernel(hz, float(np.median(np.diff(time))))
     for piece in _pieces(log, time):
         places = places_of(time[piece])
-        out[rows[piece]] = _without(kernel, at_places(places, raw[piece]))[places]
-    known = np.isfinite(raw).sum()
-    return replace(log, raw=out, lines=lines) if np.isfinite(out).sum() > 0.5 * known else log
+        out[rows[piece]] = _without(kernel, at_places(places, values[rows[piece]]))[places]
+    return out if np.isfinite(out).sum() > 0.5 * np.isfinite(values).sum() else None
 
 
 def _pieces(log: Log, time: Array) -> list[slice]:
@@ -70,9 +92,9 @@ def _pieces(log: Log, time: Array) -> list[slice]:
     return out
 
 
-def _lines(log: Log, time: Array, raw: Array) -> tuple[Line, ...]:
+def _lines(log: Log) -> tuple[Line, ...]:
     """Strongest first."""
-    found = _spectrum(time, raw)
+    found = _spectrum(*_present(log.time, log.raw))
     if found is None:
         return ()
     hz, power, floor = found
@@ -84,27 +106,19 @@ def _lines(log: Log, time: Array, raw: Array) -> tuple[Line, ...]:
     beside = np.full_like(mean, np.inf)
     beside[2 * half : -2 * half] = np.maximum(mean[: -4 * half], mean[4 * half :])
     candidates = (hz >= SLOWEST)[:, None] & (mean > ABOVE * beside)
-    motion = [
-        found
-        for name in _MOTION
-        if (values := getattr(log, name)) is not None
-        and not (name == "twist" and log.tracking is not None)  # of joints, which made it
-        and (found := _spectrum(*_present(log.time, values))) is not None
-    ]
+    motion = [found for values in _motion(log).values() if (found := _spectrum(*_present(log.time, values)))]
     lines: list[Line] = []
     while len(lines) < LINES:
         share = np.where(candidates, _moving_sum(excess, half) / white, 0.0).max(axis=1)
         top = int(np.argmax(share))
         if share[top] < SHARE:
             break
-        near = np.abs(hz - hz[top]) <= BAND
+        near = slice(max(0, top - half), top + half + 1)
         weight = np.sum(excess[near] / white, axis=1)
         centre = float(weight @ hz[near] / weight.sum())
-        if not any(_shows(of, centre) for of in motion):
-            amplitude = np.sqrt(2.0 * excess[near].sum(axis=0))
-            lines.append(Line(centre, tuple(amplitude.tolist())))
-        taken = np.abs(hz - hz[top]) <= 2.0 * BAND
-        excess[taken] = 0.0
+        amplitude = np.sqrt(2.0 * excess[near].sum(axis=0))
+        lines.append(Line(centre, tuple(amplitude.tolist()), any(_shows(of, centre) for of in motion)))
+        excess[max(0, top - 2 * half) : top + 2 * half + 1] = 0.0
     return tuple(lines)
 
 
@@ -147,7 +161,7 @@ def _moving_sum(values: Array, half: int) -> Array:
     return np.asarray(sums[2 * half + 1 :] - sums[: -2 * half - 1])
 
 
-def _kernel(hz: list[float], period: float) -> Array:
+def _kernel(hz: Sequence[float], period: float) -> Array:
     """(2 M + 1,) what passes the bands of lines, each by its full amplitude: Blackman and Harris' windows."""
     m = round(0.5 * WINDOW / period)
     n = np.arange(-m, m + 1)
@@ -167,7 +181,8 @@ def _without(kernel: Array, values: Array) -> Array:
     for _ in range(2):  # what stands out would be spread over the filter's length
         left = z[m:-m] - _convolved(z, kernel)
         stands = left - median_filter(left, (9, 1), mode="nearest")
-        outlier = np.abs(stands) > OUTLIER * 1.4826 * np.median(np.abs(stands), axis=0)
+        sigma = 1.4826 / np.sqrt(6.0) * np.median(np.abs(np.diff(left, 2, axis=0)), axis=0)
+        outlier = (np.abs(stands) > OUTLIER * sigma) & (sigma > 0.0)
         if not outlier.any():
             break
         z[m:-m][outlier] -= stands[outlier]

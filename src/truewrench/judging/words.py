@@ -142,10 +142,9 @@ def _undone(rig: Rig, logs: Sequence[Log], k: int) -> Iterator[Assumed]:
     for line in logs[k].lines:
         share = np.asarray(line.size) / rig.sensor.channel_scale
         i = int(np.argmax(share))
-        words = (
-            f"a vibration at {line.hz:.3g} Hz, {100 * share[i]:.2g}% of range in {rig.sensor.channels[i]}, "
-        )
-        words += "that the motion does not show; left out"
+        size = f"{100 * share[i]:.2g}% of range in {rig.sensor.channels[i]}"
+        seen = "shows too; left out of both" if line.shown else "does not show; left out"
+        words = f"a vibration at {line.hz:.3g} Hz, {size}, that the motion {seen}"
         what = "vibration: mean amplitude at one frequency, fraction of range"
         yield Assumed(what, log_name(logs, k), float(share[i]), None, words)
     for found in logs[k].whitened.values():

@@ -34,10 +34,11 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A vibration of the channels that the motion does not show, taken out."""
+    """A vibration of the channels that has been taken out, and out of the motion where that shows it too."""
 
     hz: float
     size: tuple[float, ...]  # (n,) its mean amplitude [raw units]
+    shown: bool  # by the motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
