@@ -60,7 +60,7 @@ def calibrate_from_motion(
     clock = [time.perf_counter()]
     online = estimator == "online"
     places = moving_logs(rig, logs)
-    logs = [without_filters(without_lines(log)) if k in places else log for k, log in enumerate(logs)]
+    logs = [without_filters(without_lines(rig, log)) if k in places else log for k, log in enumerate(logs)]
     moving = [logs[k] for k in places]
     stated, rig = rig, with_first_guess(rig, moving)
     known = known_logs(rig, moving)

@@ -19,7 +19,9 @@ from scipy.ndimage import median_filter
 from truewrench.estimation.evenly import at_places, filled, places_of, welch
 from truewrench.model.arrays import Array
 from truewrench.model.log import Line, Log
+from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
+from truewrench.robot.track import track
 
 SLOWEST = 10.0  # [Hz] of a line, as of a vibration in words: motions are slower
 WINDOW = 0.7  # [s] of the filter: what is 5.7 Hz and more below a line passes unchanged to 2e-5
@@ -41,26 +43,40 @@ SEEN = 2.0
 """Times the noise of a stream of the motion in the same band, from which on the motion shows it: at most 1.8
 in 41 records whose motion does not."""
 
-_MOTION = ("position", "velocity", "twist", "angular_velocity", "specific_force")
+_MOTION = (
+    *("position", "velocity", "twist", "acceleration", "angular_velocity", "specific_force"),
+    "base_twist",
+)
 
 
-def without_lines(log: Log) -> Log:
+def without_lines(rig: Rig, log: Log) -> Log:
     """The log without lines in its channels, nor in the motion where that shows them; else itself."""
-    lines = _lines(log)
-    changed: dict[str, Any] = {}
+    lines, still = _lines(log), log
     if shown := [line.hz for line in lines if line.shown]:
-        streams = _motion(log)
-        changed = {
-            name: left for name, values in streams.items() if (left := _left(log, values, shown)) is not None
-        }
-        if len(changed) < len(streams) or not all(_moves(changed[name], streams[name]) for name in streams):
-            lines, changed = tuple(line for line in lines if not line.shown), {}
+        still = _motion_without(rig, log, shown) or log
+        lines = tuple(line for line in lines if still is not log or not line.shown)
     raw = _left(log, log.raw, [line.hz for line in lines]) if lines else None
-    return log if raw is None else replace(log, **changed, raw=raw, lines=lines)
+    return log if raw is None else replace(still, raw=raw, lines=lines)
+
+
+def _motion_without(rig: Rig, log: Log, hz: Sequence[float]) -> Log | None:
+    """The log with another motion; None of one that is made of lines, and of integrated velocities."""
+    streams = _motion(log)
+    changed: dict[str, Any] = {name: _left(log, values, hz) for name, values in streams.items()}
+    if any(left is None for left in changed.values()):
+        return None
+    if not any(_moves(changed[name], values) for name, values in streams.items()):
+        return None
+    if log.tracking is None:
+        return replace(log, **changed)
+    if log.position is None:  # these begin where the record does
+        return None
+    found = track(rig, replace(log, **changed, twist=None, gravity=None, tracking=None))
+    return replace(found, notes=log.notes)
 
 
 def _moves(left: Array, values: Array) -> bool:
-    """Whether lines were the smaller part of a motion, and not what it was made of."""
+    """Whether lines were the smaller part of a stream, and not what it was made of."""
     return bool(np.nanvar(left, axis=0).sum() > 0.5 * np.nanvar(values, axis=0).sum())
 
 
