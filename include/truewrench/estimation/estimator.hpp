@@ -134,7 +134,7 @@ class Estimator {
     for (std::size_t l = 0; l < alone.size(); ++l) pooled->logs()[l].sizes = alone[l]->logs()[0].sizes;
     pooled->robust = true;
     regress(*pooled, true);
-    pooled->run(nullptr, SpacingSearch::clean);
+    pooled->run(SpacingSearch::clean);
     pooled->release();
     ++out.fits;
     return pooled;

@@ -211,13 +211,12 @@ class Fit {
   }
 
   // Gauss-Newton and (10.6) until theta moves by less than 0.05 sigma (RMS) and the sizes before moved by less than 5 %: the last
-  // linearisation is of the sizes as found; or until it is as near to where another fit of the same rows has ended. `enough`,
-  // asked once: whether the first step is all that is wanted of a robust fit.
-  Fit& run(const Fit* known = nullptr, const std::function<bool(Fit&)>& enough = {}) {
+  // linearisation is of the sizes as found. `enough`, asked once: whether the first step is all that is wanted of a robust fit.
+  Fit& run(const std::function<bool(Fit&)>& enough = {}) {
     lagged = Eigen::Map<const RowMatrix>(theta.data() + layout_.C, n_, 6);
     predict();
     reweigh();
-    converged = near_ = stands_ = false;
+    converged = stands_ = false;
     returns_.assign(active.size(), 0);
     deviance_ = std::numeric_limits<double>::quiet_NaN();
     double resized = std::numeric_limits<double>::infinity();
@@ -236,8 +235,7 @@ class Fit {
       if (converged) return robust ? *this : end();
       if (!robust) resized = resize();
       begun_ = iterations == 1 && enough && enough(*this);
-      near_ = known && near(*known);
-      if (near_ || begun_) return *this;
+      if (begun_) return *this;
     }
     if (robust) return *this;  // whose deviance is rarely asked for
     if (!find_step()) return *this;
@@ -248,10 +246,10 @@ class Fit {
   // Whether one step was enough: nothing to mask, and no more noise than stated.
   bool sound() const { return begun_; }
 
-  // -2 log L (10.7) where the fit has ended; nan where it failed, or came near to another.
+  // -2 log L (10.7) where the fit has ended; nan where it failed.
   double deviance() {
     if (begun_) run();
-    if (robust && !near_ && !failed && std::isnan(deviance_) && linearise() && solve(true))
+    if (robust && !failed && std::isnan(deviance_) && linearise() && solve(true))
       deviance_ = likelihood();
     return deviance_;
   }
@@ -358,7 +356,7 @@ class Fit {
   std::vector<DelaySums> delays_;  // of each log, at the begin of an iteration
   bool imitated_ = false;
   double deviance_ = std::numeric_limits<double>::quiet_NaN();
-  bool near_ = false, stands_ = false, begun_ = false;  // begun_: one step was enough
+  bool stands_ = false, begun_ = false;  // begun_: one step was enough
   std::vector<int> returns_;                            // of what has been let go, in this run
 
   // The step of a new linearisation, at the sizes of u and of steps that belong to it.
@@ -384,25 +382,6 @@ class Fit {
       const auto [l, i] = all[k];
       work(l, logs_[l].stretches[i], logs_[l].sweeps[i]);
     });
-  }
-
-  bool near(const Fit& other) const {
-    const Eigen::VectorXd apart = theta - other.theta;
-    double move =
-        std::sqrt(apart.dot(dense::times(S_, apart)) / static_cast<double>(active_places().size())) /
-        constants::move;
-    const auto compare = [&move](const Eigen::VectorXd& a, const Eigen::VectorXd& b, double power) {
-      for (Eigen::Index i = 0; i < a.size(); ++i)
-        move = std::max(move, power * std::abs(std::log(a[i] / b[i])) / constants::move);
-    };
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      const Sizes &a = logs_[l].sizes, &b = other.logs_[l].sizes;
-      compare(a.raw_factor, b.raw_factor, 1.0);
-      compare(a.q, b.q, 0.5);
-      for (std::size_t i = 0; i < a.motion_factor.size(); ++i)
-        compare(a.motion_factor[i], b.motion_factor[i], 1.0);
-    }
-    return active == other.active && move < 1.0;
   }
 
   Eigen::VectorXd pull() const { return pull(gradient_, 1.0); }

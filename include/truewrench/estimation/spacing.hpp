@@ -121,44 +121,7 @@ inline Piece worst_part(const Fit& fit) {
   return worst;
 }
 
-// Largest factor on the sensor's stated noise, of a single log, that is faster than 2 h: of the residuals about a parabola in
-// every 2 h. What is slower these knots could follow as well as finer ones. Where no 2 h hold enough samples, that of the fit.
-inline double fast_factor(const Fit& fit) {
-  const LogFit& log = fit.logs()[0];
-  const int n = fit.channels(), fewest = 5;
-  Eigen::VectorXd squares = Eigen::VectorXd::Zero(log.sizes.raw_factor.size()), freedom = squares;
-  for (const Stretch& s : log.stretches)
-    for (Eigen::Index a = 0, b = 0; a < s.raw.rows(); a = b) {
-      while (b < s.raw.rows() && s.raw.time[b] < s.raw.time[a] + 2.0 * log.h) ++b;
-      for (int i = 0; i < n; ++i) {
-        Eigen::Matrix4d A = Eigen::Matrix4d::Zero();  // of [1, u, u^2, r / sigma]
-        double rows = 0.0, count = 0.0, scatter = 0.0;
-        for (Eigen::Index k = a; k < b; ++k) {
-          if (!std::isfinite(s.raw.value(k, i)) || s.raw.weight[k] <= 0.0) continue;
-          const double u = (s.raw.time[k] - s.raw.time[a]) / log.h - 1.0;
-          const Eigen::Vector4d x(1.0, u, u * u, s.now.residual(k, i) / fit.sigma(0, i));
-          A += s.raw.weight[k] * x * x.transpose();
-          scatter += s.raw.weight[k] * s.raw.spread(k, i) / std::pow(fit.sigma(0, i), 2.0);
-          count += s.raw.size[k];
-          ++rows;
-        }
-        if (rows < fewest) continue;
-        const Eigen::Vector3d slow = A.topLeftCorner<3, 3>().ldlt().solve(A.topRightCorner<3, 1>());
-        squares[raw_group(i, n)] += A(3, 3) - slow.dot(A.topRightCorner<3, 1>()) + scatter;
-        freedom[raw_group(i, n)] += count - 3.0;
-      }
-    }
-  double out = 0.0;
-  for (Eigen::Index r = 0; r < squares.size(); ++r) {
-    const double share = freedom[r] > 0.0 ? std::clamp(squares[r] / freedom[r], 0.0, 1.0) : 1.0;
-    out = std::max(out, log.sizes.raw_factor[r] * std::sqrt(share));
-  }
-  return out;
-}
-
-// h of one log by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving; again from there. And h / 4, where the
-// sensor's noise faster than 2 h seems larger than stated: what h / 2 does not follow either it does not show (20 Hz from 0.05 s,
-// 3 of 10). Of slower residuals nothing: 119 imperfect records in 0.84 of the time, outcomes the same.
+// h of one log by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving; again from there.
 class SpacingSearch {
  public:
   // `at`: the log's fit at a spacing; `repeated`: how often what it holds stands in the record.
@@ -179,7 +142,7 @@ class SpacingSearch {
     if (sound && alone == 0) return 0;
     fit(0);
     for (;;) {
-      for (const std::size_t i : {now + 1, fits_[now] && shaken(*fits_[now]) ? now + 2 : now + 1, alone})
+      for (const std::size_t i : {now + 1, alone})
         if (i > now && i < ladder_.size()) fit(i);
       std::size_t best = now;
       for (const auto& [i, one] : fits_)
@@ -200,12 +163,7 @@ class SpacingSearch {
   std::shared_ptr<Fit> fit(std::size_t i) {
     const auto known = fits_.find(i);
     if (known != fits_.end()) return known->second;
-    std::shared_ptr<Fit> lower = started(i, true, nullptr);
-    // (10.7) may have a lower optimum in which the motion explains what seems to be the sensor's noise
-    if (i > 0 && (!lower || shaken(*lower))) {
-      const std::shared_ptr<Fit> other = started(i, false, lower.get());
-      if (other && (!lower || other->deviance() < lower->deviance())) lower = other;
-    }
+    std::shared_ptr<Fit> lower = started(i);
     if (lower) lower->release();
     return fits_[i] = lower;
   }
@@ -226,8 +184,6 @@ class SpacingSearch {
     for (LogFit& log : fit.logs()) clear_mask(log);
     return !kept;
   }
-  // Whether finer knots may be what it asks for.
-  static bool shaken(const Fit& fit) { return noisy(fit) && fast_factor(fit) > constants::noise_told; }
 
  private:
   struct Alone {  // the motion's own fit
@@ -274,17 +230,16 @@ class SpacingSearch {
     return std::isfinite(deviance) ? priced(i, deviance) : std::numeric_limits<double>::infinity();
   }
 
-  // From the motion alone and Cauchy weights, or (`cauchy` false) from none and the roughest motion.
-  std::shared_ptr<Fit> started(std::size_t i, bool cauchy, const Fit* known) {
+  // From the motion alone and Cauchy weights.
+  std::shared_ptr<Fit> started(std::size_t i) {
     const auto fit = bare(i);
     const Alone& from = alone(i);
     LogFit& log = fit->logs()[0];
     log.sizes = from.sizes;
     for (std::size_t s = 0; s < from.c.size(); ++s) log.stretches[s].c = from.c[s];
     fit->robust = true;
-    regress(*fit, cauchy);
-    if (!cauchy) roughen(*fit);
-    fit->run(known, i == 0 ? clean : std::function<bool(Fit&)>());
+    regress(*fit, true);
+    fit->run(i == 0 ? clean : std::function<bool(Fit&)>());
     ++count_;
     return fit->failed ? nullptr : fit;
   }

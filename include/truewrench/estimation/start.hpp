@@ -6,8 +6,6 @@
 #include "truewrench/estimation/regression.hpp"
 
 #include <algorithm>
-#include <limits>
-#include <numbers>
 
 namespace truewrench {
 
@@ -85,24 +83,6 @@ inline void regress(Fit& fit, bool cauchy) {
     for (int i = 0; i < n; ++i) {
       double& f = factor[raw_group(i, n)];
       f = std::max(f, regression.scale(l, i) / rig.noise[i]);
-    }
-  }
-}
-
-// q of the roughest motion that its own measurements cannot deny: at half of the knots' rate it is as large as their noise,
-// sigma^2 (pi / h)^2(p - d) h with p the order of (10.2) and d that of the stream; noise as stated. (10.7) has an optimum where
-// what the motion's noise covers counts as noise of the sensor, and another where the sensor tells it: 20 Hz ripple, 0.7 sigma
-// of the velocities, was 15 to 30 x the noise of the forces in the first.
-inline void roughen(Fit& fit) {
-  for (LogFit& log : fit.logs()) {
-    const double rate = std::numbers::pi / log.h;
-    for (auto& f : log.sizes.motion_factor) f.setOnes();
-    for (int j = 0; j < log.log->components(); ++j) {
-      const int p = smoothness_order(log.log->source, j);
-      double least = std::numeric_limits<double>::infinity();
-      for (const MotionStream& m : log.log->motion)
-        least = std::min(least, m.sigma[j] * std::pow(rate, p - m.derivative));
-      log.sizes.q[j] = least * least * log.h;
     }
   }
 }

@@ -24,7 +24,7 @@ from truewrench.estimation.colour import without_filters
 from truewrench.estimation.estimate import Estimate, undisturbed
 from truewrench.estimation.estimator import unsolved
 from truewrench.estimation.evidence import Evidence
-from truewrench.estimation.lines import without_lines
+from truewrench.estimation.vibration import without_vibrations
 from truewrench.judging import Comparisons, findings, judge, setup_errors
 from truewrench.judging.channels import still_motion
 from truewrench.judging.validation.comparison import (
@@ -60,7 +60,9 @@ def calibrate_from_motion(
     clock = [time.perf_counter()]
     online = estimator == "online"
     places = moving_logs(rig, logs)
-    logs = [without_filters(without_lines(rig, log)) if k in places else log for k, log in enumerate(logs)]
+    logs = [
+        without_filters(without_vibrations(rig, log)) if k in places else log for k, log in enumerate(logs)
+    ]
     moving = [logs[k] for k in places]
     stated, rig = rig, with_first_guess(rig, moving)
     known = known_logs(rig, moving)

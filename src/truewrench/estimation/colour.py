@@ -27,7 +27,7 @@ LINES = 15  # bins of a running median, which passes over spectral lines
 FEWEST = 512  # samples of a stretch, and of a spectrum
 MOST = 131_072  # that are looked at
 LONGEST = 64  # samples of a mean
-TAKEN = 3.0  # [Hz] about a line that was taken out, where the spectrum tells nothing
+TAKEN = 3.0  # [Hz] about a band that was taken out, where the spectrum tells nothing
 FASTER, SLOWEST = 1.5, 50.0  # what is kept of an autoregressive stream: to so many times the corner, and [Hz]
 
 TOLD = 30.0
@@ -84,8 +84,8 @@ def without_filters(log: Log) -> Log:
             continue
         rows = np.flatnonzero(np.isfinite(values).any(axis=1))
         time = log.time[rows]
-        lines = [line.hz for line in log.lines] if name == "raw" else []
-        colour = colour_of(time, values[rows], lines)
+        taken = log.vibrations if name == "raw" else ()
+        colour = colour_of(time, values[rows], [(x.low, x.high) for x in taken])
         if colour is None:
             continue
         out = np.full_like(values, np.nan)
@@ -99,10 +99,10 @@ def without_filters(log: Log) -> Log:
     return replace(log, **changed, whitened=whitened) if changed else log
 
 
-def colour_of(time: Array, values: Array, without: Sequence[float] = ()) -> Colour | None:
+def colour_of(time: Array, values: Array, without: Sequence[tuple[float, float]] = ()) -> Colour | None:
     """Of samples (N, M) at times (N,); None where their noise is white, or no model holds.
 
-    `without` are frequencies whose bands have been taken out [Hz].
+    `without` are bands that have been taken out [Hz].
     """
     found = _spectrum(time, values, without)
     if found is None:
@@ -136,7 +136,7 @@ def colour_of(time: Array, values: Array, without: Sequence[float] = ()) -> Colo
 
 
 def _spectrum(
-    time: Array, values: Array, without: Sequence[float]
+    time: Array, values: Array, without: Sequence[tuple[float, float]]
 ) -> tuple[Array, Array, float, float] | None:
     """Angular frequencies (F,) a sample, densities (F, M) without lines, segments averaged, period [s]."""
     pieces = [piece for piece in segments(time) if piece.stop - piece.start >= FEWEST]
@@ -145,8 +145,8 @@ def _spectrum(
     period = float(np.median(np.diff(time)))
     frequency = np.fft.rfftfreq(FEWEST, period)
     use = (frequency >= BEGIN) & (frequency <= END * 0.5 / period)
-    for hz in without:
-        use &= np.abs(frequency - hz) > TAKEN
+    for low, high in without:
+        use &= (frequency < low - TAKEN) | (frequency > high + TAKEN)
     if use.sum() < 2 * LINES:
         return None
     total: Array = np.zeros((int(use.sum()), values.shape[1]))

@@ -33,11 +33,13 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """A vibration of the channels that has been taken out, and out of the motion where that shows it too."""
+class Vibration:
+    """A band that has been taken out of the channels, and of the motion where that shows it too."""
 
-    hz: float
-    size: tuple[float, ...]  # (n,) its mean amplitude [raw units]
+    low: float  # [Hz]
+    high: float
+    centre: float
+    size: tuple[float, ...]  # (n,) its mean amplitude, were it of one frequency [raw units]
     shown: bool  # by the motion
 
 
@@ -106,7 +108,7 @@ class Log:
         offset_jumps_ns: time stamps at which the offset begins anew.
         tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
         whitened: fields of which a filter has been undone, as the estimate reads them.
-        lines: vibrations that have been taken out of the channels, likewise.
+        vibrations: that have been taken out, likewise.
         clock_rate: how much faster than the motion's the sensor's clock ran, undone.
         weight_offset: how much later than the sensor's stamps the motion was taken by which a weight that the
             driver had subtracted was added back [s]; None where none was.
@@ -135,7 +137,7 @@ class Log:
     offset_jumps_ns: tuple[int, ...] = ()
     tracking: Tracking | None = None
     whitened: Mapping[str, Whitened] = field(default_factory=dict)
-    lines: tuple[Line, ...] = ()
+    vibrations: tuple[Vibration, ...] = ()
     clock_rate: float = 0.0
     weight_offset: float | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)

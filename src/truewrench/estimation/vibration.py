@@ -1,0 +1,234 @@
+"""Vibration, taken out of channels and motion before anything is estimated.
+
+A force that shakes the sensor faster than a motion is no noise at the frequencies of a motion; taken for
+white it makes the sigma of every gain too large. And what shakes the arm with it teaches nothing: at 20 Hz a
+payload is hardly rigid. A filter of even length takes the band out, without delay and without a trace of
+anything slow (docs/method.md, M12b): of the channels, and of the motion where that shows it as well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from truewrench.estimation.evenly import at_places, filled, places_of, welch
+from truewrench.model.arrays import Array
+from truewrench.model.log import Log, Vibration
+from truewrench.model.rig import Rig
+from truewrench.motion.smooth import segments
+from truewrench.robot.track import track
+
+SLOWEST = 10.0  # [Hz] of a vibration, as in words: motions are slower
+QUIET = 5.0  # [Hz] from which on up to `SLOWEST` the noise is that which counts
+WINDOW = 0.7  # [s] of the filter: what is 5.7 Hz and more below a band passes unchanged to 2e-5
+APART = 0.7  # [Hz] between the frequencies that fill a band
+SMOOTH = 0.7  # [Hz] on either side, over which spectra are averaged
+RESOLVED = 4.0  # [s] of a spectrum's segments
+MOST = 131_072  # samples that are looked at
+OUTLIER = 8.0  # sigma of a sample, from which on it tells nothing of a vibration
+
+SHARE = 0.3
+"""Of the variance of that noise in some channel, from which on a vibration matters: 1.14 times its sigma."""
+
+ABOVE = 4.0
+"""Times the density of that noise, from which on there is a vibration: in none of 2,480 records without,
+clean and of 15 kinds of imperfect hardware; in 79 of 80 with it (benchmarks/imperfect.py, seed 812)."""
+
+SEEN = 2.0
+"""Times the noise of a stream of the motion in and beside a band, from which on the motion shows it: in 0.2%
+of 1,800 bands of white noise of six components."""
+
+_MOTION = (
+    *("position", "velocity", "twist", "acceleration", "angular_velocity", "specific_force"),
+    "base_twist",
+)
+
+
+def without_vibrations(rig: Rig, log: Log) -> Log:
+    """The log without vibrations in its channels, nor in the motion where that shows them; else itself."""
+    found, still = _vibrations(log), log
+    if shown := [x for x in found if x.shown]:
+        still = _motion_without(rig, log, shown) or log
+        found = tuple(x for x in found if still is not log or not x.shown)
+    raw = _left(log, log.raw, found) if found else None
+    return log if raw is None else replace(still, raw=raw, vibrations=found)
+
+
+def _motion_without(rig: Rig, log: Log, bands: Sequence[Vibration]) -> Log | None:
+    """The log with another motion; None of one that is made of vibration, and of integrated velocities."""
+    streams = _motion(log)
+    changed: dict[str, Any] = {name: _left(log, values, bands) for name, values in streams.items()}
+    if any(left is None for left in changed.values()):
+        return None
+    if not any(_moves(changed[name], values) for name, values in streams.items()):
+        return None
+    if log.tracking is None:
+        return replace(log, **changed)
+    if log.position is None:  # these begin where the record does
+        return None
+    found = track(rig, replace(log, **changed, twist=None, gravity=None, tracking=None))
+    return replace(found, notes=log.notes)
+
+
+def _moves(left: Array, values: Array) -> bool:
+    """Whether vibration was the smaller part of a stream, and not what it was made of."""
+    return bool(np.nanvar(left, axis=0).sum() > 0.5 * np.nanvar(values, axis=0).sum())
+
+
+def _motion(log: Log) -> dict[str, Array]:
+    """Its streams; the twist of joints is none, which they made."""
+    names = [name for name in _MOTION if name != "twist" or log.tracking is None]
+    return {name: values for name in names if (values := getattr(log, name)) is not None}
+
+
+def _left(log: Log, values: Array, bands: Sequence[Vibration]) -> Array | None:
+    """A stream without bands; None where less than half of its samples would be left.
+
+    Of the rest of a white spectrum so many samples are left as make it white again.
+    """
+    rows, out = np.flatnonzero(np.isfinite(values).any(axis=1)), np.full_like(values, np.nan)
+    time = log.time[rows]
+    period = float(np.median(np.diff(time))) if rows.size > 1 else np.inf
+    told = [band for band in bands if band.high < 0.5 / period]
+    if not told:
+        return values
+    kernel = _kernel(told, period)
+    share = 1.0 - 2.0 * kernel[kernel.size // 2] + kernel @ kernel  # of the variance of white noise
+    for piece in _pieces(log, time):
+        places = places_of(time[piece])
+        without = _without(kernel, at_places(places, values[rows[piece]]))
+        counted = np.floor(share * np.arange(len(without) + 1))
+        without[counted[1:] == counted[:-1]] = np.nan
+        out[rows[piece]] = without[places]
+    return out if np.isfinite(out).sum() > 0.5 * np.isfinite(values).sum() else None
+
+
+def _pieces(log: Log, time: Array) -> list[slice]:
+    """Of the sensor's samples at times (N,), that no gap and no stated step of the offset interrupts."""
+    jumps = (np.asarray(log.offset_jumps_ns, np.float64) - float(log.time_ns[0])) * 1e-9
+    out = []
+    for piece in segments(time):
+        inner = np.searchsorted(time[piece], jumps) + piece.start
+        ends = [piece.start, *sorted(int(i) for i in inner if piece.start < i < piece.stop), piece.stop]
+        out += [slice(a, b) for a, b in pairwise(ends)]
+    return out
+
+
+def _vibrations(log: Log) -> tuple[Vibration, ...]:
+    """Slowest first."""
+    found = _spectrum(*_present(log.time, log.raw))
+    if found is None:
+        return ()
+    hz, power = found
+    step = float(hz[1] - hz[0])
+    quiet = np.maximum(np.median(power[hz < SLOWEST], axis=0), 1e-300)  # a channel that never changes
+    half = round(SMOOTH / step)
+    above = (_moving_sum(power, half) > ABOVE * (2 * half + 1) * quiet).any(axis=1) & (hz >= SLOWEST)
+    edges = np.flatnonzero(np.diff(above, prepend=False, append=False))
+    excess = np.maximum(power - quiet, 0.0) * step
+    white = quiet * (hz[-1] + step)
+    motion = [found for values in _motion(log).values() if (found := _spectrum(*_present(log.time, values)))]
+    bands: list[Vibration] = []
+    for begin, end in edges.reshape(-1, 2):
+        inner = slice(begin, end)
+        if (excess[inner].sum(axis=0) / white).max() < SHARE:
+            continue
+        weight = np.sum(excess[inner] / white, axis=1)
+        centre = float(weight @ hz[inner] / weight.sum())
+        low = min(float(hz[begin]) + SMOOTH, centre - APART)
+        high = max(float(hz[end - 1]) - SMOOTH, centre + APART)
+        amplitude = np.sqrt(2.0 * excess[inner].sum(axis=0))
+        shown = any(_shows(of, low, high) for of in motion)
+        bands.append(Vibration(low, high, centre, tuple(amplitude.tolist()), shown))
+    return tuple(bands)
+
+
+def _present(time: Array, values: Array) -> tuple[Array, Array]:
+    rows = np.isfinite(values).any(axis=1)
+    return time[rows], values[rows]
+
+
+def _shows(motion: tuple[Array, Array], low: float, high: float) -> bool:
+    """Whether a component of a stream has more than its noise within a band."""
+    hz, power = motion
+    inner = power[(hz >= low - APART) & (hz <= high + APART)]
+    return bool((inner.sum(axis=0) > SEEN * len(inner) * np.median(power, axis=0)).any())
+
+
+def _spectrum(time: Array, values: Array) -> tuple[Array, Array] | None:
+    """Frequencies (F,) [Hz] and one-sided densities (F, M); None of what is too short or slow."""
+    if len(time) < 2:
+        return None
+    piece = max(segments(time), key=lambda x: x.stop - x.start)
+    period = float(np.median(np.diff(time)))
+    length = round(RESOLVED / period)
+    part = filled(at_places(places_of(time[piece]), values[piece])[:MOST])
+    if len(part) < length + 2 or 0.4 / period < SLOWEST:
+        return None
+    twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast
+    frequency = np.fft.rfftfreq(length, period)
+    use = (frequency >= QUIET) & (frequency < 0.49 / period)
+    hz: Array = np.asarray(frequency[use], np.float64)
+    gain = (2.0 - 2.0 * np.cos(2.0 * np.pi * period * hz)) ** 2
+    return hz, welch(twice, period, length)[use] / gain[:, None]
+
+
+def _moving_sum(values: Array, half: int) -> Array:
+    """(F, M) over so many on either side."""
+    sums = np.cumsum(np.pad(values, ((half + 1, half), (0, 0))), axis=0)
+    return np.asarray(sums[2 * half + 1 :] - sums[: -2 * half - 1])
+
+
+def _kernel(bands: Sequence[Vibration], period: float) -> Array:
+    """(2 M + 1,) what passes bands by their full amplitude: cosines under Blackman and Harris' window."""
+    m = round(0.5 * WINDOW / period)
+    n = np.arange(-m, m + 1)
+    phase = 2.0 * np.pi * (n + m + 0.5) / (2 * m + 1)
+    window = 0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2 * phase) - 0.01168 * np.cos(3 * phase)
+    hz = np.concatenate([x.centre + APART * np.arange(*_steps(x)) for x in bands])
+    waves = np.cos(2.0 * np.pi * period * np.outer(hz, n))
+    passed = waves * window
+    return np.asarray(np.linalg.lstsq(waves @ passed.T, np.ones(hz.size), rcond=1e-6)[0] @ passed)
+
+
+def _steps(band: Vibration) -> tuple[int, int]:
+    return round((band.low - band.centre) / APART), 1 + round((band.high - band.centre) / APART)
+
+
+def _without(kernel: Array, values: Array) -> Array:
+    """(N, n) evenly sampled less what a kernel passes; NaN at the ends, and where a sample is missing."""
+    out, m = np.full_like(values, np.nan), kernel.size // 2
+    z = filled(values)
+    if len(z) < kernel.size:
+        return out
+    for _ in range(2):  # what stands out would be spread over the filter's length
+        left = z[m:-m] - _convolved(z, kernel)
+        stands = left - median_filter(left, (9, 1), mode="nearest")
+        sigma = 1.4826 / np.sqrt(6.0) * np.median(np.abs(np.diff(left, 2, axis=0)), axis=0)
+        outlier = (np.abs(stands) > OUTLIER * sigma) & (sigma > 0.0)
+        if not outlier.any():
+            break
+        z[m:-m][outlier] -= stands[outlier]
+    out[m:-m] = values[m:-m] - _convolved(z, kernel)
+    return out
+
+
+def _convolved(values: Array, kernel: Array) -> Array:
+    """(N, n) with a kernel, where it lies within: (N - 2 M, n), by parts."""
+    part = 1 << 16
+    return np.concatenate(
+        [
+            _fft(values[k : k + part + kernel.size - 1], kernel)
+            for k in range(0, len(values) - kernel.size + 1, part)
+        ]
+    )
+
+
+def _fft(values: Array, kernel: Array) -> NDArray[np.float64]:
+    n = 1 << (len(values) + kernel.size - 2).bit_length()
+    both = np.fft.rfft(values, n, axis=0) * np.fft.rfft(kernel, n)[:, None]
+    return np.asarray(np.fft.irfft(both, n, axis=0)[kernel.size - 1 : len(values)], np.float64)
