@@ -249,8 +249,7 @@ class Fit {
   // -2 log L (10.7) where the fit has ended; nan where it failed.
   double deviance() {
     if (begun_) run();
-    if (robust && !failed && std::isnan(deviance_) && linearise() && solve(true))
-      deviance_ = likelihood();
+    if (robust && !failed && std::isnan(deviance_) && linearise() && solve(true)) deviance_ = likelihood();
     return deviance_;
   }
 
@@ -357,7 +356,7 @@ class Fit {
   bool imitated_ = false;
   double deviance_ = std::numeric_limits<double>::quiet_NaN();
   bool stands_ = false, begun_ = false;  // begun_: one step was enough
-  std::vector<int> returns_;                            // of what has been let go, in this run
+  std::vector<int> returns_;             // of what has been let go, in this run
 
   // The step of a new linearisation, at the sizes of u and of steps that belong to it.
   bool find_step() {
