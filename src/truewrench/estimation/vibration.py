@@ -139,8 +139,8 @@ def _vibrations(log: Log) -> tuple[Vibration, ...]:
             continue
         weight = np.sum(excess[inner] / white, axis=1)
         centre = float(weight @ hz[inner] / weight.sum())
-        low = min(float(hz[begin]) + SMOOTH, centre - APART)
-        high = max(float(hz[end - 1]) - SMOOTH, centre + APART)
+        low = min(float(hz[begin]) + SMOOTH, centre)
+        high = max(float(hz[end - 1]) - SMOOTH, centre)
         amplitude = np.sqrt(2.0 * excess[inner].sum(axis=0))
         shown = any(_shows(of, low, high) for of in motion)
         bands.append(Vibration(low, high, centre, tuple(amplitude.tolist()), shown))
@@ -155,7 +155,7 @@ def _present(time: Array, values: Array) -> tuple[Array, Array]:
 def _shows(motion: tuple[Array, Array], low: float, high: float) -> bool:
     """Whether a component of a stream has more than its noise within a band."""
     hz, power = motion
-    inner = power[(hz >= low - APART) & (hz <= high + APART)]
+    inner = power[(hz >= low - 2.0 * APART) & (hz <= high + 2.0 * APART)]
     return bool((inner.sum(axis=0) > SEEN * len(inner) * np.median(power, axis=0)).any())
 
 
