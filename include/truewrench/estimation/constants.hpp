@@ -51,7 +51,7 @@ inline constexpr double doubt =
     1e-3;  // p of the scan (10.8), and of the two comparisons (10.11) together: clean records refused 0 of 104
 inline constexpr double scan_longest = 30.0;  // [s]
 inline constexpr double noise_told =
-    2.0;  // factor on the stated sigma that is told, and from which on h / 4 is tried
+    2.0;  // factor on the stated sigma that is told, and beyond which one robust step is not enough
 
 }  // namespace truewrench::constants
 

@@ -1,4 +1,4 @@
-// START of METHOD 10.3 of a fit: the motion from its own measurements alone, gain and offsets by it; and the roughest motion.
+// START of METHOD 10.3 of a fit: the motion from its own measurements alone, gain and offsets by it.
 #pragma once
 
 #include "truewrench/estimation/fit.hpp"
