@@ -89,6 +89,19 @@ def test_filtered_noise_is_told_and_undone() -> None:
         assert [words.split(" looks")[0] for words in tool.figures["filters"]] == [f"the noise of {column}"]
 
 
+def test_vibration_is_told_and_left_out() -> None:
+    rig = tool_rig(a_rig())
+    log = swing_log(rig, MASS, CENTER, INERTIA, seconds=20.0)
+    wave = np.sin(2.0 * np.pi * 18.0 * log.time[:, None] + np.arange(rig.sensor.n))
+    shaken = replace(log, raw=log.raw + 10.0 * rig.sensor.noise_array * wave)
+    tool, plain = tw.identify_tool(rig, shaken), tw.identify_tool(rig, log)
+    assert tool.verdict.usable, tool.verdict.reasons
+    assert within(tool)
+    assert [words.split(",")[0] for words in tool.figures["vibrations"]] == ["a vibration at 18 Hz"]
+    assert plain.figures["vibrations"] == []
+    assert (tool.inertia_std < 1.2 * plain.inertia_std).all()
+
+
 def test_poses_and_motion_together_are_better_than_either() -> None:
     rig = tool_rig(a_rig(sensor=STILL_AIR))
     swing, (poses, _) = swing_log(rig, MASS, CENTER, INERTIA), pose_log(rig, MASS, CENTER)

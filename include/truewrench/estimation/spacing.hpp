@@ -163,9 +163,9 @@ class SpacingSearch {
   std::shared_ptr<Fit> fit(std::size_t i) {
     const auto known = fits_.find(i);
     if (known != fits_.end()) return known->second;
-    std::shared_ptr<Fit> lower = started(i);
-    if (lower) lower->release();
-    return fits_[i] = lower;
+    const std::shared_ptr<Fit> found = started(i);
+    if (found) found->release();
+    return fits_[i] = found;
   }
 
   int fits() const { return count_; }

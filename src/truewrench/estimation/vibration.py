@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from truewrench.estimation.evenly import at_places, filled, places_of, welch
@@ -50,7 +49,7 @@ _MOTION = (
 
 def without_vibrations(rig: Rig, log: Log) -> Log:
     """The log without vibrations in its channels, nor in the motion where that shows them; else itself."""
-    found, still = _vibrations(log), log
+    found, still = _vibrations(rig, log), log
     if shown := [x for x in found if x.shown]:
         still = _motion_without(rig, log, shown) or log
         found = tuple(x for x in found if still is not log or not x.shown)
@@ -118,7 +117,7 @@ def _pieces(log: Log, time: Array) -> list[slice]:
     return out
 
 
-def _vibrations(log: Log) -> tuple[Vibration, ...]:
+def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
     """Slowest first."""
     found = _spectrum(*_present(log.time, log.raw))
     if found is None:
@@ -131,20 +130,28 @@ def _vibrations(log: Log) -> tuple[Vibration, ...]:
     edges = np.flatnonzero(np.diff(above, prepend=False, append=False))
     excess = np.maximum(power - quiet, 0.0) * step
     white = quiet * (hz[-1] + step)
+    bands = [
+        slice(begin, end)
+        for begin, end in edges.reshape(-1, 2)
+        if (excess[begin:end].sum(axis=0) / white).max() >= SHARE
+    ]
+    if not bands:
+        return ()
     motion = [found for values in _motion(log).values() if (found := _spectrum(*_present(log.time, values)))]
-    bands: list[Vibration] = []
-    for begin, end in edges.reshape(-1, 2):
-        inner = slice(begin, end)
-        if (excess[inner].sum(axis=0) / white).max() < SHARE:
-            continue
+    out = []
+    for inner in bands:
         weight = np.sum(excess[inner] / white, axis=1)
         centre = float(weight @ hz[inner] / weight.sum())
-        low = min(float(hz[begin]) + SMOOTH, centre)
-        high = max(float(hz[end - 1]) - SMOOTH, centre)
-        amplitude = np.sqrt(2.0 * excess[inner].sum(axis=0))
-        shown = any(_shows(of, low, high) for of in motion)
-        bands.append(Vibration(low, high, centre, tuple(amplitude.tolist()), shown))
-    return tuple(bands)
+        low = min(float(hz[inner][0]) + SMOOTH, centre)
+        high = max(float(hz[inner][-1]) - SMOOTH, centre)
+        size = np.sqrt(2.0 * excess[inner].sum(axis=0)) / rig.sensor.channel_scale
+        channel = rig.sensor.channels[int(np.argmax(size))]
+        out.append(
+            Vibration(
+                low, high, centre, float(size.max()), channel, any(_shows(x, low, high) for x in motion)
+            )
+        )
+    return tuple(out)
 
 
 def _present(time: Array, values: Array) -> tuple[Array, Array]:
@@ -205,30 +212,18 @@ def _without(kernel: Array, values: Array) -> Array:
     z = filled(values)
     if len(z) < kernel.size:
         return out
+    from scipy.signal import oaconvolve  # brings scipy.stats: half a second
+
+    def passed() -> Array:
+        return np.asarray(oaconvolve(z, kernel[:, None], mode="valid", axes=0))
+
     for _ in range(2):  # what stands out would be spread over the filter's length
-        left = z[m:-m] - _convolved(z, kernel)
+        left = z[m:-m] - passed()
         stands = left - median_filter(left, (9, 1), mode="nearest")
         sigma = 1.4826 / np.sqrt(6.0) * np.median(np.abs(np.diff(left, 2, axis=0)), axis=0)
         outlier = (np.abs(stands) > OUTLIER * sigma) & (sigma > 0.0)
         if not outlier.any():
             break
         z[m:-m][outlier] -= stands[outlier]
-    out[m:-m] = values[m:-m] - _convolved(z, kernel)
+    out[m:-m] = values[m:-m] - passed()
     return out
-
-
-def _convolved(values: Array, kernel: Array) -> Array:
-    """(N, n) with a kernel, where it lies within: (N - 2 M, n), by parts."""
-    part = 1 << 16
-    return np.concatenate(
-        [
-            _fft(values[k : k + part + kernel.size - 1], kernel)
-            for k in range(0, len(values) - kernel.size + 1, part)
-        ]
-    )
-
-
-def _fft(values: Array, kernel: Array) -> NDArray[np.float64]:
-    n = 1 << (len(values) + kernel.size - 2).bit_length()
-    both = np.fft.rfft(values, n, axis=0) * np.fft.rfft(kernel, n)[:, None]
-    return np.asarray(np.fft.irfft(both, n, axis=0)[kernel.size - 1 : len(values)], np.float64)

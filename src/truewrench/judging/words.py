@@ -24,7 +24,6 @@ MOST = 3  # kinds that are named at once
 WORTH = 0.1  # of the highest score, from which on a kind is named: the right one in 21 of 27 refusals
 TOLD = 4.0  # sigma of a clock, a quadratic term, a slow disturbance: 1 clean record in 2,000
 FILTERED = 4.0  # sigma of kappa and gamma from those of a clock, from which on a filter is named first
-WIDE = 4.0  # [Hz] of a vibration, from which on it is told from where to where: words only
 LARGE = 10.0  # times a slow disturbance or the noise, below which an event may be a part of it: words only
 NEAR = 0.3  # [s] of a step, within which a contact may be its edge: words only
 TILTED = 2.0  # sigma of its prior, that gravity's tilt is told from: 1 true prior in 10
@@ -51,7 +50,7 @@ def findings(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Assumed
     slow, fast = looks_slow(estimate, rig, logs), fast_looks(estimate, rig, logs)
     found: list[Assumed] = []
     for k in range(len(estimate.rows)):
-        found += _undone(rig, logs, k)
+        found += _undone(logs, k)
         found += _clocks(estimate, rig, logs, k)
         found += _slow(estimate, rig, logs, k, slow)
         found += _noise(estimate, rig, logs, k, [looks.kind for looks in fast])
@@ -136,20 +135,13 @@ def _what(kinds: Sequence[str], meaning: str) -> str:
     return f"{', '.join(kinds[:MOST])}: {meaning}"
 
 
-def _undone(rig: Rig, logs: Sequence[Log], k: int) -> Iterator[Assumed]:
+def _undone(logs: Sequence[Log], k: int) -> Iterator[Assumed]:
     """Vibrations, filters and a clock's rate, which the estimate's log is without."""
     if k >= len(logs):
         return
     for shakes in logs[k].vibrations:
-        share = np.asarray(shakes.size) / rig.sensor.channel_scale
-        i = int(np.argmax(share))
-        wide = shakes.high - shakes.low > WIDE
-        at = f"from {shakes.low:.3g} to {shakes.high:.3g} Hz" if wide else f"at {shakes.centre:.3g} Hz"
-        size = f"{100 * share[i]:.2g}% of range in {rig.sensor.channels[i]}"
-        seen = "shows too; left out of both" if shakes.shown else "does not show; left out"
-        words = f"a vibration {at}, {size}, that the motion {seen}"
-        what = "vibration: mean amplitude, fraction of range"
-        yield Assumed(what, log_name(logs, k), float(share[i]), None, words)
+        kind = "vibration: mean amplitude, fraction of range"
+        yield Assumed(kind, log_name(logs, k), shakes.size, None, shakes.words)
     for found in logs[k].whitened.values():
         kind = "filter: corner of a stream's noise, Hz"
         yield Assumed(kind, log_name(logs, k), found.corner, None, found.words)

@@ -10,6 +10,8 @@ from scipy.interpolate import BSpline, CubicSpline
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 
+WIDE = 4.0  # [Hz] of a vibration, from which on it is told from where to where: words only
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
@@ -39,8 +41,17 @@ class Vibration:
     low: float  # [Hz]
     high: float
     centre: float
-    size: tuple[float, ...]  # (n,) its mean amplitude, were it of one frequency [raw units]
+    size: float  # its largest mean amplitude, were it of one frequency, fraction of range
+    channel: str  # that has it
     shown: bool  # by the motion
+
+    @property
+    def words(self) -> str:
+        """For a person."""
+        wide = self.high - self.low > WIDE
+        at = f"from {self.low:.3g} to {self.high:.3g} Hz" if wide else f"at {self.centre:.3g} Hz"
+        seen = "shows too; left out of both" if self.shown else "does not show; left out"
+        return f"a vibration {at}, {100 * self.size:.2g}% of range in {self.channel}, that the motion {seen}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

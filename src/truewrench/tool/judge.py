@@ -57,7 +57,7 @@ def judge(
 ) -> Judged:
     """Set-up tests, words and needs of one identification; `logs` those of motion."""
     moving = bool(logs)
-    figures = _figures(solution, motion, left) | {"filters": _filters(logs)}
+    figures = _figures(solution, motion, left) | _undone(logs)
     reasons, needed = _reasons(rig, solution, motion, left, figures, determined, logs)
     unknown, more = _undetermined(rig, solution, motion, moving, determined, figures)
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(dict.fromkeys([*needed, *more])))
@@ -93,9 +93,11 @@ def _figures(solution: Solution, motion: MotionFit | None, left: Left) -> dict[s
     }
 
 
-def _filters(logs: Sequence[Log]) -> list[str]:
-    """What was undone of the noise of logs, each said once."""
-    return list(dict.fromkeys(found.words for log in logs for found in log.whitened.values()))
+def _undone(logs: Sequence[Log]) -> dict[str, list[str]]:
+    """What logs are read without, each said once."""
+    filters = (found.words for log in logs for found in log.whitened.values())
+    vibrations = (found.words for log in logs for found in log.vibrations)
+    return {"filters": list(dict.fromkeys(filters)), "vibrations": list(dict.fromkeys(vibrations))}
 
 
 def directions_of(fall: Array) -> tuple[int, float, Array]:

@@ -56,7 +56,7 @@ class Move:
     """What of a log is motion."""
 
     log: int  # which log
-    record: Log  # the log without the filters that colour its noise, channels where it moves alone
+    record: Log  # the log without vibrations and filters, channels where it moves alone
     # [s] since its first row, where its poses tell how its offset walks: begin and end of each move in turn,
     # at which it has an offset of its own; empty: the log's
     knots: Array

@@ -48,7 +48,8 @@ def _lines(tool: Tool) -> Iterator[str]:
             f"held-out poses  {held.force:.3g} N, {held.moment:.3g} N m left; the usual recipe leaves "
             f"{held.recipe_force:.3g} N, {held.recipe_moment:.3g} N m"
         )
-    yield from (f"found: {words}" for words in tool.figures.get("filters", ()))
+    for kind in ("filters", "vibrations"):
+        yield from (f"found: {words}" for words in tool.figures.get(kind, ()))
     yield from (f"  {one.words}" for one in tool.verdict.undetermined)
     yield from (f"next: {need}" for need in tool.verdict.needed)
 
