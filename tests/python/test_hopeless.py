@@ -119,6 +119,24 @@ def test_streams_with_stamps_of_their_own_are_tested_alike(
     assert said.startswith("joint panda_joint4: its sign is turned")
 
 
+def test_a_push_that_looks_like_a_huge_gain_is_no_wrong_unit(twist_log: Log) -> None:
+    """What hardly moves is known to least squares as badly as a disturbance is small beside it."""
+    rig = Rig.from_mapping(TWIST)
+    span = rig.sensor.range_array
+    middle = np.abs(twist_log.time - 6.0) <= 2.0
+    seen = (twist_log.raw - twist_log.raw[middle].mean(axis=0)) / span
+    least = np.linalg.svd(seen[middle])[2][-1]
+    push = np.outer(np.where(middle, 80.0 * seen @ least, 0.0), [1, 0, 0, 1, 0, 0]) * span
+    pushed = replace(twist_log, raw=twist_log.raw + push)
+    known = plain_gain(rig, [rows_of(pushed, middle)])
+    assert known is not None
+    assert np.abs(known[0] * span / span[:, None]).max() > 40.0
+    assert hopeless(rig, [pushed], [pushed]) == []
+    thousandfold = replace(pushed, raw=1e3 * pushed.raw)
+    (said, *_) = hopeless(rig, [thousandfold], [thousandfold])
+    assert "1000 times too large" in said
+
+
 @pytest.mark.parametrize("gravity", [(0, 0, 9.81), (0, -9.81, 0), (0, 0, 0), (0, 0, -1)])
 def test_gravity_that_a_rig_states_otherwise_is_named(
     arm: tuple[Rig, Log], gravity: tuple[float, float, float]
