@@ -292,14 +292,9 @@ class Estimator {
     return trial;
   }
 
-  // FIT: without d, then in both forms of d.
-  Candidate fit_rows(const Fit& like, const std::vector<std::vector<double>>& steps, Estimate& out,
-                     Slow slow) const {
-    return with_slow(plain_fit(bare(like), like, steps, out), steps, out, slow);
-  }
-
+  // FIT: without d, then in both forms of d; beside a fit that has d in that form alone, from where it has it there.
   Candidate with_slow(const std::shared_ptr<Fit>& plain, const std::vector<std::vector<double>>& steps,
-                      Estimate& out, Slow slow) const {
+                      Estimate& out, Slow slow, const Fit* known = nullptr) const {
     Candidate rows{plain, {}, {}, 0.0, false};
     const int n = plain->channels();
     if (plain->failed) return rows;
@@ -314,23 +309,15 @@ class Estimator {
     if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;
     plain->release();
     for (const Form form : {Form::matern, Form::walk}) {
+      if (known != nullptr && form != known->logs().front().sizes.form) continue;
       auto d = std::make_shared<Fit>(rig_, bare(*plain), steps, settings_.threads);
       for (LogFit& log : d->logs()) log.sizes.form = form;
-      d->start_from(*plain);
+      d->start_from(known != nullptr ? *known : *plain);
       for (std::size_t l = 0; l < d->logs().size(); ++l) {
         Sizes& z = d->logs()[l].sizes;
-        double length = 0.0;
-        for (const Stretch& s : d->logs()[l].stretches) {
-          length = std::max(length, s.spline.end() - s.spline.begin());
-        }
-        for (Stretch& s : d->logs()[l].stretches) s.e.setZero();
-        z.k = form == Form::walk ? 1.0 / length : 1.0 / 0.3;
-        for (int r = 0; r < z.delta.size(); ++r) {
-          const double sigma = plain->group_sigma(l, r);
-          z.cap[r] = constants::discrepancy_cap * sigma;
-          z.delta[r] =
-              std::clamp(std::sqrt(rows.moments[l][static_cast<std::size_t>(r)].delta2), 0.1 * sigma, sigma);
-        }
+        for (int r = 0; r < z.delta.size(); ++r)
+          z.cap[r] = constants::discrepancy_cap * plain->group_sigma(l, r);
+        if (known == nullptr) start_slow(*plain, d->logs()[l], l, rows.moments[l]);
       }
       d->run();
       ++out.fits;
@@ -346,6 +333,34 @@ class Estimator {
     return rows;
   }
 
+  // Where d begins: at what the moments of a fit without it show, within 0.1 to 1 sigma.
+  static void start_slow(const Fit& plain, LogFit& log, std::size_t l, const std::vector<Moment>& found) {
+    Sizes& z = log.sizes;
+    double length = 0.0;
+    for (Stretch& s : log.stretches) {
+      length = std::max(length, s.spline.end() - s.spline.begin());
+      s.e.setZero();
+    }
+    z.k = z.form == Form::walk ? 1.0 / length : 1.0 / 0.3;
+    for (int r = 0; r < z.delta.size(); ++r) {
+      const double sigma = plain.group_sigma(l, r);
+      z.delta[r] = std::clamp(std::sqrt(found[static_cast<std::size_t>(r)].delta2), 0.1 * sigma, sigma);
+    }
+  }
+
+  // FIT of d once more: of other rows of the same logs.
+  double deviance_of(const Fit& rows, const Fit& known, const std::vector<std::vector<double>>& steps,
+                     Estimate& out) const {
+    Fit d(rig_, bare(rows), steps, settings_.threads);
+    for (std::size_t l = 0; l < d.logs().size(); ++l) {
+      d.logs()[l].sizes.form = known.logs()[l].sizes.form;
+      d.logs()[l].sizes.cap = known.logs()[l].sizes.cap;
+    }
+    d.start_from(known).run();
+    ++out.fits;
+    return d.deviance();
+  }
+
   // At most three times: where the scan finds something with d in V, its best suffix becomes a step.
   void repair(Candidate& best, std::vector<std::vector<double>>& steps, Estimate& out) const {
     for (int round = 0; round < 3; ++round) {
@@ -356,7 +371,7 @@ class Estimator {
         if (t) break;
       }
       if (t && !best.found) {  // d must be in V before a step is sought
-        best = fit_rows(*best.fit, steps, out, Slow::always);
+        best = with_slow(best.fit, steps, out, Slow::always);
         t = best_step(*best.fit, l);
       }
       if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) return;
@@ -367,14 +382,15 @@ class Estimator {
       if (robust->failed) return;
       set_mask(*robust);
       leave_in(*robust);
-      const Candidate trial = fit_rows(*robust, trial_steps, out, Slow::asked);
+      const Fit* known = best.found ? best.fit.get() : nullptr;
+      const auto plain = plain_fit(bare(*robust), *robust, trial_steps, out);
+      const Candidate trial = with_slow(plain, trial_steps, out, Slow::asked, known);
       // of the same rows without the step
-      const Candidate bare_ =
-          same_mask(*robust, *best.fit) ? best : fit_rows(*robust, steps, out, Slow::always);
+      const double without =
+          same_mask(*robust, *best.fit) ? best.fit->deviance() : deviance_of(*robust, *best.fit, steps, out);
       double blocks = 0.0;
       for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
-      if (trial.fit->failed || !(trial.fit->deviance() <= bare_.fit->deviance() - 2.0 * std::log(blocks)))
-        return;
+      if (trial.fit->failed || !(trial.fit->deviance() <= without - 2.0 * std::log(blocks))) return;
       best = trial;
       steps = trial_steps;
     }
@@ -398,8 +414,8 @@ class Estimator {
     if (robust->failed) return;
     set_mask(*robust);
     Estimate finer = out;
-    Candidate rows = fit_rows(*robust, steps, finer, Slow::never);
-    finish(rows, settings_, finer);
+    finish(with_slow(plain_fit(bare(*robust), *robust, steps, finer), steps, finer, Slow::never), settings_,
+           finer);
     out.fits = finer.fits;
     if (finer.status == Status::ok && agree(finer)) out = std::move(finer);
   }
