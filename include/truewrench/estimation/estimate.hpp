@@ -65,7 +65,7 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
   out.covariance = fit.covariance();
   out.added = best.added;
   out.pose = pose_share(fit);
-  // delta_i^2 for (10.10): found, or its moment and 1 sd where d stayed out; of a walk over one period of the motion
+  // delta_i^2 for (10.10): found, or its moment and 1 sd where d stayed out; over one period of the motion
   out.discrepancy2 = Eigen::VectorXd::Zero(n);
   double total = 0.0;
   for (std::size_t l = 0; l < fit.logs().size(); ++l) {
@@ -76,7 +76,9 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
       const int r = raw_group(i, n);
       const Moment& m = best.moments[l][static_cast<std::size_t>(r)];
       double f2 = best.found ? z.delta[r] * z.delta[r] : m.delta2 + m.sd;
-      if (z.form == Form::walk) f2 *= 2.0 * (1.0 - std::exp(-z.k * out.pose.period));
+      const double x = z.k * out.pose.period;
+      if (z.form == Form::walk) f2 *= 2.0 * (1.0 - std::exp(-x));
+      if (z.form == Form::matern) f2 *= std::min(1.0, 2.0 * (1.0 - (1.0 + x) * std::exp(-x)));
       out.discrepancy2[i] += rows * f2;
     }
     total += rows;
