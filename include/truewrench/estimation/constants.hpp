@@ -25,7 +25,8 @@ inline constexpr double mask_weight = 0.3;         // share of clean samples mas
 inline constexpr double mask_shortest = 0.030;  // [s] of a contact, which is widened; shorter gaps are closed
 inline constexpr double mask_worth =
     1.2;  // factor on the variance of the noise found, up to which masked samples are left in: of motions that stop and go NEES
-// 1.11 -> 0.99, worst of 50 4.4 -> 1.6; contacts and spikes have 1.26 and more, 224 disturbed records ended as before
+// 1.11 -> 0.99, worst of 50 4.4 -> 1.6; contacts and spikes have 1.26 and more, 224 disturbed records ended as before;
+// on the size of d: drifts have at most 1.19, walks, steps and cables that lose a fifth 1.55 and more
 inline constexpr double most_lost =
     0.2;  // share of the samples that are masked, or of the raw output that no motion explains, beyond which a result is
 // refused: 9 of 476 imperfect records; explained by none at most 0.05 in 150 of them, with a foreign motion 0.26 to 1

@@ -2,9 +2,8 @@
 // returns the estimate, what it left out, the sizes it found and the findings that a judgement needs; it decides nothing.
 #pragma once
 
-#include "truewrench/estimation/estimate.hpp"
 #include "truewrench/estimation/gather.hpp"
-#include "truewrench/estimation/mask.hpp"
+#include "truewrench/estimation/slow.hpp"
 #include "truewrench/estimation/spacing.hpp"
 #include "truewrench/model/check.hpp"
 
@@ -71,8 +70,11 @@ class Estimator {
       leave_in(*robust);
     }
     const auto plain = with_masked(plain_fit(bare(*robust), *robust, steps, out), *robust, steps, out);
-    Candidate best = with_slow(plain, steps, out, hopeful ? Slow::asked : Slow::never);
-    if (hopeful) repair(best, steps, out);
+    Candidate best = with_slow(plain, hopeful ? Slow::asked : Slow::never, out.fits);
+    if (hopeful) {
+      repair(best, steps, out);
+      keep_masked(best, out.fits);
+    }
     finish(best, settings_, out);
     if (hopeful) refine(best, steps, out);
     return out;
@@ -104,22 +106,6 @@ class Estimator {
     out.period = period_of(*recorded_[l]);
     for (const Piece& p : pieces)
       out.stretches.emplace_back(*recorded_[l], *rig_, p.begin, p.end, period_of(*whole_[l]), h);
-    return out;
-  }
-
-  // The logs of a fit without its factorisation.
-  static std::vector<LogFit> bare(const Fit& fit) {
-    std::vector<LogFit> out;
-    for (const LogFit& l : fit.logs()) {
-      LogFit copy;
-      copy.log = l.log;
-      copy.whole = l.whole;
-      copy.gathered = l.gathered;
-      copy.h = l.h;
-      copy.period = l.period;
-      copy.stretches = l.stretches;
-      out.push_back(std::move(copy));
-    }
     return out;
   }
 
@@ -256,8 +242,6 @@ class Estimator {
     }
   }
 
-  enum class Slow { never, asked, always };  // whether d is tried: by (10.9)
-
   // FIT on the unmasked rows without d.
   std::shared_ptr<Fit> plain_fit(std::vector<LogFit> logs, const Fit& like,
                                  const std::vector<std::vector<double>>& steps, Estimate& out) const {
@@ -292,75 +276,6 @@ class Estimator {
     return trial;
   }
 
-  // FIT: without d, then in both forms of d; beside a fit that has d in that form alone, from where it has it there.
-  Candidate with_slow(const std::shared_ptr<Fit>& plain, const std::vector<std::vector<double>>& steps,
-                      Estimate& out, Slow slow, const Fit* known = nullptr) const {
-    Candidate rows{plain, {}, {}, 0.0, false};
-    const int n = plain->channels();
-    if (plain->failed) return rows;
-    std::vector<LogMoments> sums;
-    for (std::size_t l = 0; l < plain->logs().size(); ++l) {
-      sums.push_back(unmasked_sums(*plain, l));
-      rows.moments.push_back(moments(*plain, sums.back()));
-    }
-    rows.added = spread(*plain, rows.moments, sums);
-    const Eigen::MatrixXd P = plain->covariance();
-    for (int i = 0; i < 6 * n; ++i) rows.share = std::max(rows.share, rows.added(i, i) / P(i, i));
-    if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;
-    plain->release();
-    for (const Form form : {Form::matern, Form::walk}) {
-      if (known != nullptr && form != known->logs().front().sizes.form) continue;
-      auto d = std::make_shared<Fit>(rig_, bare(*plain), steps, settings_.threads);
-      for (LogFit& log : d->logs()) log.sizes.form = form;
-      d->start_from(known != nullptr ? *known : *plain);
-      for (std::size_t l = 0; l < d->logs().size(); ++l) {
-        Sizes& z = d->logs()[l].sizes;
-        for (int r = 0; r < z.delta.size(); ++r)
-          z.cap[r] = constants::discrepancy_cap * plain->group_sigma(l, r);
-        if (known == nullptr) start_slow(*plain, d->logs()[l], l, rows.moments[l]);
-      }
-      d->run();
-      ++out.fits;
-      std::shared_ptr<Fit> loser = d;
-      const bool plain_stands = rows.fit == plain;
-      if (!d->failed && std::isfinite(d->deviance()) &&
-          (plain_stands || d->deviance() < rows.fit->deviance()))
-        std::swap(rows.fit, loser);
-      loser->release();
-    }
-    rows.found = rows.fit != plain;
-    if (rows.found) rows.added.setZero();
-    return rows;
-  }
-
-  // Where d begins: at what the moments of a fit without it show, within 0.1 to 1 sigma.
-  static void start_slow(const Fit& plain, LogFit& log, std::size_t l, const std::vector<Moment>& found) {
-    Sizes& z = log.sizes;
-    double length = 0.0;
-    for (Stretch& s : log.stretches) {
-      length = std::max(length, s.spline.end() - s.spline.begin());
-      s.e.setZero();
-    }
-    z.k = z.form == Form::walk ? 1.0 / length : 1.0 / 0.3;
-    for (int r = 0; r < z.delta.size(); ++r) {
-      const double sigma = plain.group_sigma(l, r);
-      z.delta[r] = std::clamp(std::sqrt(found[static_cast<std::size_t>(r)].delta2), 0.1 * sigma, sigma);
-    }
-  }
-
-  // FIT of d once more: of other rows of the same logs.
-  double deviance_of(const Fit& rows, const Fit& known, const std::vector<std::vector<double>>& steps,
-                     Estimate& out) const {
-    Fit d(rig_, bare(rows), steps, settings_.threads);
-    for (std::size_t l = 0; l < d.logs().size(); ++l) {
-      d.logs()[l].sizes.form = known.logs()[l].sizes.form;
-      d.logs()[l].sizes.cap = known.logs()[l].sizes.cap;
-    }
-    d.start_from(known).run();
-    ++out.fits;
-    return d.deviance();
-  }
-
   // At most three times: where the scan finds something with d in V, its best suffix becomes a step.
   void repair(Candidate& best, std::vector<std::vector<double>>& steps, Estimate& out) const {
     for (int round = 0; round < 3; ++round) {
@@ -371,7 +286,7 @@ class Estimator {
         if (t) break;
       }
       if (t && !best.found) {  // d must be in V before a step is sought
-        best = with_slow(best.fit, steps, out, Slow::always);
+        best = with_slow(best.fit, Slow::always, out.fits);
         t = best_step(*best.fit, l);
       }
       if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) return;
@@ -384,10 +299,11 @@ class Estimator {
       leave_in(*robust);
       const Fit* known = best.found ? best.fit.get() : nullptr;
       const auto plain = plain_fit(bare(*robust), *robust, trial_steps, out);
-      const Candidate trial = with_slow(plain, trial_steps, out, Slow::asked, known);
+      const Candidate trial = with_slow(plain, Slow::asked, out.fits, known);
       // of the same rows without the step
-      const double without =
-          same_mask(*robust, *best.fit) ? best.fit->deviance() : deviance_of(*robust, *best.fit, steps, out);
+      const double without = same_mask(*robust, *best.fit)
+                                 ? best.fit->deviance()
+                                 : slow_again(bare(*robust), *best.fit, out.fits)->deviance();
       double blocks = 0.0;
       for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
       if (trial.fit->failed || !(trial.fit->deviance() <= without - 2.0 * std::log(blocks))) return;
@@ -414,7 +330,7 @@ class Estimator {
     if (robust->failed) return;
     set_mask(*robust);
     Estimate finer = out;
-    finish(with_slow(plain_fit(bare(*robust), *robust, steps, finer), steps, finer, Slow::never), settings_,
+    finish(with_slow(plain_fit(bare(*robust), *robust, steps, finer), Slow::never, finer.fits), settings_,
            finer);
     out.fits = finer.fits;
     if (finer.status == Status::ok && agree(finer)) out = std::move(finer);

@@ -1,0 +1,124 @@
+// How d enters FIT (METHOD 10.3): where the moments of a fit without it ask for it, in two forms.
+#pragma once
+
+#include "truewrench/estimation/estimate.hpp"
+#include "truewrench/estimation/mask.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <utility>
+#include <vector>
+
+namespace truewrench {
+
+enum class Slow { never, asked, always };  // whether d is tried: by (10.9)
+
+// The logs of a fit without its factorisation.
+inline std::vector<LogFit> bare(const Fit& fit) {
+  std::vector<LogFit> out;
+  for (const LogFit& l : fit.logs()) {
+    LogFit copy;
+    copy.log = l.log;
+    copy.whole = l.whole;
+    copy.gathered = l.gathered;
+    copy.h = l.h;
+    copy.period = l.period;
+    copy.stretches = l.stretches;
+    out.push_back(std::move(copy));
+  }
+  return out;
+}
+
+// d begins at what the moments of a fit without it show, within 0.1 to 1 sigma.
+inline void start_slow(const Fit& plain, LogFit& log, std::size_t l, const std::vector<Moment>& found) {
+  Sizes& z = log.sizes;
+  double length = 0.0;
+  for (Stretch& s : log.stretches) {
+    length = std::max(length, s.spline.end() - s.spline.begin());
+    s.e.setZero();
+  }
+  z.k = z.form == Form::walk ? 1.0 / length : 1.0 / 0.3;
+  for (int r = 0; r < z.delta.size(); ++r) {
+    const double sigma = plain.group_sigma(l, r);
+    z.delta[r] = std::clamp(std::sqrt(found[static_cast<std::size_t>(r)].delta2), 0.1 * sigma, sigma);
+  }
+}
+
+// FIT: as it is without d, then in both forms of d; beside a fit that has d in that form alone, from where it has it there.
+inline Candidate with_slow(const std::shared_ptr<Fit>& plain, Slow slow, int& fits,
+                           const Fit* known = nullptr) {
+  Candidate rows{plain, {}, {}, 0.0, false};
+  const int n = plain->channels();
+  if (plain->failed) return rows;
+  std::vector<LogMoments> sums;
+  for (std::size_t l = 0; l < plain->logs().size(); ++l) {
+    sums.push_back(unmasked_sums(*plain, l));
+    rows.moments.push_back(moments(*plain, sums.back()));
+  }
+  rows.added = spread(*plain, rows.moments, sums);
+  const Eigen::MatrixXd P = plain->covariance();
+  for (int i = 0; i < 6 * n; ++i) rows.share = std::max(rows.share, rows.added(i, i) / P(i, i));
+  if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;
+  plain->release();
+  for (const Form form : {Form::matern, Form::walk}) {
+    if (known != nullptr && form != known->logs().front().sizes.form) continue;
+    auto d = std::make_shared<Fit>(plain->shared_rig(), bare(*plain), plain->steps(), plain->threads());
+    for (LogFit& log : d->logs()) log.sizes.form = form;
+    d->start_from(known != nullptr ? *known : *plain);
+    for (std::size_t l = 0; l < d->logs().size(); ++l) {
+      Sizes& z = d->logs()[l].sizes;
+      for (int r = 0; r < z.delta.size(); ++r)
+        z.cap[r] = constants::discrepancy_cap * plain->group_sigma(l, r);
+      if (known == nullptr) start_slow(*plain, d->logs()[l], l, rows.moments[l]);
+    }
+    d->run();
+    ++fits;
+    std::shared_ptr<Fit> loser = d;
+    const bool plain_stands = rows.fit == plain;
+    if (!d->failed && std::isfinite(d->deviance()) && (plain_stands || d->deviance() < rows.fit->deviance()))
+      std::swap(rows.fit, loser);
+    loser->release();
+  }
+  rows.found = rows.fit != plain;
+  if (rows.found) rows.added.setZero();
+  return rows;
+}
+
+// FIT once more from where it is, with other rows of the same logs left out.
+inline std::shared_ptr<Fit> slow_again(std::vector<LogFit> logs, const Fit& known, int& fits) {
+  auto d = std::make_shared<Fit>(known.shared_rig(), std::move(logs), known.steps(), known.threads());
+  for (std::size_t l = 0; l < d->logs().size(); ++l) {
+    d->logs()[l].sizes.form = known.logs()[l].sizes.form;
+    d->logs()[l].sizes.cap = known.logs()[l].sizes.cap;
+  }
+  d->start_from(known).run();
+  ++fits;
+  return d;
+}
+
+// The masked samples, too, where they are more than a record may lose and neither noise nor d is much larger with them: the
+// beginning of a drift looks like a contact to ROBUST, which has no d.
+inline void keep_masked(Candidate& best, int& fits) {
+  std::vector<std::size_t> lost;
+  for (std::size_t l = 0; l < best.fit->logs().size() && best.found; ++l)
+    if (masked_share(*best.fit, l) > constants::most_lost) lost.push_back(l);
+  if (lost.empty()) return;
+  std::vector<LogFit> logs = bare(*best.fit);
+  for (const std::size_t l : lost) clear_mask(logs[l]);
+  const auto trial = slow_again(std::move(logs), *best.fit, fits);
+  if (trial->failed) return;
+  const auto larger = [](const Eigen::VectorXd& with, const Eigen::VectorXd& without) {
+    return (with.array() / without.array()).maxCoeff();
+  };
+  for (const std::size_t l : lost) {
+    const Sizes &with = trial->logs()[l].sizes, &without = best.fit->logs()[l].sizes;
+    if (std::pow(larger(with.raw_factor, without.raw_factor), 2) > constants::mask_worth ||
+        larger(with.delta, without.delta) > constants::mask_worth)
+      return;
+  }
+  best.fit->release();
+  best.fit = trial;
+}
+
+}  // namespace truewrench
