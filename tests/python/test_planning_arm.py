@@ -244,3 +244,51 @@ def test_derivatives_of_every_plan_are_those_by_finite_differences(arm_rig: Call
         np.testing.assert_allclose(
             hessian @ direction, curvature, atol=1e-5 * np.abs(curvature).max(), err_msg=name
         )
+
+
+# -- the paper's wrenches, led through joints -------------------------------------------------------------
+
+
+def test_joints_lead_the_payload_so_that_every_force_has_one_frequency(arm_rig: Callable[..., Rig]) -> None:
+    """By Pinocchio's motion of the sensor's frame, within the joints' limits."""
+    rig = arm_rig("spdm", plan={"duration": 10.0})
+    found = plan(rig, method="wrench")
+    motion, body = found.trajectory, rig.payloads["default"]
+    t = np.linspace(0.0, 10.0, 401)
+    q, dq, ddq = motion.position(t), motion.velocity(t), motion.acceleration(t)
+    assert found.feasible
+    assert np.abs(dq).max() <= 0.0698
+    assert np.abs(ddq).max() <= 0.07
+    assert rig.path is not None
+    model = pin.buildModelFromUrdf(str(Path(rig.path).parent / "spdm.urdf"))
+    data, frame, c = model.createData(), model.getFrameId("ft"), np.array(body.center_of_mass)
+    force = np.empty((len(t), 3))
+    for k in range(len(t)):
+        pin.forwardKinematics(model, data, q[k], dq[k], ddq[k])
+        omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL).angular
+        a = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL)
+        force[k] = body.mass * (a.linear + np.cross(a.angular, c) + np.cross(omega, np.cross(omega, c)))
+
+    def left(axis: int, hz: float) -> float:
+        phase = 2.0 * np.pi * hz * t
+        design = np.column_stack([np.ones_like(t), np.sin(phase), np.cos(phase)])
+        rest = force[:, axis] - design @ np.linalg.lstsq(design, force[:, axis])[0]
+        return float(np.var(rest) / np.var(force[:, axis]))
+
+    best = [min((left(axis, hz), hz) for hz in np.linspace(0.05, 1.0, 96)) for axis in range(3)]
+    assert max(share for share, _ in best) < 0.1
+    assert len({round(hz, 1) for _, hz in best}) == 3
+
+
+@pytest.mark.parametrize(
+    ("arm", "changes", "words"),
+    [
+        ("ur10_ground", {}, "a rig in gravity"),
+        ("spdm", {"motion": {"initial_position": None}}, "motion.initial_position: found nothing"),
+    ],
+)
+def test_sinusoidal_wrenches_ask_for_free_fall_and_a_posture(
+    arm_rig: Callable[..., Rig], arm: str, changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        plan(arm_rig(arm, **changes), method="wrench")
