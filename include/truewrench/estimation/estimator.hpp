@@ -298,15 +298,16 @@ class Estimator {
       set_mask(*robust);
       leave_in(*robust);
       const Fit* known = best.found ? best.fit.get() : nullptr;
-      const auto plain = plain_fit(bare(*robust), *robust, trial_steps, out);
-      const Candidate trial = with_slow(plain, Slow::asked, out.fits, known);
+      const auto fit_rows = [&](const std::vector<std::vector<double>>& at, Slow slow) {
+        return with_slow(plain_fit(bare(*robust), *robust, at, out), slow, out.fits, known);
+      };
+      const Candidate trial = fit_rows(trial_steps, Slow::asked);
       // of the same rows without the step
-      const double without = same_mask(*robust, *best.fit)
-                                 ? best.fit->deviance()
-                                 : slow_again(bare(*robust), *best.fit, out.fits)->deviance();
+      const Candidate without = same_mask(*robust, *best.fit) ? best : fit_rows(steps, Slow::always);
       double blocks = 0.0;
       for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
-      if (trial.fit->failed || !(trial.fit->deviance() <= without - 2.0 * std::log(blocks))) return;
+      if (trial.fit->failed || !(trial.fit->deviance() <= without.fit->deviance() - 2.0 * std::log(blocks)))
+        return;
       best = trial;
       steps = trial_steps;
     }

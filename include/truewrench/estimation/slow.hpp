@@ -45,7 +45,8 @@ inline void start_slow(const Fit& plain, LogFit& log, std::size_t l, const std::
   }
 }
 
-// FIT: as it is without d, then in both forms of d; beside a fit that has d in that form alone, from where it has it there.
+// FIT: as it is without d, then in both forms of d; beside a fit that has d, in its form from where it is there, and as a walk:
+// that has no tau, which may run away.
 inline Candidate with_slow(const std::shared_ptr<Fit>& plain, Slow slow, int& fits,
                            const Fit* known = nullptr) {
   Candidate rows{plain, {}, {}, 0.0, false};
@@ -62,15 +63,16 @@ inline Candidate with_slow(const std::shared_ptr<Fit>& plain, Slow slow, int& fi
   if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;
   plain->release();
   for (const Form form : {Form::matern, Form::walk}) {
-    if (known != nullptr && form != known->logs().front().sizes.form) continue;
+    const bool begun = known != nullptr && form == known->logs().front().sizes.form;
+    if (known != nullptr && !begun && form == Form::matern) continue;
     auto d = std::make_shared<Fit>(plain->shared_rig(), bare(*plain), plain->steps(), plain->threads());
     for (LogFit& log : d->logs()) log.sizes.form = form;
-    d->start_from(known != nullptr ? *known : *plain);
+    d->start_from(begun ? *known : *plain);
     for (std::size_t l = 0; l < d->logs().size(); ++l) {
       Sizes& z = d->logs()[l].sizes;
       for (int r = 0; r < z.delta.size(); ++r)
         z.cap[r] = constants::discrepancy_cap * plain->group_sigma(l, r);
-      if (known == nullptr) start_slow(*plain, d->logs()[l], l, rows.moments[l]);
+      if (!begun) start_slow(*plain, d->logs()[l], l, rows.moments[l]);
     }
     d->run();
     ++fits;
