@@ -38,12 +38,12 @@ class Bands {
     for (Eigen::Index j = 0; j < size; ++j)
       for (int c = 0; c < lanes; c += 4) {
         double* column = at(j, 0) + c;
-        dense::Lane L[kLocal];
+        dense::Lane L[kLocal], root = lane(column);
         for (int b = 0; b < 4; ++b) {
-          positive = positive && column[b] > 0.0;
-          L[0][b] = 1.0 / std::sqrt(column[b]);
+          positive = positive && root[b] > 0.0;
+          root[b] = 1.0 / std::sqrt(root[b]);
         }
-        lane(column) = L[0];
+        lane(column) = L[0] = root;
         for (int i = 1; i < kLocal; ++i) lane(column + i * lanes) = L[i] = lane(column + i * lanes) * L[0];
         for (int k = 1; k < kLocal; ++k) {
           double* to = at(j + k, 0) + c;
