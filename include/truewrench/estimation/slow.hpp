@@ -87,18 +87,6 @@ inline Candidate with_slow(const std::shared_ptr<Fit>& plain, Slow slow, int& fi
   return rows;
 }
 
-// FIT once more from where it is, with other rows of the same logs left out.
-inline std::shared_ptr<Fit> slow_again(std::vector<LogFit> logs, const Fit& known, int& fits) {
-  auto d = std::make_shared<Fit>(known.shared_rig(), std::move(logs), known.steps(), known.threads());
-  for (std::size_t l = 0; l < d->logs().size(); ++l) {
-    d->logs()[l].sizes.form = known.logs()[l].sizes.form;
-    d->logs()[l].sizes.cap = known.logs()[l].sizes.cap;
-  }
-  d->start_from(known).run();
-  ++fits;
-  return d;
-}
-
 // The masked samples, too, where they are more than a record may lose and neither noise nor d is much larger with them: the
 // beginning of a drift looks like a contact to ROBUST, which has no d.
 inline void keep_masked(Candidate& best, int& fits) {
@@ -106,9 +94,15 @@ inline void keep_masked(Candidate& best, int& fits) {
   for (std::size_t l = 0; l < best.fit->logs().size() && best.found; ++l)
     if (masked_share(*best.fit, l) > constants::most_lost) lost.push_back(l);
   if (lost.empty()) return;
-  std::vector<LogFit> logs = bare(*best.fit);
-  for (const std::size_t l : lost) clear_mask(logs[l]);
-  const auto trial = slow_again(std::move(logs), *best.fit, fits);
+  auto trial =
+      std::make_shared<Fit>(best.fit->shared_rig(), bare(*best.fit), best.fit->steps(), best.fit->threads());
+  for (std::size_t l = 0; l < trial->logs().size(); ++l) {
+    trial->logs()[l].sizes.form = best.fit->logs()[l].sizes.form;
+    trial->logs()[l].sizes.cap = best.fit->logs()[l].sizes.cap;
+  }
+  for (const std::size_t l : lost) clear_mask(trial->logs()[l]);
+  trial->start_from(*best.fit).run();
+  ++fits;
   if (trial->failed) return;
   const auto larger = [](const Eigen::VectorXd& with, const Eigen::VectorXd& without) {
     return (with.array() / without.array()).maxCoeff();
@@ -120,7 +114,7 @@ inline void keep_masked(Candidate& best, int& fits) {
       return;
   }
   best.fit->release();
-  best.fit = trial;
+  best.fit = std::move(trial);
 }
 
 }  // namespace truewrench
