@@ -144,7 +144,8 @@ class Fit {
       for (std::size_t j = 0; j < use.size(); ++j)
         P_(use[i], use[j]) = inverse(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
     step_ = dense::times(P_, pull());
-    return true;
+    if (!step_.allFinite()) failed = true;  // a slope (10.4) where the motion is not definite
+    return !failed;
   }
 
   // - half the gradient in theta, the motion eliminated, of rows with this gradient, such a share of all, and of the prior.
