@@ -293,6 +293,11 @@ def words_of(command: str, names: Mapping[str, object]) -> list[str]:
         ("apply RIG LOG -o LOG", "run.csv: found an input of the command itself"),
         ("apply RIG LOG --tool BAD -o BAD", "bad.csv: found an input of the command itself"),
         ("apply RIG LOG -o BAG", "out.bag: found the name of a recording for a table, expected a name"),
+        (
+            "apply RIG LOG -o OTHER",
+            "out.xlsx: found a name in .xlsx, expected a name in .csv, .parquet or .mcap",
+        ),
+        ("plan RIG -o OTHER", "out.xlsx: found a name in .xlsx, expected a name in .csv or .parquet"),
         ("demo", "Missing option '-o'"),
         ("demo -o LOG", "found a file, expected a folder"),
         ("fly", "No such command 'fly'"),
@@ -311,6 +316,7 @@ def test_bad_input_gives_status_2_one_message_and_no_file(
     names = {
         "RIG": rig_file, "LOG": log, "BAD": bad, "SAME": same, "LINK": link, "NONE": tmp_path / "none.csv",
         "OUT": tmp_path / "out", "MCAP": tmp_path / "out.mcap", "BAG": tmp_path / "out.bag",
+        "OTHER": tmp_path / "out.xlsx",
     }  # fmt: skip
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     status, out, err = run(*words_of(command, names), *(["--json"] if as_json else []))

@@ -59,11 +59,16 @@ def check_folder(path: Path) -> None:
         raise InputError.at(path, "", "a file", "a folder, or a name that is free")
 
 
-def check_output(output: Path, *inputs: Path | str | None, recording: bool = False) -> None:
+TABLE_NAMES = ("", ".csv", ".txt", ".parquet", ".pq")
+
+
+def check_output(
+    output: Path, *inputs: Path | str | None, table: bool = True, recording: bool = False
+) -> None:
     """Refuse to write a file over an input of the same command, before any work is done.
 
-    Refused are also a folder, a device, and the name of a recording for a table, unless FILE.mcap becomes a
-    `recording`. An input that does not exist is told by whoever reads it.
+    Refused are also a folder, a device, and for a `table` the name of anything else, unless FILE.mcap becomes
+    a `recording`. An input that does not exist is told by whoever reads it.
     """
     exists = os.path.exists  # False, and no error, of a name that no file can have
     if exists(output) and output.is_dir():
@@ -74,9 +79,11 @@ def check_output(output: Path, *inputs: Path | str | None, recording: bool = Fal
         if given is not None and exists(output) and exists(given) and output.samefile(given):
             raise InputError.at(output, "", "an input of the command itself", "another file to write")
     suffix = output.suffix.lower()
-    if suffix in (".bag", ".db3") or (suffix == ".mcap" and not recording):
+    if table and suffix not in TABLE_NAMES and not (recording and suffix == ".mcap"):
         expected = "a name in .csv, .parquet or .mcap" if recording else "a name in .csv or .parquet"
-        raise InputError.at(output, "", "the name of a recording for a table", expected)
+        of_recording = suffix in (".bag", ".db3", ".mcap")
+        found = "the name of a recording for a table" if of_recording else f"a name in {suffix}"
+        raise InputError.at(output, "", found, expected)
 
 
 def check_distinct(logs: Sequence[Log]) -> None:

@@ -98,7 +98,7 @@ def tool(
         raise InputError.at(on, "gain", found, expected)
     target_file, page = output / "tool.yaml", output / "tool.html"
     for path in [target_file, *(output / name for target in targets for name in FILES[target])]:
-        check_output(path, source, *logs, on, settings.urdf_path)
+        check_output(path, source, *logs, on, settings.urdf_path, table=False)
     evidence: list[Evidence] = []
     with progress_bar() as update:
         records = [read_log(log, settings) for log in logs]
