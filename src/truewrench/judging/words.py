@@ -15,7 +15,7 @@ from truewrench import _core
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
 from truewrench.estimation.estimate import Clock, Estimate, Slow
 from truewrench.estimation.reference_clock import ReferenceClock
-from truewrench.judging.attribution import WALK, Looks, fast_looks, slow_looks
+from truewrench.judging.attribution import Looks, fast_looks, slow_looks
 from truewrench.model.calibration_parts import Assumed
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -68,11 +68,7 @@ def findings(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Assumed
 def looks_slow(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
     """At most three kinds that the slow departures look like, likeliest first; some always."""
     walks = any(slow.form == "walk" for of_log in estimate.slow for slow in of_log)
-    scores = {looks.kind: looks.score for looks in slow_looks(estimate, rig, logs)}
-    if walks:
-        scores["drift"] = scores.get("drift", 0.0) + WALK
-    kinds = _likeliest([Looks(kind, score) for kind, score in scores.items()])
-    return kinds or (_WALK if walks else _SLOW)
+    return _likeliest(slow_looks(estimate, rig, logs)) or (_WALK if walks else _SLOW)
 
 
 def looks_fast(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
