@@ -9,13 +9,15 @@ import numpy as np
 from truewrench import _core
 from truewrench.estimation.estimate import AGREE, Estimate
 from truewrench.estimation.undetermined import undetermined_directions
-from truewrench.judging.advice import advice
+from truewrench.judging.advice import Disturbed, advice
+from truewrench.judging.attribution import fast_looks
 from truewrench.judging.blind import blind_to
 from truewrench.judging.channels import channel_faults, still_motion
 from truewrench.judging.setup_odds import Suspicion, gross_errors, setup_errors
 from truewrench.judging.words import (
     CHANNELS,
     MOST,
+    TOLD,
     findings,
     kinds_of_disagreement,
     kinds_of_disturbances,
@@ -90,17 +92,18 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
     reasons = [fault.words for fault in faults]
     unexplained = _unexplained(estimate, rig, logs)
     of_record: list[str] = []
+    named: list[str] = []  # kinds, over all reasons
     if comparisons.hopeless:
         reasons += comparisons.hopeless
     elif unexplained or not estimate.solved:  # what else was found is no more than what nothing explains
         reasons += still_motion(logs) or unexplained or _unsolved(estimate, logs)
     else:
-        of_record = _of_record(estimate, rig, logs)
+        of_record = _of_record(estimate, rig, logs, named)
         reasons += of_record
         if len(undetermined) == 6 * n:
             reasons += still_motion(logs) or [_nothing_learnt(estimate)]
     if estimate.solved and not silent:  # whose gains look like any mistake
-        suspicions = _suspicions(estimate, comparisons, rig, logs, alone=not of_record)
+        suspicions = _suspicions(estimate, comparisons, rig, logs, None if of_record else named)
         # a mistake that is sure comes before what it does to the record
         sure = bool(comparisons.setup) and comparisons.setup[0].log_odds > SURE
         reasons = [*suspicions, *reasons] if sure else [*reasons, *suspicions]
@@ -110,7 +113,7 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
     accurate = np.array([bool(np.all(std[:, j] <= required[j])) for j in range(6)])
     axes = dict(zip(AXES, (accurate & np.isfinite(required) & (not reasons)).tolist(), strict=True))
     if not accurate.all() and estimate.solved and not unexplained and len(undetermined) < 6 * n:
-        reasons.append(_accuracy(estimate, rig, logs, std, required, accurate))
+        reasons.append(_accuracy(estimate, rig, logs, std, required, accurate, named))
     if reasons and estimate.solved:
         reasons = [*_smoothed(estimate, logs), *reasons]
     verdict = Verdict(not reasons, tuple(reasons), undetermined, blind_to(estimate, rig))
@@ -203,12 +206,13 @@ def _smoothed(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
 
 
 def _suspicions(
-    estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log], *, alone: bool
+    estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log], alone: list[str] | None
 ) -> list[str]:
-    """Mistakes of the set-up; where they alone speak, what else may look like one."""
+    """Mistakes of the set-up; where they speak `alone`, what else may look like one."""
     out = [suspicion.words for suspicion in comparisons.setup]
-    if out and alone and slow_stands(estimate):
-        out[0] += f"; or a slow disturbance that looks like one: {listed(looks_slow(estimate, rig, logs))}"
+    if out and alone is not None and slow_stands(estimate):
+        kinds = _named(looks_slow(estimate, rig, logs), alone)
+        out[0] += f"; or a slow disturbance that looks like one: {kinds}"
     return out
 
 
@@ -222,10 +226,9 @@ def _nothing_learnt(estimate: Estimate) -> str:
     return f"{nothing}the payload's wrench is {100 * swing:.2g}% of range (RMS of its largest axis)"
 
 
-def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> list[str]:
+def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[str]) -> list[str]:
     """What of the record speaks against the result: unresolved, masked, in disagreement; a singular gain."""
     reasons = []
-    named: list[str] = []
     for k in np.flatnonzero(estimate.unresolved):
         reasons.append(
             f"the motion of {log_name(logs, int(k))} is not resolved: a knot a sample still fits better "
@@ -273,17 +276,33 @@ def _accuracy(
     std: Array,
     required: Array,
     accurate: Mask,
+    named: list[str],
 ) -> str:
     i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(required), std / required, 0.0))), std.shape)
     failed = [axis for axis, fine in zip(AXES, accurate, strict=True) if not fine]
     others = f" (of {', '.join(failed)}, this is the worst)" if len(failed) > 1 else ""
-    slow = listed(looks_slow(estimate, rig, logs))
     by_reference = bool(logs) and all(log.reference is not None for log in logs)
+    payload = logs[-1].payload if logs else None
+    disturbed = _disturbed(estimate, rig, logs, named)
     return (
         f"accuracy: the gain of {rig.sensor.channels[i]} on {AXES[j]} has a sigma of {std[i, j]:.3g} of "
         f"range, more than the required {required[j]:.3g}{others}; "
-        f"{advice(estimate, rig, required, logs[-1].payload if logs else None, slow, by_reference)}"
+        f"{advice(estimate, rig, required, payload, disturbed, by_reference)}"
     )
+
+
+def _disturbed(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[str]) -> Disturbed:
+    """What costs accuracy beyond what was stated; at most three kinds, as of all reasons."""
+    factor = max((f.factor for of in estimate.noise for f in of if f.what in CHANNELS), default=1.0)
+    noisy = factor > _core.NOISE_TOLD
+    slow = _named(looks_slow(estimate, rig, logs)[: MOST - noisy], named)
+    found = slow_stands(estimate) or any(s.z > TOLD for of in estimate.slow for s in of)
+    scatter = ""
+    if noisy:
+        fast = [looks.kind for looks in fast_looks(estimate, rig, logs)[:1]]
+        kinds = _named((*fast, "noise"), named)
+        scatter = f", {factor:.2g} times the stated ({kinds})"
+    return Disturbed(slow, found, slow_stands(estimate), scatter)
 
 
 def _notes(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log]) -> list[str]:

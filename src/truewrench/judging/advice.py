@@ -1,6 +1,7 @@
 """What would make a calibration accurate enough, in numbers a person can act on."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,27 +22,43 @@ _UNSEEN = (
 _BISECTIONS = 60  # tolerance
 
 
+@dataclass(frozen=True, slots=True)
+class Disturbed:
+    """What was found in a record beside the model: which costs accuracy, as large as it was found."""
+
+    slow: str  # kinds of what disturbs slowly
+    found: bool = False  # whether it stands out: (10.10) is then of its size
+    in_fit: bool = False  # whether it is a part of the scatter of the samples
+    scatter: str = ""  # by how much, and by what kinds, the samples scatter more than stated
+
+
 def advice(
-    estimate: Estimate, rig: Rig, required: Array, payload: str | None, slow: str, by_reference: bool = False
+    estimate: Estimate,
+    rig: Rig,
+    required: Array,
+    payload: str | None,
+    disturbed: Disturbed,
+    by_reference: bool = False,
 ) -> str:
     """What takes the gains of an estimate to what is required of them, where they are not there yet.
 
     The largest contributions to sigma are cut down to one level at which the worst gain is accurate enough;
     that they are independent makes of it a good guess and no promise. `required` (6,) is sigma of each wrench
-    axis' gains; the payload is that of the last log; `slow` names the kinds of what disturbs slowly;
-    `by_reference`: wrenches are known from elsewhere, and no motion.
+    axis' gains; the payload is that of the last log; `by_reference`: wrenches are known from elsewhere, and
+    no motion.
     """
     n = rig.sensor.n
     std = np.sqrt(np.maximum(np.diag(estimate.normalised_covariance)[: 6 * n], 0.0)).reshape(n, 6)
     prior = estimate.gain_prior.reshape(n, 6)
     worst = np.unravel_index(int(np.argmax(np.where(np.isfinite(required), std / required, 0.0))), std.shape)
     before_pose = np.sqrt(np.maximum(np.diag(estimate.before_pose), 0.0)).reshape(n, 6)
+    less = f"less of what disturbs it slowly ({disturbed.slow}), or " if disturbed.found else ""
     if not before_pose[worst] <= _core.UNDETERMINED * prior[worst]:
-        return _UNSEEN[by_reference]
+        return less + _UNSEEN[by_reference]
     parts = {name: float(sigma[worst]) for name, sigma in estimate.sources.items()}
     parts = {name: s for name, s in parts.items() if np.isfinite(s) and s > 0.0}
     if not parts:
-        return _GENERAL[by_reference]
+        return less + _GENERAL[by_reference]
     low, high = 0.0, max(parts.values())
     for _ in range(_BISECTIONS):
         level = 0.5 * (low + high)
@@ -50,17 +67,21 @@ def advice(
         else:
             low = level
     factors = {name: low / s for name, s in sorted(parts.items(), key=lambda p: -p[1]) if s > low}
-    words = _words(estimate, rig, factors, payload, slow) if factors and low > 0.0 else ""
-    return words or _GENERAL[by_reference]
+    words = _words(estimate, rig, factors, payload, disturbed) if factors and low > 0.0 else ""
+    return words or less + _GENERAL[by_reference]
 
 
-def _words(estimate: Estimate, rig: Rig, factors: dict[str, float], payload: str | None, slow: str) -> str:
+def _words(
+    estimate: Estimate, rig: Rig, factors: dict[str, float], payload: str | None, disturbed: Disturbed
+) -> str:
     stated = rig.payloads.get(payload or next(iter(rig.payloads)))
+    slow = f"what disturbs it slowly ({disturbed.slow})"
     causes, cures = [], []
     for source, factor in factors.items():
         times, longer = _up(1.0 / factor), _up(factor**-2.0)
         if source == "noise":
-            causes.append("the scatter of the samples")
+            causes += [slow] if disturbed.in_fit and slow not in causes else []
+            causes.append(f"the scatter of the samples{disturbed.scatter}")
             cures.append(f"a record {longer} times as long, or wrenches {times} times as large")
         elif source == "timing":
             causes.append("timing")
@@ -70,15 +91,20 @@ def _words(estimate: Estimate, rig: Rig, factors: dict[str, float], payload: str
             known = _stated(rig.gravity_tilt_prior, factor, 1e3, "mrad")
             cures.append(f"its tilt known to {known}, or more rotation")
         elif source == "slow":
-            causes.append(f"what disturbs it slowly ({slow})")
+            causes += [slow] if slow not in causes else []
             cures.append(f"{times} times less of it, or a record {longer} times as long")
         elif source == "pose":
-            causes.append("what may follow the pose unseen")
             hidden = f"this one hides {100 * estimate.A:.0f} % of its pose"
-            cures.append(
-                f"a motion of several frequencies an axis ({hidden}), or `discrepancy: 0` where nothing but "
-                "the payload pulls on the sensor"
-            )
+            moved = f"a motion of several frequencies an axis ({hidden})"
+            if disturbed.found:  # to state that there is none would be wrong
+                causes += [slow] if slow not in causes else []
+                causes.append("as much of it as may follow the pose unseen")
+                cures.append(f"{moved}, or {times} times less of what disturbs it")
+            else:
+                causes.append("what may follow the pose unseen")
+                cures.append(
+                    f"{moved}, or `discrepancy: 0` where nothing but the payload pulls on the sensor"
+                )
         elif stated is not None and source in _PAYLOAD:
             name, unit, size = _PAYLOAD[source]
             of = "" if payload is None else f" of payload `{payload}`"
