@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from test_judging import departed, estimate_of, play, rig_of
 
-from truewrench.estimation.estimate import Event, Slow
+from truewrench.estimation.estimate import Estimate, Event, FoundNoise, Slow
 from truewrench.judging import Comparisons, Suspicion, judge
+from truewrench.judging.attribution import _changes, _misfit, slow_looks
 
 MISTAKE = Suspicion("axes", "suspected set-up error: axes mixed up", 3.0)
 
@@ -48,3 +49,79 @@ def test_two_slow_kinds_stand_before_what_was_left_out() -> None:
     named = reason.split("left out as ")[1].split(":")[0].replace(" or ", ", ").split(", ")
     assert named[-1] == "contact"
     assert set(named[:-1]) == {"drift", "hysteresis"}
+
+
+def walk_of(estimate: Estimate) -> Estimate:
+    """With a random walk in the fit, from which gains have a sigma as large."""
+    slow = (Slow("force", 4e-3, None, 9.0, 40.0, "walk"), Slow("moment", 4e-3, None, 9.0, 40.0, "walk"))
+    wide = estimate.normalised_covariance.copy()
+    wide[np.diag_indices(36)] += 0.1**2
+    pose = {**estimate.sources, "pose": np.full((6, 6), 0.1)}
+    return replace(estimate, slow=(slow,), normalised_covariance=wide, sources=pose)
+
+
+def test_a_disturbance_that_costs_accuracy_is_named_and_not_to_be_denied() -> None:
+    rig = rig_of()
+    disturbed, log = estimate_of(rig, disturbed=lambda t, w, felt: play(felt, 2e-3))
+    (found,) = judge(walk_of(disturbed), Comparisons(), rig, [log]).verdict.reasons
+    assert "limited by what disturbs it slowly (hysteresis" in found
+    assert "times less of what disturbs it" in found
+    assert "`discrepancy: 0`" not in found
+    clean, log = estimate_of(rig)
+    unseen = replace(walk_of(clean), slow=clean.slow)
+    (unseen_only,) = judge(unseen, Comparisons(), rig, [log]).verdict.reasons
+    assert "`discrepancy: 0` where nothing but the payload pulls" in unseen_only
+    assert "disturbs" not in unseen_only
+
+
+def test_noise_that_costs_accuracy_is_named() -> None:
+    rig = rig_of()
+    estimate, log = estimate_of(rig)
+    wide = estimate.normalised_covariance.copy()
+    wide[np.diag_indices(36)] += 0.1**2
+    noisy = (FoundNoise("force", 4.2), FoundNoise("moment", 1.0))
+    sources = {"noise": np.full((6, 6), 0.1)}
+    estimate = replace(estimate, normalised_covariance=wide, noise=(noisy,), sources=sources)
+    (reason,) = judge(estimate, Comparisons(), rig, [log]).verdict.reasons
+    assert "the scatter of the samples, 4.2 times the stated (noise): a record" in reason
+
+
+def test_a_random_walk_is_a_drift_and_a_cable_a_cable() -> None:
+    """A walk resembles a few of many slow regressors; ten of each, the likeliest kind."""
+    rig = rig_of()
+    first: dict[str, list[str]] = {"walk": [], "cable": []}
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        steps = 2e-4 * np.cumsum(rng.standard_normal((1500, 6)), axis=0)
+        walks = estimate_of(rig, seed=seed, disturbed=lambda t, w, felt, steps=steps: steps)
+        stiff = 5e-2 * rng.standard_normal((6, 6))
+        twist = estimate_of(rig, seed=seed)[0].rows[0].twist
+        pose = np.cumsum(twist, axis=0) / 100.0
+        cables = estimate_of(rig, seed=seed, disturbed=lambda t, w, felt, pull=pose @ stiff.T: pull)
+        for kind, (estimate, log) in {"walk": walks, "cable": cables}.items():
+            first[kind].append(slow_looks(estimate, rig, [log])[0].kind)
+    assert first["walk"].count("drift") >= 9
+    assert first["cable"].count("cable") >= 9
+
+
+def test_the_score_is_that_of_the_dense_likelihood() -> None:
+    """-2 log L of y ~ N(Z b + level, s^2 (rho K + I)), b, level and s integrated out, by the textbook."""
+    rng = np.random.default_rng(3)
+    M, p = 40, 3
+    Z, y = rng.standard_normal((M, p)), rng.standard_normal((M, 2)).cumsum(axis=0)
+    K = np.minimum.outer(np.arange(M), np.arange(M)).astype(float)  # of a walk
+    X = np.column_stack([np.ones(M), Z])
+    sizes = np.array([0.0, 0.01, 1.0, 100.0])
+    power = 4.0 * np.sin(0.5 * np.pi * np.arange(1, M) / M) ** 2
+    ours = _misfit(_changes(Z), _changes(y), np.sqrt(sizes[:, None] + power))
+    dense = np.zeros((4, 2))
+    for g, size in enumerate(sizes):
+        V = size * K + np.eye(M)
+        A = np.linalg.solve(V, X)
+        S = X.T @ A
+        left = np.einsum("mi,mi->i", y, np.linalg.solve(V, y)) - np.einsum(
+            "pi,pi->i", A.T @ y, np.linalg.solve(S, A.T @ y)
+        )
+        freedom = M - p - 1
+        dense[g] = freedom * np.log(left / freedom) + np.linalg.slogdet(V)[1] + np.linalg.slogdet(S)[1]
+    np.testing.assert_allclose(ours, dense, rtol=0.0, atol=1e-8)
