@@ -201,7 +201,12 @@ def line(name: str, rows: Sequence[Row]) -> list[str]:
     asked = [r for r in done if r.get("twin_usable")]
     ordinary = [r for r in asked if r["ordinary"]]
     ratio = [r["seconds"] / r["twin_seconds"] for r in done if r.get("twin_seconds")]
-    refused = [r for r in done if not r["usable"] and not all("accuracy" in x for x in r["reasons"])]
+    # by what is imperfect: the twin is usable, or more than accuracy speaks against it
+    refused = [
+        r
+        for r in done
+        if not r["usable"] and (r.get("twin_usable") or not all("accuracy" in x for x in r["reasons"]))
+    ]
     return [
         name,
         str(len(rows)),
@@ -213,6 +218,7 @@ def line(name: str, rows: Sequence[Row]) -> list[str]:
         f"{np.median([r['nees'] for r in done]):.2f}" if done else "-",
         f"{np.median(ratio):.1f} ({np.max(ratio):.1f})" if ratio else "-",
         runs.interval(sum(named(r) >= 0 for r in refused), len(refused)),
+        runs.interval(sum(named(r) == 0 for r in refused), len(refused)),
     ]
 
 
@@ -230,7 +236,8 @@ def main() -> None:
         work = partial(_twists_only, work)
     settings = {key: str(value) for key, value in vars(options).items() if key not in ("out", "workers")}
     rows = runs.gather(work, range(options.runs), options.out, options.workers, settings)
-    header = "kind|runs|failed|usable, ordinary|usable, all|wrong and usable|coverage|NEES|time (worst)|named"
+    header = "kind|runs|failed|usable, ordinary|usable, all|wrong and usable|coverage|NEES|time (worst)"
+    header += "|refused: named|first"
     groups: list[tuple[str, Callable[[Row], bool]]] = [(kind, partial(_is, kind)) for kind in RANGES]
     groups += [(f"all, {m}", partial(_moves, m)) for m in ("six", "one", "joints")]
     groups.append(("all but slow ones, six and joints", _not_slow))
