@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from test_judging import departed, estimate_of, play, rig_of
 from truewrench.estimation.estimate import Estimate, Event, FoundNoise, Slow
 from truewrench.judging import Comparisons, Suspicion, judge
 from truewrench.judging.attribution import _changes, _misfit, slow_looks
+from truewrench.model.calibration_parts import KINDS
 
 MISTAKE = Suspicion("axes", "suspected set-up error: axes mixed up", 3.0)
 
@@ -125,3 +127,16 @@ def test_the_score_is_that_of_the_dense_likelihood() -> None:
         freedom = M - p - 1
         dense[g] = freedom * np.log(left / freedom) + np.linalg.slogdet(V)[1] + np.linalg.slogdet(S)[1]
     np.testing.assert_allclose(ours, dense, rtol=0.0, atol=1e-8)
+
+
+def test_no_more_than_three_kinds_are_named_over_all_reasons() -> None:
+    rig = rig_of()
+    disturbed, log = estimate_of(rig, disturbed=lambda t, w, felt: play(felt, 2e-3))
+    masked = np.arange(1500) % 3 == 0
+    event = Event(0.0, 15.0, int(masked.sum()), True, np.full(6, 2e-3))
+    noise = (FoundNoise("force", 4.2), FoundNoise("moment", 1.0))
+    rows = replace(disturbed.rows[0], masked=masked)
+    estimate = replace(walk_of(disturbed), noise=(noise,), events=((event,),), rows=(rows,), p_halves=1e-9)
+    reasons = judge(estimate, Comparisons(), rig, [log]).verdict.reasons
+    assert len(reasons) == 3
+    assert len({kind for kind in KINDS if re.search(rf"\b{kind}\b", " ".join(reasons))}) <= 3

@@ -295,14 +295,19 @@ def _disturbed(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[st
     """What costs accuracy beyond what was stated; at most three kinds, as of all reasons."""
     factor = max((f.factor for of in estimate.noise for f in of if f.what in CHANNELS), default=1.0)
     noisy = factor > _core.NOISE_TOLD
-    slow = _named(looks_slow(estimate, rig, logs)[: MOST - noisy], named)
+    slow = _if_room(looks_slow(estimate, rig, logs)[: MOST - noisy], named)
     found = slow_stands(estimate) or any(s.z > TOLD for of in estimate.slow for s in of)
     scatter = ""
     if noisy:
         fast = [looks.kind for looks in fast_looks(estimate, rig, logs)[:1]]
-        kinds = _named((*fast, "noise"), named)
-        scatter = f", {factor:.2g} times the stated ({kinds})"
-    return Disturbed(slow, found, slow_stands(estimate), scatter)
+        scatter = f", {factor:.2g} times the stated{_if_room((*fast, 'noise'), named)}"
+    return Disturbed(f"what disturbs it slowly{slow}", found, slow_stands(estimate), scatter)
+
+
+def _if_room(kinds: Sequence[str], named: list[str]) -> str:
+    """` (cable or drift)`; nothing where as many others are named."""
+    room = len(named) < MOST or not set(kinds).isdisjoint(named)
+    return f" ({_named(kinds, named)})" if room else ""
 
 
 def _notes(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log]) -> list[str]:

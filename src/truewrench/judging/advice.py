@@ -26,7 +26,7 @@ _BISECTIONS = 60  # tolerance
 class Disturbed:
     """What was found in a record beside the model: which costs accuracy, as large as it was found."""
 
-    slow: str  # kinds of what disturbs slowly
+    slow: str  # what disturbs slowly, and what it looks like
     found: bool = False  # whether it stands out: (10.10) is then of its size
     in_fit: bool = False  # whether it is a part of the scatter of the samples
     scatter: str = ""  # by how much, and by what kinds, the samples scatter more than stated
@@ -52,7 +52,7 @@ def advice(
     prior = estimate.gain_prior.reshape(n, 6)
     worst = np.unravel_index(int(np.argmax(np.where(np.isfinite(required), std / required, 0.0))), std.shape)
     before_pose = np.sqrt(np.maximum(np.diag(estimate.before_pose), 0.0)).reshape(n, 6)
-    less = f"less of what disturbs it slowly ({disturbed.slow}), or " if disturbed.found else ""
+    less = f"less of {disturbed.slow}, or " if disturbed.found else ""
     if not before_pose[worst] <= _core.UNDETERMINED * prior[worst]:
         return less + _UNSEEN[by_reference]
     parts = {name: float(sigma[worst]) for name, sigma in estimate.sources.items()}
@@ -75,8 +75,9 @@ def _words(
     estimate: Estimate, rig: Rig, factors: dict[str, float], payload: str | None, disturbed: Disturbed
 ) -> str:
     stated = rig.payloads.get(payload or next(iter(rig.payloads)))
-    slow = f"what disturbs it slowly ({disturbed.slow})"
-    causes, cures = [], []
+    slow = disturbed.slow
+    causes: list[str] = []
+    cures: list[str] = []
     for source, factor in factors.items():
         times, longer = _up(1.0 / factor), _up(factor**-2.0)
         if source == "noise":
