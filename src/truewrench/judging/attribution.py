@@ -22,12 +22,12 @@ from truewrench.model.rig import Rig
 
 BIN = 0.05  # [s] slow departures are averaged over: tolerance
 COSINES = 4  # over the length of a record, that a drifting offset is made of
-FRICTION = 0.03  # fraction of range over which friction saturates (METHOD 10.8)
+FRICTION = (0.003, 0.01, 0.03)  # fractions of range over which friction saturates: tolerance
 FEWEST = 24  # bins, or samples, from which on a record is asked: tolerance
 CROWDED = 0.5  # regressors per value, from which on they explain anything: tolerance
 WALKS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 4.0)])  # variance of steps, in the noise's: tolerance
-# Of a walk's own fall what counts for drift: then first in 114 of 117 drifts and walks (beside white noise
-# alone in 43), in 18 of 85 cables and nonlinear sensors (2), in 2 of 60 hystereses (1).
+# Of a walk's own fall what counts for drift: then first in 111 of 117 drifts and walks (beside white noise
+# alone in 52), in 16 of 83 cables and nonlinear sensors (4), in no hysteresis of 60 (1).
 WALK = 10.0
 FAST = 10.0  # [Hz] vibration is sought above
 PEAK = 5.0  # half of chi-square above the largest of white noise: 1 record in 150
@@ -93,7 +93,9 @@ def _binned(
             "cable": mean(pose),
             "cable, bent": np.concatenate([mean(pose), _products(pose, mean)], axis=1),
             "nonlinearity": _products(w, mean),
-            "hysteresis": np.stack([mean(np.sign(rate)), mean(_friction(felt))], axis=2),
+            "hysteresis": np.stack(
+                [mean(np.sign(rate)), *(mean(_friction(felt / over)) for over in FRICTION)], axis=2
+            ),
             "filter": np.stack([mean(rate), mean(np.gradient(rate, t, axis=0))], axis=2),
         }
         if log.gravity is not None:
@@ -170,8 +172,8 @@ def _products(x: Array, mean: Callable[[Array], Array]) -> Array:
 
 
 def _friction(felt: Array) -> Array:
-    """State (N, n) of Dahl's friction at unit size: z + dx - |dx| z, for many parts of the record at once."""
-    step = np.clip(np.diff(felt, axis=0, prepend=felt[:1]) / FRICTION, -1.0, 1.0)
+    """State (N, n) of Dahl's friction over unit distance: z + dx - |dx| z, many parts of the record at once."""
+    step = np.clip(np.diff(felt, axis=0, prepend=felt[:1]), -1.0, 1.0)
     length = int(np.ceil(len(felt) ** 0.5))
     parts = -(-len(felt) // length)
     dx: Array = np.zeros((parts, length, felt.shape[1]))
