@@ -172,7 +172,7 @@ def _products(x: Array, mean: Callable[[Array], Array]) -> Array:
 
 
 def _friction(felt: Array) -> Array:
-    """State (N, n) of Dahl's friction over unit distance: z + dx - |dx| z, many parts of the record at once."""
+    """State (N, n) of Dahl's friction over unit distance: z + dx - |dx| z, many parts of a record at once."""
     step = np.clip(np.diff(felt, axis=0, prepend=felt[:1]), -1.0, 1.0)
     length = int(np.ceil(len(felt) ** 0.5))
     parts = -(-len(felt) // length)
