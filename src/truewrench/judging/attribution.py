@@ -152,13 +152,14 @@ def _changes(x: Array) -> Array:
 
 def _misfit(Z: Array, y: Array, root: Array) -> Array:
     """-2 log L (G, n) of y (M, n), sigma by root (G, M), with coefficients of Z (M, p) and the size out."""
-    Q, R = np.linalg.qr(Z / root[:, :, None])
-    whitened = y / root[:, :, None]
-    left = np.sum(whitened**2, axis=1) - np.sum((Q.transpose(0, 2, 1) @ whitened) ** 2, axis=1)
-    freedom = len(y) - Z.shape[1]
-    of_Z = np.log(np.abs(np.diagonal(R, axis1=1, axis2=2)) + 1e-300).sum(axis=1)
-    volume = 2.0 * np.log(root).sum(axis=1) + 2.0 * of_Z
-    return np.asarray(freedom * np.log(np.maximum(left, 1e-300) / freedom) + volume[:, None])
+    freedom, out = len(y) - Z.shape[1], np.empty((len(root), y.shape[1]))
+    for g, sigma in enumerate(root[:, :, None]):  # one by one: an hour takes the memory of one
+        Q, R = np.linalg.qr(Z / sigma)
+        whitened = y / sigma
+        left = np.sum(whitened**2, axis=0) - np.sum((Q.T @ whitened) ** 2, axis=0)
+        volume = 2.0 * np.log(sigma).sum() + 2.0 * np.log(np.abs(np.diag(R)) + 1e-300).sum()
+        out[g] = freedom * np.log(np.maximum(left, 1e-300) / freedom) + volume
+    return out
 
 
 def _basis(columns: Array, least: float = 1e-10) -> Array:
