@@ -21,6 +21,7 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
 BIN = 0.05  # [s] slow departures are averaged over: tolerance
+LONGEST = 200.0  # [s] that are asked at once, for the memory of it: tolerance
 COSINES = 4  # over the length of a record, that a drifting offset is made of
 FRICTION = (0.003, 0.01, 0.03)  # fractions of range over which friction saturates: tolerance
 FEWEST = 24  # bins, or samples, from which on a record is asked: tolerance
@@ -67,11 +68,10 @@ def slow_looks(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[Looks
 def _binned(
     rows: LogRows, estimate: Estimate, rig: Rig, log: Log
 ) -> Iterator[tuple[Array, Array, Mapping[str, Array]]]:
-    """Departure (M, n), w with 1 (M, 7), and regressors (M, p) or (M, n, p), of every stretch."""
+    """Departure (M, n), w with 1 (M, 7), and regressors (M, p) or (M, n, p), of every piece."""
     span, scale = rig.sensor.range_array, rig.sensor.channel_scale
     normalised = estimate.gain * span / scale[:, None]
-    for stretch in np.unique(rows.stretch):
-        at = np.flatnonzero(rows.stretch == stretch)
+    for at in _pieces(rows):
         t, w = rows.time[at], rows.wrench[at] / span
         if t.size < FEWEST or not np.isfinite(w).all():
             continue
@@ -104,6 +104,13 @@ def _binned(
                 turned = np.cross(rows.twist[at, 3:], g)
                 columns["gravity"] = np.concatenate([mean(g), mean(turned)], axis=1)
         yield mean(y), np.column_stack([mean(w), np.ones(begins.size)]), columns
+
+
+def _pieces(rows: LogRows) -> Iterator[Integers]:
+    """Rows of every stretch, of long ones of parts."""
+    for stretch in np.unique(rows.stretch):
+        at = np.flatnonzero(rows.stretch == stretch)
+        yield from np.array_split(at, max(1, int(np.ceil(np.ptp(rows.time[at]) / LONGEST))))
 
 
 def _mean(values: Array, use: Integers, begins: Integers) -> Array:
