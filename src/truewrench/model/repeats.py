@@ -135,12 +135,16 @@ class _Stream:
 
     def interpolated(self, time: Array) -> Integers:
         """Rows on lines that begin as regularly as samples; of two beside a sample that is not there, one."""
-        at, values = time[self.rows], self.values[self.rows]
+        at = time[self.rows]
         if self.rows.size <= _FEWEST:
             return self.rows[:0]
-        bend = np.abs(np.diff(np.diff(values, axis=0) / np.diff(at)[:, None], axis=0))
-        size = np.hypot.reduce(bend, axis=0) / np.sqrt(len(bend))  # squares may overflow
-        line = np.pad((bend <= _IN_LINE * size).all(axis=1), 1) & ~self.repeats
+        straight: Mask = np.ones(at.size - 2, dtype=np.bool_)
+        for column in self.values.T:  # one by one, for the memory of an hour
+            bend = np.abs(np.diff(np.diff(column[self.rows]) / np.diff(at)))
+            straight &= bend <= _IN_LINE * (
+                np.hypot.reduce(bend) / np.sqrt(bend.size)
+            )  # squares may overflow
+        line = np.pad(straight, 1) & ~self.repeats
         begins = np.flatnonzero(line[1:] & ~line[:-1])
         if begins.size <= _FEWEST or line.mean() < _HELD or np.median(np.diff(at[begins])) > SAMPLED:
             return self.rows[:0]
