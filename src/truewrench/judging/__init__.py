@@ -10,23 +10,24 @@ from truewrench import _core
 from truewrench.estimation.estimate import AGREE, Estimate
 from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.judging.advice import Disturbed, advice
-from truewrench.judging.attribution import fast_looks
 from truewrench.judging.blind import blind_to
 from truewrench.judging.channels import channel_faults, still_motion
 from truewrench.judging.setup_odds import Suspicion, gross_errors, setup_errors
 from truewrench.judging.words import (
     CHANNELS,
     MOST,
-    TOLD,
     findings,
     kinds_of_disagreement,
     kinds_of_disturbances,
+    likeliest_fast,
     listed,
     log_name,
     looks_fast,
     looks_slow,
     of_references,
     plural,
+    scatter,
+    slow_found,
     slow_stands,
 )
 from truewrench.model.arrays import Array, Mask
@@ -103,7 +104,7 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
         if len(undetermined) == 6 * n:
             reasons += still_motion(logs) or [_nothing_learnt(estimate)]
     if estimate.solved and not silent:  # whose gains look like any mistake
-        suspicions = _suspicions(estimate, comparisons, rig, logs, None if of_record else named)
+        suspicions = _suspicions(estimate, comparisons, rig, logs, named, alone=not of_record)
         # a mistake that is sure comes before what it does to the record
         sure = bool(comparisons.setup) and comparisons.setup[0].log_odds > SURE
         reasons = [*suspicions, *reasons] if sure else [*reasons, *suspicions]
@@ -206,12 +207,18 @@ def _smoothed(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
 
 
 def _suspicions(
-    estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log], alone: list[str] | None
+    estimate: Estimate,
+    comparisons: Comparisons,
+    rig: Rig,
+    logs: Sequence[Log],
+    named: list[str],
+    *,
+    alone: bool,
 ) -> list[str]:
-    """Mistakes of the set-up; where they speak `alone`, what else may look like one."""
+    """Mistakes of the set-up; where they alone speak, what else may look like one."""
     out = [suspicion.words for suspicion in comparisons.setup]
-    if out and alone is not None and slow_stands(estimate):
-        kinds = _named(looks_slow(estimate, rig, logs), alone)
+    if out and alone and slow_stands(estimate):
+        kinds = _named(looks_slow(estimate, rig, logs), named)
         out[0] += f"; or a slow disturbance that looks like one: {kinds}"
     return out
 
@@ -293,15 +300,13 @@ def _accuracy(
 
 def _disturbed(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[str]) -> Disturbed:
     """What costs accuracy beyond what was stated; at most three kinds, as of all reasons."""
-    factor = max((f.factor for of in estimate.noise for f in of if f.what in CHANNELS), default=1.0)
+    factor, words = scatter(estimate), ""
     noisy = factor > _core.NOISE_TOLD
     slow = _if_room(looks_slow(estimate, rig, logs)[: MOST - noisy], named)
-    found = slow_stands(estimate) or any(s.z > TOLD for of in estimate.slow for s in of)
-    scatter = ""
     if noisy:
-        fast = [looks.kind for looks in fast_looks(estimate, rig, logs)[:1]]
-        scatter = f", {factor:.2g} times the stated{_if_room((*fast, 'noise'), named)}"
-    return Disturbed(f"what disturbs it slowly{slow}", found, slow_stands(estimate), scatter)
+        kinds = (*likeliest_fast(estimate, rig, logs), "noise")
+        words = f", {factor:.2g} times the stated{_if_room(kinds, named)}"
+    return Disturbed(f"what disturbs it slowly{slow}", slow_found(estimate), slow_stands(estimate), words)
 
 
 def _if_room(kinds: Sequence[str], named: list[str]) -> str:

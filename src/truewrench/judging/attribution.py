@@ -22,7 +22,7 @@ from truewrench.model.rig import Rig
 
 BIN = 0.05  # [s] slow departures are averaged over: tolerance
 LONGEST = 200.0  # [s] that are asked at once, for the memory of it: tolerance
-COSINES = 4  # over the length of a record, that a drifting offset is made of
+COSINES = 4  # over the length of what is asked at once, that a drifting offset is made of
 FRICTION = (0.003, 0.01, 0.03)  # fractions of range over which friction saturates: tolerance
 FEWEST = 24  # bins, or samples, from which on a record is asked: tolerance
 CROWDED = 0.5  # regressors per value, from which on they explain anything: tolerance
@@ -160,7 +160,7 @@ def _changes(x: Array) -> Array:
 def _misfit(Z: Array, y: Array, root: Array) -> Array:
     """-2 log L (G, n) of y (M, n), sigma by root (G, M), with coefficients of Z (M, p) and the size out."""
     freedom, out = len(y) - Z.shape[1], np.empty((len(root), y.shape[1]))
-    for g, sigma in enumerate(root[:, :, None]):  # one by one: an hour takes the memory of one
+    for g, sigma in enumerate(root[:, :, None]):  # one by one, for the memory of it
         Q, R = np.linalg.qr(Z / sigma)
         whitened = y / sigma
         left = np.sum(whitened**2, axis=0) - np.sum((Q.T @ whitened) ** 2, axis=0)

@@ -84,7 +84,12 @@ def kinds_of_disturbances(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> 
     kinds = [kind for kind in sorted(count, key=lambda kind: -count[kind]) if count[kind]] or ["contact"]
     if slow_stands(estimate):
         return (*looks_slow(estimate, rig, logs)[: MOST - 1], *kinds)
-    return (*[looks.kind for looks in fast_looks(estimate, rig, logs)[:1]], *kinds)
+    return (*likeliest_fast(estimate, rig, logs), *kinds)
+
+
+def likeliest_fast(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
+    """The one kind that the fast departures look like most; none where they look like noise."""
+    return tuple(looks.kind for looks in fast_looks(estimate, rig, logs)[:1])
 
 
 def slow_stands(estimate: Estimate) -> bool:
@@ -92,19 +97,25 @@ def slow_stands(estimate: Estimate) -> bool:
     return any(slow.form != "none" for of_log in estimate.slow for slow in of_log)
 
 
+def slow_found(estimate: Estimate) -> bool:
+    """Whether a slow disturbance is in the estimate, or stands out beside it."""
+    return slow_stands(estimate) or any(slow.z > TOLD for of_log in estimate.slow for slow in of_log)
+
+
+def scatter(estimate: Estimate) -> float:
+    """The noise found of the sensor, times the stated; of its noisiest channels and log."""
+    factors = (f.factor for of_log in estimate.noise for f in of_log if f.what in CHANNELS)
+    return max((factor for factor in factors if not math.isnan(factor)), default=1.0)
+
+
 def kinds_of_disagreement(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
     """Why parts of a record may disagree: slow departures, and noise far beyond the stated.
 
     Where nothing slow was found: what was left out, then a filter that was.
     """
-    noisy = any(
-        found.what in CHANNELS and found.factor > _core.NOISE_TOLD
-        for of_log in estimate.noise
-        for found in of_log
-    )
-    fast = [looks.kind for looks in fast_looks(estimate, rig, logs)[:1]] if noisy else []
+    fast = likeliest_fast(estimate, rig, logs) if scatter(estimate) > _core.NOISE_TOLD else ()
     kinds = [*looks_slow(estimate, rig, logs)[: MOST - len(fast)], *fast]
-    if not slow_stands(estimate) and not any(slow.z > TOLD for of_log in estimate.slow for slow in of_log):
+    if not slow_found(estimate):
         told = [found.what.split(":")[0].split(", ")[0] for found in findings(estimate, rig, logs)]
         kinds = [*(kind for kind in ("contact", "outliers", "filter") if kind in told), *kinds]
     return tuple(dict.fromkeys(kinds))[:MOST]

@@ -141,9 +141,8 @@ class _Stream:
         straight: Mask = np.ones(at.size - 2, dtype=np.bool_)
         for column in self.values.T:  # one by one, for the memory of an hour
             bend = np.abs(np.diff(np.diff(column[self.rows]) / np.diff(at)))
-            straight &= bend <= _IN_LINE * (
-                np.hypot.reduce(bend) / np.sqrt(bend.size)
-            )  # squares may overflow
+            size = np.hypot.reduce(bend) / np.sqrt(bend.size)  # squares may overflow
+            straight &= bend <= _IN_LINE * size
         line = np.pad(straight, 1) & ~self.repeats
         begins = np.flatnonzero(line[1:] & ~line[:-1])
         if begins.size <= _FEWEST or line.mean() < _HELD or np.median(np.diff(at[begins])) > SAMPLED:
