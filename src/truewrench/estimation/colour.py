@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
-from truewrench.estimation.evenly import at_places, filled, places_of, welch
+from truewrench.estimation.evenly import at_places, evenly, places_of, present, welch
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Whitened
 from truewrench.motion.smooth import segments
@@ -82,16 +82,15 @@ def without_filters(log: Log) -> Log:
         values = getattr(log, name)
         if values is None or (name == "twist" and log.tracking is not None):  # of joints, which made it
             continue
-        rows = np.flatnonzero(np.isfinite(values).any(axis=1))
-        time = log.time[rows]
+        time, values, rows = present(log.time, values)
         taken = log.vibrations if name == "raw" else ()
-        colour = colour_of(time, values[rows], [(x.low, x.high) for x in taken])
+        colour = colour_of(time, values, [(x.low, x.high) for x in taken])
         if colour is None:
             continue
-        out = np.full_like(values, np.nan)
+        out = np.full((len(log.time_ns), values.shape[1]), np.nan)
         for piece in segments(time):
             places = places_of(time[piece])
-            out[rows[piece]] = colour.whitened(at_places(places, values[rows[piece]]))[places]
+            out[rows[piece]] = colour.whitened(at_places(places, values[piece]))[places]
         period = float(np.median(np.diff(time)))
         changed[name] = out
         corner = colour.corner / period
@@ -152,7 +151,7 @@ def _spectrum(
     total: Array = np.zeros((int(use.sum()), values.shape[1]))
     count = 0
     for piece in pieces:
-        part = filled(at_places(places_of(time[piece]), values[piece])[:MOST])
+        part = evenly(time[piece], values[piece], MOST)
         if len(part) >= FEWEST + 2:
             twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast
             total += welch(twice, period, FEWEST)[use] * len(part)

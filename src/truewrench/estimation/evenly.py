@@ -9,6 +9,13 @@ from truewrench.model.arrays import Array, Integers
 HOLES = 0.04  # of a column, up to which they are filled: 0 of 60 white logs were coloured, 7 of 24 with 0.05
 
 
+def present(time: Array, values: Array) -> tuple[Array, Array, Integers]:
+    """Of a log's columns (N, M) the rows that hold anything: times, values, and which they are."""
+    there = np.isfinite(values).any(axis=1)
+    rows = np.flatnonzero(there)
+    return (time, values, rows) if there.all() else (time[rows], values[rows], rows)  # hours: no copy
+
+
 def places_of(time: Array) -> Integers:
     """Numbers (N,) of samples of a piece that are taken evenly: those of lost ones are passed over.
 
@@ -45,6 +52,11 @@ def filled(values: Array) -> Array:
             known = np.flatnonzero(~holes)
             column[holes] = make_interp_spline(known, column[known], k=3)(np.flatnonzero(holes))
     return out
+
+
+def evenly(time: Array, values: Array, most: int) -> Array:
+    """The first samples (N, M) of a piece at their places, so many at most, and filled."""
+    return filled(at_places(places_of(time[:most]), values[:most])[:most])
 
 
 def welch(values: Array, period: float, length: int) -> Array:

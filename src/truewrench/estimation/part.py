@@ -103,8 +103,10 @@ def part_of(
             estimate = replace(estimate, unexplained=np.array([unexplained]))
     held = estimate.rows[0]
     origin = place.origin[held.rows]
-    streams = [  # of the times, whether there is more than one
-        SimpleNamespace(derivative=m.derivative, time_offset_prior=m.time_offset_prior, time=m.time[:2])
+    streams = [  # of the times, whether there is more than one: a copy, or the whole record would be kept
+        SimpleNamespace(
+            derivative=m.derivative, time_offset_prior=m.time_offset_prior, time=np.array(m.time[:2])
+        )
         for m in record.motion
     ]
     return Part(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
-from truewrench.estimation.evenly import at_places, filled, places_of, welch
+from truewrench.estimation.evenly import at_places, evenly, filled, places_of, present, welch
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Vibration
 from truewrench.model.rig import Rig
@@ -89,8 +89,8 @@ def _left(log: Log, values: Array, bands: Sequence[Vibration]) -> Array | None:
 
     Of the rest of a white spectrum so many samples are left as make it white again.
     """
-    rows, out = np.flatnonzero(np.isfinite(values).any(axis=1)), np.full_like(values, np.nan)
-    time = log.time[rows]
+    out = np.full_like(values, np.nan)
+    time, there, rows = present(log.time, values)
     period = float(np.median(np.diff(time))) if rows.size > 1 else np.inf
     told = [band for band in bands if band.high < 0.5 / period]
     if not told:
@@ -99,7 +99,7 @@ def _left(log: Log, values: Array, bands: Sequence[Vibration]) -> Array | None:
     share = 1.0 - 2.0 * kernel[kernel.size // 2] + kernel @ kernel  # of the variance of white noise
     for piece in _pieces(log, time):
         places = places_of(time[piece])
-        without = _without(kernel, at_places(places, values[rows[piece]]))
+        without = _without(kernel, at_places(places, there[piece]))
         counted = np.floor(share * np.arange(len(without) + 1))
         without[counted[1:] == counted[:-1]] = np.nan
         out[rows[piece]] = without[places]
@@ -119,7 +119,7 @@ def _pieces(log: Log, time: Array) -> list[slice]:
 
 def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
     """Slowest first."""
-    found = _spectrum(*_present(log.time, log.raw))
+    found = _spectrum(log.time, log.raw)
     if found is None:
         return ()
     hz, power = found
@@ -137,7 +137,7 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
     ]
     if not bands:
         return ()
-    motion = [found for values in _motion(log).values() if (found := _spectrum(*_present(log.time, values)))]
+    motion = [found for values in _motion(log).values() if (found := _spectrum(log.time, values))]
     out = []
     for inner in bands:
         weight = np.sum(excess[inner] / white, axis=1)
@@ -154,11 +154,6 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
     return tuple(out)
 
 
-def _present(time: Array, values: Array) -> tuple[Array, Array]:
-    rows = np.isfinite(values).any(axis=1)
-    return time[rows], values[rows]
-
-
 def _shows(motion: tuple[Array, Array], low: float, high: float) -> bool:
     """Whether a component of a stream has more than its noise within a band."""
     hz, power = motion
@@ -168,12 +163,13 @@ def _shows(motion: tuple[Array, Array], low: float, high: float) -> bool:
 
 def _spectrum(time: Array, values: Array) -> tuple[Array, Array] | None:
     """Frequencies (F,) [Hz] and one-sided densities (F, M); None of what is too short or slow."""
+    time, values, _ = present(time, values)
     if len(time) < 2:
         return None
     piece = max(segments(time), key=lambda x: x.stop - x.start)
     period = float(np.median(np.diff(time)))
     length = round(RESOLVED / period)
-    part = filled(at_places(places_of(time[piece]), values[piece])[:MOST])
+    part = evenly(time[piece], values[piece], MOST)
     if len(part) < length + 2 or 0.4 / period < SLOWEST:
         return None
     twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast

@@ -292,7 +292,7 @@ def _axis(
         better = True
     elif low > turned and ratio > turned * (1.0 + LOSS):
         better = False
-    variance = noise + np.sum(systematic**2, axis=1)
+    variance = noise + np.einsum("ij,ij->i", systematic, systematic)
     found, expected = _correlations(parts, i)
     # cumulants of the mean of u^2: noise correlated in time, and errors common to the whole record
     share = float(np.mean(noise / variance))

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from truewrench import _core
 from truewrench.estimation.inertial import InertialChunk, InertialMotion
@@ -271,13 +270,16 @@ def systematic_columns(calibration: Calibration, parts: Sequence[Residuals]) -> 
     """
     payloads = {part.payload: part.carried for part in parts if part.carried is not None}
     names, joint = list(payloads), joint_covariance(calibration, list(payloads.values()))
+    rows = np.cumsum([0, *(len(part.new) for part in parts)])
+    tilts = np.cumsum([0, *(part.by_tilt.shape[2] for part in parts)])
     for axis in range(6):
-        rates, of_tilt = [], []
-        for part in parts:
-            of_payloads = np.zeros((len(part.new), len(names), 10))
-            if part.carried is not None:
-                of_payloads[:, names.index(part.payload)] = part.by_payload[:, axis]
-            rates.append(np.column_stack([part.wrench, of_payloads.reshape(len(part.new), -1)]))
-            of_tilt.append(part.by_tilt[:, axis])
         L = factor(axis_covariance(joint, axis))
-        yield np.column_stack([np.concatenate(rates) @ L, block_diag(*of_tilt)])
+        columns: Array = np.zeros((rows[-1], L.shape[1] + tilts[-1]))
+        for i, part in enumerate(parts):
+            own = columns[rows[i] : rows[i + 1]]
+            own[:, : L.shape[1]] = part.wrench @ L[:6]
+            if part.carried is not None:
+                first = 6 + 10 * names.index(part.payload)
+                own[:, : L.shape[1]] += part.by_payload[:, axis] @ L[first : first + 10]
+            own[:, L.shape[1] + tilts[i] : L.shape[1] + tilts[i + 1]] = part.by_tilt[:, axis]
+        yield columns
