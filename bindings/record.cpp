@@ -59,7 +59,8 @@ void bind_record(nb::module_& m) {
       .def_rw("bias_prior", &MotionStream::bias_prior)
       .def_rw("time_offset_prior", &MotionStream::time_offset_prior)
       .def_rw("clock_mean", &MotionStream::clock_mean)
-      .def_rw("kappa_mean", &MotionStream::kappa_mean);
+      .def_rw("kappa_mean", &MotionStream::kappa_mean)
+      .def_rw("half_window", &MotionStream::half_window);
   nb::class_<RecordedLog>(m, "RecordedLog",
                           "A log as the estimator reads it; channels in fractions of their scale.")
       .def(nb::init<>())
@@ -74,6 +75,7 @@ void bind_record(nb::module_& m) {
       .def_rw("R_sensor_root", &RecordedLog::R_sensor_root)
       .def_rw("own_roots", &RecordedLog::own_roots)
       .def_rw("temperature", &RecordedLog::temperature)
+      .def_rw("half_window", &RecordedLog::half_window)
       .def_rw("motion", &RecordedLog::motion)
       .def("__copy__", [](const RecordedLog& log) { return log; })
       .def(

@@ -540,6 +540,12 @@ class MotionStream:
     @kappa_mean.setter
     def kappa_mean(self, arg: float, /) -> None: ...
 
+    @property
+    def half_window(self) -> float: ...
+
+    @half_window.setter
+    def half_window(self, arg: float, /) -> None: ...
+
 class RecordedLog:
     """A log as the estimator reads it; channels in fractions of their scale."""
 
@@ -610,6 +616,12 @@ class RecordedLog:
 
     @temperature.setter
     def temperature(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
+
+    @property
+    def half_window(self) -> float: ...
+
+    @half_window.setter
+    def half_window(self, arg: float, /) -> None: ...
 
     @property
     def motion(self) -> list[MotionStream]: ...

@@ -12,7 +12,8 @@ from scipy import signal
 from scipy.signal import butter, lfilter
 
 import truewrench as tw
-from truewrench.estimation.colour import FEWEST, colour_of, welch, without_filters
+from truewrench.estimation.colour import FEWEST, colour_of, without_filters
+from truewrench.estimation.evenly import welch
 from truewrench.model.log import Log
 from truewrench.model.split import rows_of
 from truewrench.motion.trajectory import HarmonicTwist
@@ -149,7 +150,7 @@ def test_filtered_records_are_honest_and_named(
         run = tw.simulate(rig, HarmonicTwist(size, frequency, phase, 20), seed=seed)
         log = filtered(run.log, stream, order, hz)
         log = rows_of(log, rng.random(len(log.time_ns)) >= lost)
-        assert stream in without_filters(log).whitened
+        assert stream in without_filters(rig, log).whitened
         found = tw.calibrate(rig, log, held_out=False)
         error = (found.gain - run.truth.gain).ravel()
         errors.append(error @ np.linalg.solve(found.covariance[:36, :36], error) / 36.0)

@@ -47,7 +47,7 @@ inline void Lag::refresh() {
   products_.coordinates(theta.data(), z_.data());
   products_.times(lagged.data(), lagged_.data());
   for (int i = 0; i < 3; ++i) point_[i] = about_.point[i] - products_.centre[i];
-  gravity_ = Gravity(rig_, columns_, theta.data(), felt_);
+  gravity_ = Gravity(rig_, columns_, theta.data(), felt_, about_.half_window);
   sums_.at(products_.D.data(), theta.data() + columns_.u, lagged_.data());
 }
 

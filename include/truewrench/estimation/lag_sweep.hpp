@@ -35,6 +35,7 @@ inline bool Lag::placed(std::size_t i, const MotionRow& row, long g, bool last, 
                         Placed& out) const {
   const double s = theta[columns_.clock[i]], kappa = theta[columns_.clock[i] + 1],
                x = (row.time + s - origin_) / h_;
+  const double square = s * s + about_.square_window(i), bend = (kappa - 0.5) * square;
   const auto interval_of = static_cast<long>(std::floor(x + 1e-9));
   if (interval_of >= kBlock * (g + 1) && !last) return false;
   out.o = static_cast<int>(std::clamp<long>(interval_of - kBlock * g, 0, kBlock - 1));
@@ -48,11 +49,11 @@ inline bool Lag::placed(std::size_t i, const MotionRow& row, long g, bool last, 
         row.value[j] - (columns_.bias[i] >= 0 ? theta[columns_.bias[i] + static_cast<int>(j)] : 0.0);
   }
   for (int l = 0; l < kLocal; ++l) {
-    out.b[l] = b[0][l] + (kappa - 0.5) * s * s * b[2][l];
+    out.b[l] = b[0][l] + bend * b[2][l];
     const double* c = xx + kComponents * (out.o + l);
     dense::add<6>(out.residual, -out.b[l], c);
-    dense::add<6>(out.by_s, b[1][l] + (kappa - 0.5) * (2.0 * s * b[2][l] + s * s * b[3][l]), c);
-    dense::add<6>(out.by_kappa, s * s * b[2][l], c);
+    dense::add<6>(out.by_s, b[1][l] + (kappa - 0.5) * 2.0 * s * b[2][l] + bend * b[3][l], c);
+    dense::add<6>(out.by_kappa, square * b[2][l], c);
   }
   for (std::size_t j = 0; j < kComponents; ++j) out.residual[j] *= row.have[j];
   return true;

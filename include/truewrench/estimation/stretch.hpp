@@ -257,13 +257,13 @@ class Stretch {
   RowMatrix mapped_at_;             // the coefficients that `mapped` is of
   double mapped_late_ = 0.0;        // and the delay [s]
 
-  // twist = nu(t + s) + (kappa - 1/2) s^2 nuddot + sigma_v eps                                                     (10.4)
+  // twist = nu(t + s) + (kappa - 1/2) (s^2 + r^2) nuddot + sigma_v eps, r half of what a sample averages           (10.4)
   void predict_motion(const Columns& columns, const Eigen::VectorXd& theta) {
     for (std::size_t i = 0; i < motion.size(); ++i) {
       MotionRows& m = motion[i];
       const int p = log_->motion[i].derivative;
       const double s = theta[columns.clock[i]], kappa = theta[columns.clock[i] + 1],
-                   bend = (kappa - 0.5) * s * s;
+                   square = s * s + log_->square_window(i), bend = (kappa - 0.5) * square;
       const int bias = columns.bias[i];
       const Eigen::Index rows = m.rows();
       m.interval.resize(static_cast<std::size_t>(rows));
@@ -278,8 +278,8 @@ class Stretch {
         double *basis = m.basis.data() + k * kLocal, by_s[kLocal], by_kappa[kLocal];
         for (int l = 0; l < kLocal; ++l) {
           basis[l] = b[0][l] + bend * b[2][l];
-          by_s[l] = b[1][l] + (kappa - 0.5) * (2.0 * s * b[2][l] + s * s * b[3][l]);
-          by_kappa[l] = s * s * b[2][l];
+          by_s[l] = b[1][l] + (kappa - 0.5) * 2.0 * s * b[2][l] + bend * b[3][l];
+          by_kappa[l] = square * b[2][l];
         }
         combine(by_s, at, c, m.by_s.data() + k * M_);
         combine(by_kappa, at, c, m.by_kappa.data() + k * M_);
@@ -344,7 +344,7 @@ class Stretch {
     return out;
   }
   Gravity gravity_of(const Columns& columns, const Eigen::VectorXd& theta) const {
-    return {*rig_, of_root(columns), theta.data(), gravity()};
+    return {*rig_, of_root(columns), theta.data(), gravity(), log_->half_window};
   }
   Columns of_root(const Columns& columns) const { return columns.in_root(0.5 * (begin_ + end_)); }
   double warmth(Eigen::Index k) const {

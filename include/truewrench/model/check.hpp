@@ -57,7 +57,8 @@ inline Status stream(const MotionStream& m, Eigen::Index components) {
   for (Eigen::Index j = 0; j < components; ++j)
     if (m.group[j] < 0 || m.group[j] >= components) return Status::wrong_size;
   if (!std::isfinite(m.clock_mean) || !std::isfinite(m.kappa_mean)) return Status::not_finite;
-  return first({sigmas(m.sigma, false), sigmas(m.bias_prior, true), prior(m.time_offset_prior)});
+  return first(
+      {sigmas(m.sigma, false), sigmas(m.bias_prior, true), prior(m.time_offset_prior), prior(m.half_window)});
 }
 
 // Rows of a matrix, which may be none: so many, of so many columns.
@@ -95,7 +96,7 @@ inline Status check(const Statement& rig, const RecordedLog& log) {
   if (!log.point.allFinite()) return Status::not_finite;
   // a table's rounding, and the solver's of principal moments
   return checked::first(
-      {check(log.payload, 1e-6), checked::walk(log),
+      {check(log.payload, 1e-6), checked::walk(log), checked::prior(log.half_window),
        checked::increasing(log.own_roots.data(), static_cast<Eigen::Index>(log.own_roots.size()))});
 }
 

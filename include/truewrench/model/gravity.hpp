@@ -37,7 +37,8 @@ class Gravity {
  public:
   Gravity() = default;
   // `acts`: it is felt, and tilt and delay have columns. Places in theta by `columns`.
-  Gravity(const Statement& rig, const Columns& columns, const double* theta, bool acts)
+  // `half_window` [s] is that of the sensor's samples.
+  Gravity(const Statement& rig, const Columns& columns, const double* theta, bool acts, double half_window)
       : acts_(acts), late_(acts && columns.gamma >= 0), root_(rig.gravity) {
     if (!acts) return;
     root_ = tilted(rig.gravity, Eigen::Vector2d(theta[columns.tilt], theta[columns.tilt + 1]), by_tilt_);
@@ -45,15 +46,17 @@ class Gravity {
     s_ = theta[columns.clock[0]];
     kappa_ = theta[columns.clock[0] + 1];
     gamma_ = theta[columns.gamma];
+    square_ = gamma_ * s_ * s_ + half_window * half_window;
   }
 
   bool acts() const { return acts_; }
 
-  // g+ = g + gamma [ s Omega x g + (1 - kappa) s^2 Omega x (Omega x g) + kappa s^2 Omegadot x g ]                    (10.5)
+  // g+ = g + gamma [ s Omega x g + s^2/2 (Omega x (Omega x g) + Omegadot x g) ]
+  //        + (kappa - 1/2) (gamma s^2 + r^2) (Omegadot x g - Omega x (Omega x g)), r that of the sensor             (10.5)
   Vector3 felt(const Matrix3& R_sensor_root, const Vector6& nu, const Vector6& a) const {
     if (!acts_) return Vector3::Zero();
     const Vector3 g = in_sensor(R_sensor_root);
-    return late_ && gamma_ != 0.0 ? retarded(g, angular(nu), angular(a)) : g;
+    return late_ && (gamma_ != 0.0 || square_ != 0.0) ? retarded(g, angular(nu), angular(a)) : g;
   }
 
   // Calls put(d g+) for s, kappa and gamma of (10.5), where they have columns, and for both tilts.
@@ -67,7 +70,7 @@ class Gravity {
       for (int i = 0; i < 3; ++i) {
         const double second = (1.0 - kappa_) * turn[i] + kappa_ * spin[i];
         by[0][i] = gamma_ * (first[i] + 2.0 * s_ * second);
-        by[1][i] = gamma_ * s_ * s_ * (spin[i] - turn[i]);
+        by[1][i] = square_ * (spin[i] - turn[i]);
         by[2][i] = s_ * first[i] + s_ * s_ * second;
       }
       for (const auto& x : by) put(x);
@@ -87,13 +90,14 @@ class Gravity {
   bool acts_ = false, late_ = false;
   Vector3 root_ = Vector3::Zero();
   Eigen::Matrix<double, 3, 2> by_tilt_ = Eigen::Matrix<double, 3, 2>::Zero();
-  double s_ = 0.0, kappa_ = 0.5, gamma_ = 0.0;
+  double s_ = 0.0, kappa_ = 0.5, gamma_ = 0.0, square_ = 0.0;
 
   Vector3 retarded(const Vector3& g, const Vector3& omega, const Vector3& alpha) const {
     const Vector3 first = cross(omega, g), turn = cross(omega, first), spin = cross(alpha, g);
     Vector3 out;
     for (int i = 0; i < 3; ++i)
-      out[i] = g[i] + gamma_ * (s_ * first[i] + s_ * s_ * ((1.0 - kappa_) * turn[i] + kappa_ * spin[i]));
+      out[i] = g[i] + gamma_ * (s_ * first[i] + 0.5 * s_ * s_ * (turn[i] + spin[i])) +
+               (kappa_ - 0.5) * square_ * (spin[i] - turn[i]);
     return out;
   }
 };

@@ -36,6 +36,7 @@ struct MotionStream {
   double time_offset_prior = 0.0;  // [s] 1 sigma of s, beside which the data may show more (10.1)
   double clock_mean = 0.0;         // s_0 [s]
   double kappa_mean = 0.5;
+  double half_window = 0.0;  // [s] of what a sample is a mean of, so that kappa tells it without a delay
   // of rows that stand for more than a sample, else empty:
   Eigen::VectorXd size;  // (K) samples
   RowMatrix remainder;   // (K, M) their sum of squares about it
@@ -68,6 +69,7 @@ struct RecordedLog {
   // [s] from which on the attitude has headings that nothing tells to others: gravity is tilted about axes of a root frame of
   // this log alone, anew from each of these times on, where stretches begin and end; empty: the root frame that logs share
   std::vector<double> own_roots;
+  double half_window = 0.0;  // [s] as of a stream, of the sensor's samples
   std::vector<MotionStream> motion;
   MotionMap map;         // of a mapped motion
   bool carried = false;  // whether it depends on the time: what carries an arm has the stamps of the motion
@@ -77,6 +79,11 @@ struct RecordedLog {
   std::vector<Eigen::Index> spikes;  // samples of the log that no row holds
 
   int components() const { return motion.empty() ? 0 : static_cast<int>(motion.front().value.cols()); }
+  // Of what the sensor's samples and a stream's average, r^2 of (10.4) [s^2].
+  double square_window(std::size_t stream) const {
+    const double of_stream = motion[stream].half_window;
+    return half_window * half_window + of_stream * of_stream;
+  }
 };
 
 // What a rig states of the sensor and of what is not known, normalised; 0 holds a parameter at its mean.

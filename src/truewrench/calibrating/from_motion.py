@@ -61,7 +61,8 @@ def calibrate_from_motion(
     online = estimator == "online"
     places = moving_logs(rig, logs)
     logs = [
-        without_filters(without_vibrations(rig, log)) if k in places else log for k, log in enumerate(logs)
+        without_filters(rig, without_vibrations(rig, log)) if k in places else log
+        for k, log in enumerate(logs)
     ]
     moving = [logs[k] for k in places]
     stated, rig = rig, with_first_guess(rig, moving)

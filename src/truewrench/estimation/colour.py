@@ -7,39 +7,44 @@ they do; or an autoregressive model A(z), whose inverse A(z) / A(1) leaves white
 undoes the delay (docs/method.md, M12a).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
-from truewrench.estimation.evenly import at_places, evenly, places_of, present, welch
+from truewrench.estimation.evenly import (
+    NoiseSpectrum,
+    at_places,
+    noise_spectrum,
+    places_of,
+    present,
+    without_lines,
+)
+from truewrench.estimation.thinning import BEGINS, GROWS, segment, thinning_of
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Whitened
+from truewrench.model.rig import Rig
 from truewrench.motion.smooth import segments
 
 BEGIN = 12.0  # [Hz] from which on a spectrum is noise, as motions are slower
 SLOW = 0.75  # of it, below which a corner is none: hysteresis and walks have spectra like that of a slow pole
 END = 0.6  # of the Nyquist frequency, beyond which digital filters have zeros
-LINES = 15  # bins of a running median, which passes over spectral lines
 FEWEST = 512  # samples of a stretch, and of a spectrum
-MOST = 131_072  # that are looked at
 LONGEST = 64  # samples of a mean
-TAKEN = 3.0  # [Hz] about a band that was taken out, where the spectrum tells nothing
 FASTER, SLOWEST = 1.5, 50.0  # what is kept of an autoregressive stream: to so many times the corner, and [Hz]
 
 TOLD = 30.0
 """Of -2 log L, by which one more coefficient has to lower it: of 250 healthy records none was coloured."""
 
-GROWS = 1.15
-"""Of the noise's 1 sigma at the same rate, from which on a filter matters: 3 of 210 imperfect records of
-other kinds were taken for filtered; 12 with 1.08 and without `SLOW`."""
-
 APART = 3.0
 """Between spectrum and model in a quarter of the band, from which on the model does not hold: second-order
 filters reach 2.1."""
+
+HOLDS = 1.5
+"""Times the model below `BEGIN`, from which on thinning takes its place, where it does."""
 
 STREAMS = {
     "raw": "raw_*",
@@ -74,17 +79,25 @@ class Colour:
         return out
 
 
-def without_filters(log: Log) -> Log:
+def without_filters(rig: Rig, log: Log) -> Log:
     """The log with its streams as they would be without the filters that colour their noise; else itself."""
     changed: dict[str, Any] = {}
     whitened: dict[str, Whitened] = {}
+    moved = rig.motion.noise_array
+    stated = {
+        "raw": rig.sensor.noise_array,
+        **dict.fromkeys(("twist", "velocity", "angular_velocity"), moved if moved.size else None),
+        "specific_force": None
+        if rig.motion.acceleration_noise is None
+        else np.array(rig.motion.acceleration_noise)[:3],
+    }
     for name, columns in STREAMS.items():
         values = getattr(log, name)
         if values is None or (name == "twist" and log.tracking is not None):  # of joints, which made it
             continue
         time, values, rows = present(log.time, values)
         taken = log.vibrations if name == "raw" else ()
-        colour = colour_of(time, values, [(x.low, x.high) for x in taken])
+        colour = colour_of(time, values, stated[name], [(x.low, x.high) for x in taken])
         if colour is None:
             continue
         out = np.full((len(log.time_ns), values.shape[1]), np.nan)
@@ -94,78 +107,76 @@ def without_filters(log: Log) -> Log:
         period = float(np.median(np.diff(time)))
         changed[name] = out
         corner = colour.corner / period
-        whitened[name] = Whitened(columns, colour.growth, colour.advance * period, corner, colour.step)
+        whitened[name] = Whitened(
+            columns, colour.growth, colour.advance * period, corner, colour.step, period
+        )
     return replace(log, **changed, whitened=whitened) if changed else log
 
 
-def colour_of(time: Array, values: Array, without: Sequence[tuple[float, float]] = ()) -> Colour | None:
+def colour_of(
+    time: Array, values: Array, stated: Array | None = None, without: Sequence[tuple[float, float]] = ()
+) -> Colour | None:
     """Of samples (N, M) at times (N,); None where their noise is white, or no model holds.
 
-    `without` are bands that have been taken out [Hz].
+    `stated` (M,) is 1 sigma of that noise, None where it is not known; `without` are bands that have been
+    taken out [Hz].
     """
-    found = _spectrum(time, values, without)
-    if found is None:
+    found = noise_spectrum(time, values, BEGIN, END, FEWEST, without)
+    if found is None or np.abs(_levels(found.power, 1.0)).max() < np.log(1.0 + 0.5 * (GROWS - 1.0)):
         return None
-    omega, power, averages, period = found
+    modelled, thinned = _modelled(found), thinning_of(time, values, stated, without)
+    if thinned is None or (modelled is not None and modelled.holds(time, values, without)):
+        return None if modelled is None else modelled.colour
+    return Colour(np.ones(1), thinned.step, 1.0, thinned.corner)
+
+
+@dataclass(frozen=True, slots=True)
+class _Modelled:
+    """A filter by its model."""
+
+    colour: Colour
+    density: Callable[[Array], Array]  # of angular frequencies a sample
+
+    def holds(self, time: Array, values: Array, without: Sequence[tuple[float, float]]) -> bool:
+        """Whether it does where motions hardly reach, too: the slope of a steep filter is no corner."""
+        period = float(np.median(np.diff(time)))
+        found = noise_spectrum(time, values, BEGINS[-1], END, segment(period), without)
+        if found is None:
+            return True
+        ratio = found.power / self.density(2.0 * np.pi * period * found.hz)[:, None]
+        slow = found.hz < BEGIN
+        return bool(
+            np.log(np.median(ratio[slow], axis=0) / np.median(ratio[~slow], axis=0)).mean() < np.log(HOLDS)
+        )
+
+
+def _modelled(found: NoiseSpectrum) -> _Modelled | None:
+    """By a mean, or an autoregressive model, whose corner is no slow departure's."""
+    power, period = found.power, found.period
+    omega = 2.0 * np.pi * period * found.hz
     slowest = np.exp(-np.pi * BEGIN * period)
 
     def cost(model: Array) -> float:
-        return averages * _whittle(model, power, omega)
+        return found.averages * _whittle(model, power, omega)
 
     def of_coefficients(x: Array) -> float:
         return cost(_density(_polynomial(x, slowest), omega))
 
-    density = np.ones_like(omega)
-    if np.abs(_levels(power, density)).max() < np.log(1.0 + 0.5 * (GROWS - 1.0)):
-        return None
-    lowest, colour = cost(density), None
+    lowest, best = cost(np.ones_like(omega)), None
     for start in ([1.0], [1.0, -0.3]):
         result = minimize(of_coefficients, start, method="Nelder-Mead")
         if result.fun < lowest - TOLD:
             a = _polynomial(result.x, slowest)
-            lowest, colour, density = result.fun, _autoregressive(a, period), _density(a, omega)
+            lowest, best = result.fun, _Modelled(_autoregressive(a, period), partial(_density, a))
     for length in range(2, LONGEST + 1):
-        model = _without_lines(_mean_of(length, omega))
-        if (now := cost(model)) < lowest - TOLD:
-            lowest, colour, density = now, Colour(np.ones(1), length, 1.0, 0.443 / length), model
-    if colour is None or np.abs(_levels(power, density)).max() > np.log(APART):
+        of_mean = partial(_mean_of, length)
+        if (now := cost(of_mean(omega))) < lowest - TOLD:
+            lowest, best = now, _Modelled(Colour(np.ones(1), length, 1.0, 0.443 / length), of_mean)
+    if best is None or np.abs(_levels(power, best.density(omega)[:, None])).max() > np.log(APART):
         return None
+    colour = best.colour
     matters = colour.growth * np.sqrt(colour.step) > GROWS and colour.corner > SLOW * BEGIN * period
-    return colour if matters else None
-
-
-def _spectrum(
-    time: Array, values: Array, without: Sequence[tuple[float, float]]
-) -> tuple[Array, Array, float, float] | None:
-    """Angular frequencies (F,) a sample, densities (F, M) without lines, segments averaged, period [s]."""
-    pieces = [piece for piece in segments(time) if piece.stop - piece.start >= FEWEST]
-    if not pieces:
-        return None
-    period = float(np.median(np.diff(time)))
-    frequency = np.fft.rfftfreq(FEWEST, period)
-    use = (frequency >= BEGIN) & (frequency <= END * 0.5 / period)
-    for low, high in without:
-        use &= (frequency < low - TAKEN) | (frequency > high + TAKEN)
-    if use.sum() < 2 * LINES:
-        return None
-    total: Array = np.zeros((int(use.sum()), values.shape[1]))
-    count = 0
-    for piece in pieces:
-        part = evenly(time[piece], values[piece], MOST)
-        if len(part) >= FEWEST + 2:
-            twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast
-            total += welch(twice, period, FEWEST)[use] * len(part)
-            count += len(part)
-    if not count:
-        return None
-    omega: Array = np.asarray(2.0 * np.pi * period * frequency[use], np.float64)
-    power: Array = _without_lines(total / count / (2.0 - 2.0 * np.cos(omega))[:, None] ** 2)
-    power = power[:, (power > 0.0).all(axis=0)]
-    return (omega, power, count / FEWEST, period) if power.size else None
-
-
-def _without_lines(power: Array) -> Array:
-    return np.asarray(median_filter(power, (LINES, *(1,) * (power.ndim - 1)), mode="nearest"))
+    return best if matters else None
 
 
 def _whittle(model: Array, power: Array, omega: Array) -> float:
@@ -175,9 +186,9 @@ def _whittle(model: Array, power: Array, omega: Array) -> float:
     return float(2.0 * power.shape[1] * (weight @ np.log(model)) + 2.0 * omega.size * np.log(level).sum())
 
 
-def _levels(power: Array, model: Array) -> Array:
+def _levels(power: Array, model: Array | float) -> Array:
     """Log of spectrum over model, in the quarters of the band."""
-    ratio = np.log(power / model[:, None])
+    ratio = np.log(power / model)
     ratio -= ratio.mean(axis=0)
     return np.array([np.median(part) for part in np.array_split(ratio, 4)])
 
@@ -194,8 +205,8 @@ def _autoregressive(a: Array, period: float) -> Colour:
 
 
 def _mean_of(length: int, omega: Array) -> Array:
-    """Density of a mean of so many samples."""
-    return np.asarray((np.sin(0.5 * length * omega) / (length * np.sin(0.5 * omega))) ** 2)
+    """Density of a mean of so many samples, as of a spectrum without lines."""
+    return without_lines((np.sin(0.5 * length * omega) / (length * np.sin(0.5 * omega))) ** 2)
 
 
 def _density(a: Array, omega: Array) -> Array:

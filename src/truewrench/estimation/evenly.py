@@ -1,11 +1,18 @@
 """A stream's samples at even times, as spectra and filters of a given length need them."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 
 from truewrench.model.arrays import Array, Integers
+from truewrench.motion.smooth import segments
 
+MOST = 131_072  # samples of a stretch that a spectrum is of
+LINES = 15  # bins of a running median, which passes over spectral lines
+TAKEN = 3.0  # [Hz] about a band that was taken out, where a spectrum tells nothing
 HOLES = 0.04  # of a column, up to which they are filled: 0 of 60 white logs were coloured, 7 of 24 with 0.05
 
 
@@ -71,3 +78,57 @@ def welch(values: Array, period: float, length: int) -> Array:
     even = 2.0 * np.arange(1, (len(parts) - 1) // 2 + 1)
     median_over_mean = 1.0 - np.sum(1.0 / even - 1.0 / (even + 1.0))  # of exponential values
     return np.asarray(np.median(power, axis=0).T / median_over_mean)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseSpectrum:
+    """Of a stream, where no motion is."""
+
+    hz: Array  # (F,)
+    power: Array  # (F, M) one-sided densities of its columns, without lines
+    averages: float  # segments
+    period: float  # [s] of its samples
+
+
+def noise_spectrum(
+    time: Array,
+    values: Array,
+    begin: float,
+    end: float,
+    length: int,
+    without: Sequence[tuple[float, float]] = (),
+) -> NoiseSpectrum | None:
+    """Of samples (N, M) at times (N,), from `begin` [Hz] to `end` of the Nyquist frequency.
+
+    Medians over segments of so many samples, `without` some bands [Hz]; None of what has too few.
+    """
+    pieces = [piece for piece in segments(time) if piece.stop - piece.start >= length]
+    if not pieces:
+        return None
+    period = float(np.median(np.diff(time)))
+    frequency = np.fft.rfftfreq(length, period)
+    use = (frequency >= begin) & (frequency <= end * 0.5 / period)
+    for low, high in without:
+        use &= (frequency < low - TAKEN) | (frequency > high + TAKEN)
+    if use.sum() < 2 * LINES:
+        return None
+    total: Array = np.zeros((int(use.sum()), values.shape[1]))
+    count = 0
+    for piece in pieces:
+        part = evenly(time[piece], values[piece], MOST)
+        if len(part) >= length + 2:
+            twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast
+            total += welch(twice, period, length)[use] * len(part)
+            count += len(part)
+    if not count:
+        return None
+    hz: Array = np.asarray(frequency[use], np.float64)
+    gain = (2.0 - 2.0 * np.cos(2.0 * np.pi * period * hz)) ** 2
+    power = without_lines(total / count / gain[:, None])
+    power = power[:, (power > 0.0).all(axis=0)]
+    return NoiseSpectrum(hz, power, count / length, period) if power.size else None
+
+
+def without_lines(power: Array) -> Array:
+    """Of a spectrum (F,) or (F, M)."""
+    return np.asarray(median_filter(power, (LINES, *(1,) * (power.ndim - 1)), mode="nearest"))

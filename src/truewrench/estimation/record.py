@@ -101,7 +101,7 @@ def recorded(
         known = base.covers(log.time)
         _leave_out(notes, log, known, "base_*", "the motion of the base is not known then")
         out.set_chain(chain, None if base.rests else base.carried, rig.in_gravity)
-    out.time = log.time
+    out.time, out.half_window = log.time, log.half_window("raw")
     out.raw = np.where(known[:, None], log.raw / assumptions.channel_scale, np.nan)
     warm = temperature_at(log, log.time_ns) if assumptions.slope_prior > 0.0 else None
     if warm is not None:
@@ -116,9 +116,10 @@ def _stream(
     sigma: Array,
     group: Sequence[int],
     *,
+    field: str = "",
     derivative: int = 0,
 ) -> _core.MotionStream:
-    """Measurements (N, M) of the log's rows, those without any left out."""
+    """Measurements (N, M) of the log's rows, those without any left out; `field` of the log, if it is one."""
     rows = np.flatnonzero(np.isfinite(values).any(axis=1))
     out = _core.MotionStream()
     out.derivative = derivative
@@ -129,6 +130,7 @@ def _stream(
     out.time_offset_prior = assumptions.time_offset_prior
     out.clock_mean = assumptions.clock_mean
     out.kappa_mean = assumptions.kappa_mean
+    out.half_window = log.half_window(field)
     return out
 
 
@@ -162,7 +164,7 @@ def _twist_streams(
             log, noise, point = at_sensor(log, point), shared, np.zeros(3)
             told = told_acceleration(log, fall)
     assert log.twist is not None
-    streams = [_stream(assumptions, log, log.twist, noise, halves)]
+    streams = [_stream(assumptions, log, log.twist, noise, halves, field="twist")]
     if told is not None and np.isfinite(told).any():
         assert sigma is not None
         bias = ACCELEROMETER_BIAS_PRIOR
@@ -175,7 +177,8 @@ def _twist_streams(
 def _jacobian_streams(rig: Rig, assumptions: Assumptions, log: Log) -> list[_core.MotionStream]:
     """Twist of the sensor's origin, J qdot, with the noise J Sigma J^T of its mean row ([A00] 26)."""
     twist = _measured(log, log.twist, "velocities `dq_*`")
-    return [_stream(assumptions, log, twist, twist_noise(rig, log), (0, 0, 0, 1, 1, 1))]
+    halves = (0, 0, 0, 1, 1, 1)
+    return [_stream(assumptions, log, twist, twist_noise(rig, log), halves, field="velocity")]
 
 
 def _imu_streams(assumptions: Assumptions, log: Log) -> list[_core.MotionStream]:
@@ -186,8 +189,12 @@ def _imu_streams(assumptions: Assumptions, log: Log) -> list[_core.MotionStream]
     assert assumptions.acceleration_noise is not None
     of_force, of_omega = assumptions.accelerometer_bias_prior, assumptions.gyro_bias_prior
     return [
-        _of_axes(assumptions, log, _LINEAR, force, assumptions.acceleration_noise, of_force),
-        _of_axes(assumptions, log, _ANGULAR, omega, assumptions.motion_noise, of_omega),
+        _of_axes(
+            assumptions, log, _LINEAR, force, assumptions.acceleration_noise, of_force, field="specific_force"
+        ),
+        _of_axes(
+            assumptions, log, _ANGULAR, omega, assumptions.motion_noise, of_omega, field="angular_velocity"
+        ),
     ]
 
 
@@ -199,12 +206,13 @@ def _of_axes(
     sigma: Array,
     bias: float,
     *,
+    field: str = "",
     derivative: int = 0,
 ) -> _core.MotionStream:
     """Measurements (N, 3) of three of the six components, each with a constant error of its own."""
     six, sigmas, biases = np.full((len(values), 6), np.nan), np.ones(6), np.full(6, _NO_BIAS)
     six[:, axes], sigmas[axes], biases[axes] = values, sigma, max(bias, _NO_BIAS)
-    out = _stream(assumptions, log, six, sigmas, (0,) * 6, derivative=derivative)
+    out = _stream(assumptions, log, six, sigmas, (0,) * 6, field=field, derivative=derivative)
     out.bias_prior = biases
     return out
 
@@ -230,7 +238,7 @@ def _joint_streams(
         starts: list[tuple[Array, Array]] = []
         if not told:
             velocity, starts = _from_start(rig, log, velocity, sigma, notes)
-        streams.append(_stream(assumptions, log, velocity, sigma, together, derivative=1))
+        streams.append(_stream(assumptions, log, velocity, sigma, together, field="velocity", derivative=1))
         streams += [_stream(assumptions, log, at, of, together) for at, of in starts]
     if not streams:
         _measured(log, None, "positions `q_*`, or velocities `dq_*` with `motion.noise`")

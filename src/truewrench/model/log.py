@@ -78,6 +78,7 @@ class Whitened:
     advance: float  # of what is slow [s]
     corner: float  # where the density of the noise had fallen to half [Hz]
     step: int  # samples of which one is left
+    period: float  # [s] of the samples
 
     @property
     def words(self) -> str:
@@ -177,3 +178,8 @@ class Log:
         of = stream or next((name for name in first if getattr(self, name) is not None), "")
         raw, motion = (self.whitened[x].advance if x in self.whitened else 0.0 for x in ("raw", of))
         return raw - motion
+
+    def half_window(self, stream: str) -> float:
+        """Half of the time [s] for which one sample of a field is read; 0 where the filter was undone."""
+        found = self.whitened.get(stream)
+        return 0.0 if found is None or found.growth > 1.0 else 0.5 * found.step * found.period

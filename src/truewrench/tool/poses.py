@@ -85,7 +85,7 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     for k, log in enumerate(logs):
         pieces, kept, seconds = _cut(rig, log)
         parts.append(_poses(rig, k, log, pieces))
-        white = without_filters(without_vibrations(rig, log)) if kept.size else log
+        white = without_filters(rig, without_vibrations(rig, log)) if kept.size else log
         if kept.size and (move := _move(k, white, kept, seconds, bool(pieces))) is not None:
             moves.append(move)
     joined = Poses(*(np.concatenate([getattr(part, x.name) for part in parts]) for x in fields(Poses)))

@@ -1,0 +1,180 @@
+"""Records that were filtered or smoothed before they were logged: usable, covered, wrong, and the time.
+
+    python benchmarks/smoothed.py --runs 600 --workers 2 --out out/smoothed
+
+Problems of imperfect.py on perfect hardware. Then channels, the motion (joints: their velocities) or both are
+filtered, log-uniformly at 5 to 25 Hz of the noise's half power: causally, as sensors and drivers do it, or to
+both sides, as whoever keeps a log does. The first second, in which filters settle, is cut off. Each stands
+beside its twin, the same log unfiltered. Wrong is what imperfect.py calls so.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before NumPy is imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import imperfect
+import numpy as np
+import runs
+from imperfect import Array, Row
+from scipy import signal
+from scipy.ndimage import convolve1d, gaussian_filter1d
+from scipy.optimize import brentq
+
+import truewrench as tw
+from truewrench.model.log import Log
+
+SLOWEST, FASTEST = 5.0, 25.0  # [Hz]
+STREAMS = ("channels", "motion", "both")
+
+Filter = Callable[[Array], Array]
+
+
+def poles(order: int, corner: float) -> Filter:
+    """Butterworth's, causal; of one pole as `y += share * (x - y)`."""
+    b, a = signal.butter(order, 2.0 * corner)
+    return lambda x: np.asarray(signal.lfilter(b, a, x - x[0], axis=0) + x[0])
+
+
+def both_ways(order: int, corner: float) -> Filter:
+    b, a = signal.butter(order, 2.0 * corner)
+    return lambda x: np.asarray(signal.filtfilt(b, a, x, axis=0))
+
+
+def mean(corner: float, *, causal: bool) -> Filter:
+    count = max(2, round(0.443 / corner))
+    origin = (count - 1) // 2 if causal else 0
+    return lambda x: np.asarray(convolve1d(x, np.full(count, 1.0 / count), axis=0, origin=origin))
+
+
+def gaussian(corner: float) -> Filter:
+    return lambda x: np.asarray(gaussian_filter1d(x, np.sqrt(np.log(2.0)) / (2.0 * np.pi * corner), axis=0))
+
+
+def savitzky_golay(corner: float) -> Filter:
+    count = 2 * max(2, round(0.46 / corner)) + 1
+    return lambda x: np.asarray(signal.savgol_filter(x, count, 3, axis=0))
+
+
+FILTERS: dict[str, Callable[[float], Filter]] = {
+    "one pole": partial(poles, 1),
+    "two poles": partial(poles, 2),
+    "four poles": partial(poles, 4),
+    "mean": partial(mean, causal=True),
+    "mean, centred": partial(mean, causal=False),
+    "Gaussian": gaussian,
+    "Savitzky-Golay": savitzky_golay,
+    "one pole, both ways": partial(both_ways, 1),
+    "two poles, both ways": partial(both_ways, 2),
+    "four poles, both ways": partial(both_ways, 4),
+}
+
+
+def at_half_power(make: Callable[[float], Filter], half: float) -> Filter:
+    """The filter whose noise has half of its density at this share of the sampling rate."""
+    impulse: Array = np.zeros((4096, 1))
+    impulse[2048] = 1.0
+    phase = np.exp(-2j * np.pi * half * np.arange(4096))
+
+    def excess(stretch: float) -> float:
+        return float(np.abs(phase @ make(stretch * half)(impulse)[:, 0]) ** 2) - 0.5
+
+    most = min(2.4, 0.49 / half)
+    return make(half * brentq(excess, 0.4, most, rtol=1e-3) if excess(0.4) * excess(most) < 0.0 else half)
+
+
+def filtered(log: Log, made: Filter, streams: str) -> Log:
+    fields = {"channels": ["raw"], "motion": ["velocity" if log.twist is None else "twist"]}
+    names = fields.get(streams, fields["channels"] + fields["motion"])
+    return replace(log, **{name: of_rows(made, getattr(log, name)) for name in names})
+
+
+def of_rows(made: Filter, values: Array) -> Array:
+    """A stream's own rows, filtered."""
+    rows, out = np.isfinite(values).all(axis=1), values.copy()
+    out[rows] = made(values[rows])
+    return out
+
+
+def run_one(seed: int, index: int) -> Row:
+    """One record, and its twin."""
+    rng = np.random.default_rng((seed, index))
+    name, streams = list(FILTERS)[index % len(FILTERS)], STREAMS[index // len(FILTERS) % 3]
+    motion = ("six", "six", "one", "joints")[index // (3 * len(FILTERS)) % 4]
+    settings, path = imperfect.settings_of(rng, motion, bool(rng.uniform() < 0.5), 6)
+    settings["plan"]["duration"] += 1.0
+    trajectory = imperfect.motion_of(rng, motion, settings["plan"]["duration"])
+    rig = tw.Rig.from_mapping(settings, path)
+    simulate = tw.simulate if motion != "joints" else tw.simulate_arm
+    run = simulate(rig, trajectory, seed=int(rng.integers(2**31)))
+    log = run.log if motion != "joints" else replace(run.log, twist=None, gravity=None, tracking=None)
+    rate = 1e9 / float(np.median(np.diff(log.time_ns)))
+    half = float(np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST))))
+    made = at_half_power(FILTERS[name], half / rate)
+    row: Row = {"filter": name, "streams": streams, "motion": motion, "hz": half, "rate": rate}
+    settled = slice(round(rate), None)
+    for prefix, of in (("", filtered(log, made, streams)), ("twin_", log)):
+        found, calibration = runs.calibrated(rig, cut(of, settled), run.truth.gain, held_out=False)
+        if calibration is not None:
+            found["wrong"] = found["beyond"]
+        row |= {prefix + key: value for key, value in found.items()}
+    return row
+
+
+def cut(log: Log, rows: slice) -> Log:
+    names = ("time_ns", "raw", "twist", "gravity", "attitude", "position", "velocity")
+    return replace(log, **{name: x[rows] for name in names if (x := getattr(log, name)) is not None})
+
+
+def line(name: str, rows: Sequence[Row]) -> list[str]:
+    done = [r for r in rows if r["outcome"] == "calibrated" and r["twin_outcome"] == "calibrated"]
+    twins = [r for r in done if r["twin_usable"]]
+    usable = [r for r in twins if r["usable"]]
+    wrong = sum(bool(r["usable"] and r["wrong"]) for r in done)
+    ratio = [r["seconds"] / r["twin_seconds"] for r in done]
+    return [
+        name,
+        str(len(rows)),
+        runs.interval(len(usable), len(twins)),
+        str(wrong),
+        f"{np.mean([r['covered'] for r in usable]):.3f}" if usable else "-",
+        f"{np.median([r['nees'] for r in usable]):.2f}" if usable else "-",
+        f"{np.median(ratio):.1f}, {np.max(ratio):.0f}" if ratio else "-",
+    ]
+
+
+def main() -> None:
+    options = runs.arguments(__doc__, runs=600)
+    chosen = options.parse_args()
+    work = partial(run_one, chosen.seed)
+    rows = runs.gather(work, range(chosen.runs), chosen.out, chosen.workers, [chosen.seed])
+    lost = [r for r in rows if "filter" not in r]
+    rows = [r for r in rows if "filter" in r]
+    header = (
+        "filter",
+        "runs",
+        "usable",
+        "usable and wrong",
+        "coverage",
+        "NEES/36, median",
+        "time over the twin's",
+    )
+    groups = [(name, [r for r in rows if r["filter"] == name]) for name in FILTERS]
+    groups += [(name, [r for r in rows if r["streams"] == name]) for name in STREAMS]
+    groups += [(name, [r for r in rows if r["motion"] == name]) for name in ("six", "one", "joints")]
+    groups += [
+        ("5 to 8 Hz", [r for r in rows if r["hz"] < 8.0]),
+        ("faster", [r for r in rows if r["hz"] >= 8.0]),
+    ]
+    runs.table(header, [line(name, of) for name, of in [*groups, ("all", rows)]])
+    print(f"\nlost: {len(lost)}")
+
+
+if __name__ == "__main__":
+    main()
