@@ -2,7 +2,7 @@
 
     python benchmarks/smoothed.py --runs 600 --workers 2 --out out/smoothed
 
-Problems of imperfect.py on perfect hardware. Then channels, the motion (joints: their velocities) or both are
+Problems of imperfect.py on perfect hardware. Then channels, the motion (of joints the velocities) or all are
 filtered, log-uniformly at 5 to 25 Hz of the noise's half power: causally, as sensors and drivers do it, or to
 both sides, as whoever keeps a log does. The first second, in which filters settle, is cut off. Each stands
 beside its twin, the same log unfiltered. Wrong is what imperfect.py calls so.
@@ -31,7 +31,11 @@ import truewrench as tw
 from truewrench.model.log import Log
 
 SLOWEST, FASTEST = 5.0, 25.0  # [Hz]
-STREAMS = ("channels", "motion", "both")
+STREAMS = {
+    "channels": ("raw",),
+    "motion": ("twist", "velocity"),
+    "all": ("raw", "twist", "gravity", "velocity"),
+}
 
 Filter = Callable[[Array], Array]
 
@@ -47,10 +51,14 @@ def both_ways(order: int, corner: float) -> Filter:
     return lambda x: np.asarray(signal.filtfilt(b, a, x, axis=0))
 
 
-def mean(corner: float, *, causal: bool) -> Filter:
+def mean(corner: float) -> Filter:
     count = max(2, round(0.443 / corner))
-    origin = (count - 1) // 2 if causal else 0
-    return lambda x: np.asarray(convolve1d(x, np.full(count, 1.0 / count), axis=0, origin=origin))
+    return lambda x: np.asarray(signal.lfilter(np.full(count, 1.0 / count), 1.0, x - x[0], axis=0) + x[0])
+
+
+def centred_mean(corner: float) -> Filter:
+    count = max(2, round(0.443 / corner))
+    return lambda x: np.asarray(convolve1d(x, np.full(count, 1.0 / count), axis=0))
 
 
 def gaussian(corner: float) -> Filter:
@@ -66,8 +74,8 @@ FILTERS: dict[str, Callable[[float], Filter]] = {
     "one pole": partial(poles, 1),
     "two poles": partial(poles, 2),
     "four poles": partial(poles, 4),
-    "mean": partial(mean, causal=True),
-    "mean, centred": partial(mean, causal=False),
+    "mean": mean,
+    "mean, centred": centred_mean,
     "Gaussian": gaussian,
     "Savitzky-Golay": savitzky_golay,
     "one pole, both ways": partial(both_ways, 1),
@@ -90,9 +98,8 @@ def at_half_power(make: Callable[[float], Filter], half: float) -> Filter:
 
 
 def filtered(log: Log, made: Filter, streams: str) -> Log:
-    fields = {"channels": ["raw"], "motion": ["velocity" if log.twist is None else "twist"]}
-    names = fields.get(streams, fields["channels"] + fields["motion"])
-    return replace(log, **{name: of_rows(made, getattr(log, name)) for name in names})
+    logged = {name: getattr(log, name) for name in STREAMS[streams]}
+    return replace(log, **{name: of_rows(made, x) for name, x in logged.items() if x is not None})
 
 
 def of_rows(made: Filter, values: Array) -> Array:
@@ -105,7 +112,7 @@ def of_rows(made: Filter, values: Array) -> Array:
 def run_one(seed: int, index: int) -> Row:
     """One record, and its twin."""
     rng = np.random.default_rng((seed, index))
-    name, streams = list(FILTERS)[index % len(FILTERS)], STREAMS[index // len(FILTERS) % 3]
+    name, streams = list(FILTERS)[index % len(FILTERS)], list(STREAMS)[index // len(FILTERS) % 3]
     motion = ("six", "six", "one", "joints")[index // (3 * len(FILTERS)) % 4]
     settings, path = imperfect.settings_of(rng, motion, bool(rng.uniform() < 0.5), 6)
     settings["plan"]["duration"] += 1.0

@@ -1,4 +1,5 @@
 // Which parameters logs share.
+#include "truewrench/model/gravity.hpp"
 #include "truewrench/model/parameters.hpp"
 
 #include <gtest/gtest.h>
@@ -57,6 +58,41 @@ TEST(Layout, EveryRootFrameOfALogHasATiltOfItsOwn) {
     EXPECT_EQ(layout.in_theta(1).in_root(time).tilt, layout.tilt) << time;
   }
   EXPECT_EQ(layout.tilt, first + 6);
+}
+
+// By s, kappa and gamma, against differences, where samples are late and means of a time.
+TEST(Gravity, IsLateByItsParameters) {
+  const Statement rig = in_gravity();
+  RecordedLog log;
+  log.motion.resize(1);
+  log.motion[0].time_offset_prior = 0.01;
+  const Layout layout(rig, {&log}, {});
+  const Columns columns = layout.in_theta(0);
+  Eigen::VectorXd theta = layout.mean();
+  const int at[3] = {columns.clock[0], columns.clock[0] + 1, columns.gamma};
+  const double values[3] = {0.02, 0.3, 0.8}, half_window = 0.04, step = 1e-4;
+  for (int i = 0; i < 3; ++i) theta[at[i]] = values[i];
+  const Matrix3 R = Eigen::AngleAxisd(0.7, Vector3(1, 2, 3).normalized()).toRotationMatrix();
+  Vector6 nu, a;
+  nu << 0.1, 0.2, 0.3, 0.9, -0.7, 0.4;
+  a << 0.3, 0.1, 0.2, -2.0, 1.5, 3.0;
+  const auto felt = [&] { return Gravity(rig, columns, theta.data(), true, half_window).felt(R, nu, a); };
+  std::vector<Vector3> by;
+  Gravity(rig, columns, theta.data(), true, half_window)
+      .by_parameters(R, nu.tail<3>(), a.tail<3>(),
+                     [&](const double* x) { by.emplace_back(x[0], x[1], x[2]); });
+  for (int i = 0; i < 3; ++i) {
+    theta[at[i]] = values[i] + step;
+    const Vector3 plus = felt();
+    theta[at[i]] = values[i] - step;
+    EXPECT_LT((by[static_cast<std::size_t>(i)] - (plus - felt()) / (2.0 * step)).norm(), 1e-6) << i;
+    theta[at[i]] = values[i];
+  }
+  // a mean without a delay adds the second derivative of g
+  theta[at[0]] = 0.0;
+  const Vector3 g = R * rig.gravity, omega = nu.tail<3>(), alpha = a.tail<3>();
+  const Vector3 second = omega.cross(omega.cross(g)) - alpha.cross(g);
+  EXPECT_LT((felt() - g - 0.2 * half_window * half_window * second).norm(), 1e-12);
 }
 
 }  // namespace

@@ -80,6 +80,7 @@ Case make(bool bias) {
   m.group.resize(6);
   m.group << 0, 0, 0, 1, 1, 1;
   m.time_offset_prior = 0.002;
+  m.half_window = 0.04;
   if (bias) m.bias_prior = Eigen::VectorXd::Constant(6, 0.1);
   c.log.motion.push_back(m);
   return c;

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from record_cases import light_rig
 from scipy import signal
+from scipy.ndimage import convolve1d, gaussian_filter1d
 from scipy.signal import butter, lfilter
 
 import truewrench as tw
 from truewrench.estimation.colour import FEWEST, colour_of, without_filters
-from truewrench.estimation.evenly import welch
+from truewrench.estimation.evenly import hann, welch
+from truewrench.estimation.thinning import thinning_of
 from truewrench.model.log import Log
 from truewrench.model.split import rows_of
 from truewrench.motion.trajectory import HarmonicTwist
@@ -21,6 +23,7 @@ from truewrench.motion.trajectory import HarmonicTwist
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
 RATE = 500.0  # [Hz]
+NOISE = np.full(6, 1e-3)
 SETTLED = 500  # samples after which a filter has forgotten where it began
 
 
@@ -48,7 +51,7 @@ def one_pole(values: Array, hz: float) -> Array:
 def test_the_spectrum_is_scipys(count: int) -> None:
     values = samples(3, count)[2]
     expected = signal.welch(values, RATE, nperseg=FEWEST, axis=0, average="median")[1]
-    np.testing.assert_allclose(welch(values, 1.0 / RATE, FEWEST)[1:-1], expected[1:-1], rtol=1e-9)
+    np.testing.assert_allclose(welch(values, 1.0 / RATE, hann(FEWEST))[1:-1], expected[1:-1], rtol=1e-9)
 
 
 def test_white_noise_is_left_as_it_is() -> None:
@@ -161,3 +164,61 @@ def test_filtered_records_are_honest_and_named(
         assert found.time_offset == pytest.approx(expected, abs=0.15 * delay)
     assert np.mean(errors) < 1.4
     assert usable >= 5
+
+
+SMOOTHED = {
+    "four poles of 8 Hz": lambda x: lfilter(*butter(4, 2.0 * 8.0 / RATE), x, axis=0),
+    "two poles of 10 Hz, both ways": lambda x: signal.filtfilt(*butter(2, 2.0 * 10.0 / RATE), x, axis=0),
+    "a mean of 0.1 s, centred": lambda x: convolve1d(x, np.full(51, 1.0 / 51.0), axis=0),
+    "Savitzky and Golay's over 0.15 s": lambda x: signal.savgol_filter(x, 75, 3, axis=0),
+    "Gauss's of 8 Hz": lambda x: gaussian_filter1d(x, 0.133 / 8.0 * RATE, axis=0),
+}
+
+
+@pytest.mark.parametrize("name", SMOOTHED)
+def test_what_steep_filters_leave_is_thinned_to_white_noise(name: str) -> None:
+    """Of one sample in D the noise is as good as white, and not much more than before."""
+    for seed in range(4):
+        time, clean, noisy = samples(seed, 15_000)
+        found = colour_of(time[SETTLED:-SETTLED], SMOOTHED[name](noisy)[SETTLED:-SETTLED], NOISE)
+        assert found is not None
+        noise = SMOOTHED[name](noisy - clean)[SETTLED:-SETTLED]
+        kept = found.whitened(noise)[:: found.step]
+        neighbours = np.sum(kept[1:] * kept[:-1]) / np.sum(kept**2)
+        assert abs(neighbours) < 0.3
+        density = kept.var() * found.step / RATE  # of what was white: 1e-6 / RATE
+        assert 0.7 < density / (1e-6 / RATE) < 1.6
+
+
+def test_what_is_slow_is_not_thinned() -> None:
+    """Walks and friction fall with frequency to the noise as it is stated, the density of a filter below."""
+    for seed in range(20):
+        time, _, noisy = samples(seed, 8_000)
+        rng = np.random.default_rng(seed)
+        walk = 3e-4 * rng.standard_normal(noisy.shape).cumsum(axis=0)
+        steep = 2e-5 * rng.standard_normal(noisy.shape).cumsum(axis=0).cumsum(axis=0)
+        play = 0.01 * np.clip(np.tanh(30.0 * np.gradient(slow(time, seed), time, axis=0)), -1.0, 1.0)
+        for departure in (walk, steep, play):
+            assert thinning_of(time, noisy + departure, NOISE) is None
+
+
+@pytest.mark.parametrize("stream", ["raw", "twist"])
+@pytest.mark.parametrize("name", SMOOTHED)
+def test_smoothed_records_are_usable_and_honest(name: str, stream: str) -> None:
+    """They were refused after up to 100 times a clean record's time; kappa tells what smoothing took."""
+    rig = light_rig(seconds=20, rate=RATE, discrepancy=0)
+    errors, usable = [], 0
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        frequency = np.tile([[0.2], [0.37], [0.53], [0.71], [0.9], [1.1]], (1, 6))
+        size, phase = 0.25 * rng.uniform(0.2, 0.7, (6, 6)), rng.uniform(0, 2 * np.pi, (6, 6))
+        run = tw.simulate(rig, HarmonicTwist(size, frequency, phase, 20), seed=seed)
+        log = replace(run.log, **{stream: SMOOTHED[name](getattr(run.log, stream))})
+        log = rows_of(log, np.arange(SETTLED, len(log.time_ns) - SETTLED))
+        found = tw.calibrate(rig, log, held_out=False)
+        error = (found.gain - run.truth.gain).ravel()
+        errors.append(error @ np.linalg.solve(found.covariance[:36, :36], error) / 36.0)
+        usable += found.verdict.usable
+        assert any("filter" in assumed.what.split(":")[0] for assumed in found.assumed)
+    assert np.mean(errors) < 1.4
+    assert usable == 2

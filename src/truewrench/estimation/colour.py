@@ -4,7 +4,7 @@ Sensors and drivers filter what they log, noise and all. Taken for white, such n
 at the frequencies of a motion, and its slow part seems to be a motion or a disturbance. Where no motion is,
 its spectrum tells the filter, by Whittle's likelihood: a mean of so many samples, one of which tells all that
 they do; or an autoregressive model A(z), whose inverse A(z) / A(1) leaves white noise of the same density and
-undoes the delay (docs/method.md, M12a).
+undoes the delay (docs/method.md, M12a). Where no model holds, so many samples are one (thinning.py).
 """
 
 from collections.abc import Callable, Sequence
@@ -18,12 +18,13 @@ from scipy.optimize import minimize
 from truewrench.estimation.evenly import (
     NoiseSpectrum,
     at_places,
+    hann,
     noise_spectrum,
     places_of,
     present,
     without_lines,
 )
-from truewrench.estimation.thinning import BEGINS, GROWS, segment, thinning_of
+from truewrench.estimation.thinning import BEGINS, GROWS, thinning_of, window
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Whitened
 from truewrench.model.rig import Rig
@@ -43,8 +44,7 @@ APART = 3.0
 """Between spectrum and model in a quarter of the band, from which on the model does not hold: second-order
 filters reach 2.1."""
 
-HOLDS = 1.5
-"""Times the model below `BEGIN`, from which on thinning takes its place, where it does."""
+HOLDS = 1.5  # times a model below `BEGIN`, from which on it is thinned, where that makes it white: tolerance
 
 STREAMS = {
     "raw": "raw_*",
@@ -83,21 +83,13 @@ def without_filters(rig: Rig, log: Log) -> Log:
     """The log with its streams as they would be without the filters that colour their noise; else itself."""
     changed: dict[str, Any] = {}
     whitened: dict[str, Whitened] = {}
-    moved = rig.motion.noise_array
-    stated = {
-        "raw": rig.sensor.noise_array,
-        **dict.fromkeys(("twist", "velocity", "angular_velocity"), moved if moved.size else None),
-        "specific_force": None
-        if rig.motion.acceleration_noise is None
-        else np.array(rig.motion.acceleration_noise)[:3],
-    }
     for name, columns in STREAMS.items():
         values = getattr(log, name)
         if values is None or (name == "twist" and log.tracking is not None):  # of joints, which made it
             continue
         time, values, rows = present(log.time, values)
         taken = log.vibrations if name == "raw" else ()
-        colour = colour_of(time, values, stated[name], [(x.low, x.high) for x in taken])
+        colour = colour_of(time, values, _stated(rig, name), [(x.low, x.high) for x in taken])
         if colour is None:
             continue
         out = np.full((len(log.time_ns), values.shape[1]), np.nan)
@@ -113,6 +105,14 @@ def without_filters(rig: Rig, log: Log) -> Log:
     return replace(log, **changed, whitened=whitened) if changed else log
 
 
+def _stated(rig: Rig, stream: str) -> Array | None:
+    """1 sigma (M,) of its noise; None where the rig does not say."""
+    if stream == "raw":
+        return rig.sensor.noise_array
+    told = rig.motion.acceleration_noise if stream == "specific_force" else rig.motion.noise
+    return None if told is None else np.array(told)
+
+
 def colour_of(
     time: Array, values: Array, stated: Array | None = None, without: Sequence[tuple[float, float]] = ()
 ) -> Colour | None:
@@ -121,7 +121,7 @@ def colour_of(
     `stated` (M,) is 1 sigma of that noise, None where it is not known; `without` are bands that have been
     taken out [Hz].
     """
-    found = noise_spectrum(time, values, BEGIN, END, FEWEST, without)
+    found = noise_spectrum(time, values, BEGIN, END, hann(FEWEST), without)
     if found is None or np.abs(_levels(found.power, 1.0)).max() < np.log(1.0 + 0.5 * (GROWS - 1.0)):
         return None
     modelled, thinned = _modelled(found), thinning_of(time, values, stated, without)
@@ -140,7 +140,7 @@ class _Modelled:
     def holds(self, time: Array, values: Array, without: Sequence[tuple[float, float]]) -> bool:
         """Whether it does where motions hardly reach, too: the slope of a steep filter is no corner."""
         period = float(np.median(np.diff(time)))
-        found = noise_spectrum(time, values, BEGINS[-1], END, segment(period), without)
+        found = noise_spectrum(time, values, BEGINS[-1], END, window(period), without)
         if found is None:
             return True
         ratio = found.power / self.density(2.0 * np.pi * period * found.hz)[:, None]

@@ -66,12 +66,25 @@ def evenly(time: Array, values: Array, most: int) -> Array:
     return filled(at_places(places_of(time[:most]), values[:most])[:most])
 
 
-def welch(values: Array, period: float, length: int) -> Array:
+def hann(length: int) -> Array:
+    """Hann's window."""
+    return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length))
+
+
+def blackman_harris(length: int) -> Array:
+    """Blackman and Harris' window, whose lobes are 92 dB down from four bins on."""
+    phase = 2.0 * np.pi * np.arange(length) / length
+    return np.asarray(
+        0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2.0 * phase) - 0.01168 * np.cos(3.0 * phase)
+    )
+
+
+def welch(values: Array, period: float, window: Array) -> Array:
     """One-sided densities (length // 2 + 1, M) by Welch's method: medians of segments that overlap by half.
 
     SciPy's brings scipy.stats, a third of what `truewrench calibrate` takes to import.
     """
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)  # Hann's
+    length = window.size
     parts = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)[:: length // 2]
     parts = parts - parts.mean(axis=-1, keepdims=True)
     power = 2.0 * period / np.sum(window**2) * np.abs(np.fft.rfft(window * parts, axis=-1)) ** 2
@@ -95,13 +108,14 @@ def noise_spectrum(
     values: Array,
     begin: float,
     end: float,
-    length: int,
+    window: Array,
     without: Sequence[tuple[float, float]] = (),
 ) -> NoiseSpectrum | None:
     """Of samples (N, M) at times (N,), from `begin` [Hz] to `end` of the Nyquist frequency.
 
-    Medians over segments of so many samples, `without` some bands [Hz]; None of what has too few.
+    Medians over segments as long as the window, `without` some bands [Hz]; None of what has too few samples.
     """
+    length = window.size
     pieces = [piece for piece in segments(time) if piece.stop - piece.start >= length]
     if not pieces:
         return None
@@ -118,7 +132,7 @@ def noise_spectrum(
         part = evenly(time[piece], values[piece], MOST)
         if len(part) >= length + 2:
             twice = np.diff(part, 2, axis=0)  # else what is slow leaks into what is fast
-            total += welch(twice, period, length)[use] * len(part)
+            total += welch(twice, period, window)[use] * len(part)
             count += len(part)
     if not count:
         return None

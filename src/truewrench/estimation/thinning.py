@@ -10,19 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truewrench.estimation.evenly import NoiseSpectrum, noise_spectrum
+from truewrench.estimation.evenly import NoiseSpectrum, blackman_harris, noise_spectrum
 from truewrench.model.arrays import Array, Integers
 
-BEGINS = (
-    3.0,
-    4.0,
-    5.0,
-)  # [Hz] from which on noise is sought, the first where it is found: motions may reach there
+BEGINS = (3.0, 4.0, 5.0)  # [Hz] from which on noise is sought, the first where it is found: tolerance
 SECONDS = 5.2  # of a spectrum's segments: tolerance
 FEWEST = 8  # bins of a band: tolerance
 WITHIN = 0.95  # of the Nyquist frequency of what is left: tolerance
 FALLS = 1.25  # from the lower half of the band to the upper one, up to which noise is white: tolerance
-DOUBLES = 1.5  # times its density, from which on noise is thinned that is white already: tolerance
+COSTS = 2.0  # times the noise's density that thinning may bring with it: of one pole 1.6
 
 GROWS = 1.15
 """Of the noise's 1 sigma at the same rate, from which on a filter matters: 3 of 210 imperfect records of
@@ -50,7 +46,7 @@ def thinning_of(
     if len(time) < 2:
         return None
     period = float(np.median(np.diff(time)))
-    found = noise_spectrum(time, values, BEGINS[0], 1.0, segment(period), without)
+    found = noise_spectrum(time, values, BEGINS[0], 1.0, window(period), without)
     if found is None:
         return None
     for begin in BEGINS:
@@ -64,15 +60,15 @@ def thinning_of(
             if np.median(lower) - np.median(upper) > np.log(FALLS):
                 continue
             growth = np.exp(-0.5 * np.log(np.minimum(found.power / level, 1.0).mean(axis=0)).mean())
-            if growth < GROWS or np.median(folded) > DOUBLES or not _left(found, step, stated):
+            if growth < GROWS or np.median(folded) > COSTS or not _left(found, step, stated):
                 break
             return Thinning(step, float(0.5 / growth**2))
     return None
 
 
-def segment(period: float) -> int:
-    """Samples of a spectrum's segments, which tell what is as slow as `BEGINS`."""
-    return int(max(512, 2 ** int(np.log2(SECONDS / period))))
+def window(period: float) -> Array:
+    """Of a spectrum that tells noise as slow as `BEGINS` beside motions a thousand times as large."""
+    return blackman_harris(max(512, 2 ** int(np.log2(SECONDS / period))))
 
 
 def _folded(found: NoiseSpectrum, band: Integers, step: int) -> Array:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
-from truewrench.estimation.evenly import at_places, evenly, filled, places_of, present, welch
+from truewrench.estimation.evenly import at_places, evenly, filled, hann, places_of, present, welch
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Vibration
 from truewrench.model.rig import Rig
@@ -177,7 +177,7 @@ def _spectrum(time: Array, values: Array) -> tuple[Array, Array] | None:
     use = (frequency >= QUIET) & (frequency < 0.49 / period)
     hz: Array = np.asarray(frequency[use], np.float64)
     gain = (2.0 - 2.0 * np.cos(2.0 * np.pi * period * hz)) ** 2
-    return hz, welch(twice, period, length)[use] / gain[:, None]
+    return hz, welch(twice, period, hann(length))[use] / gain[:, None]
 
 
 def _moving_sum(values: Array, half: int) -> Array:
