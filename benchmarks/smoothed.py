@@ -34,7 +34,7 @@ SLOWEST, FASTEST = 5.0, 25.0  # [Hz]
 STREAMS = {
     "channels": ("raw",),
     "motion": ("twist", "velocity"),
-    "all": ("raw", "twist", "gravity", "velocity"),
+    "all": ("raw", "twist", "gravity", "position", "velocity"),
 }
 
 Filter = Callable[[Array], Array]

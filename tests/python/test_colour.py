@@ -222,3 +222,20 @@ def test_smoothed_records_are_usable_and_honest(name: str, stream: str) -> None:
         assert any("filter" in assumed.what.split(":")[0] for assumed in found.assumed)
     assert np.mean(errors) < 1.4
     assert usable == 2
+
+
+def test_smoothed_encoders_are_thinned_and_others_are_not() -> None:
+    """A motion is 100,000 times as large as their noise, which steps of their resolution may be."""
+    time = np.arange(12_000) / RATE
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        clean = slow(time, seed)
+        noisy = clean + 1e-5 * rng.standard_normal(clean.shape)
+        stated = np.full(6, 1e-5)
+        coarse = np.round(clean / 3e-5) * 3e-5
+        assert thinning_of(time, noisy, stated) is None
+        assert thinning_of(time, coarse, stated) is None
+        smoothed = SMOOTHED["two poles of 10 Hz, both ways"](noisy)
+        found = thinning_of(time[SETTLED:-SETTLED], smoothed[SETTLED:-SETTLED], stated)
+        assert found is not None
+        assert 15.0 < RATE / found.step < 30.0

@@ -24,7 +24,7 @@ from truewrench.estimation.evenly import (
     present,
     without_lines,
 )
-from truewrench.estimation.thinning import BEGINS, GROWS, thinning_of, window
+from truewrench.estimation.thinning import BEGINS, GROWS, Thinning, thinning_of, window
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Whitened
 from truewrench.model.rig import Rig
@@ -49,6 +49,7 @@ HOLDS = 1.5  # times a model below `BEGIN`, from which on it is thinned, where t
 STREAMS = {
     "raw": "raw_*",
     "twist": "vx ... wz",
+    "position": "q_*",
     "velocity": "dq_*",
     "angular_velocity": "wx wy wz",
     "specific_force": "accel_*",
@@ -89,7 +90,8 @@ def without_filters(rig: Rig, log: Log) -> Log:
             continue
         time, values, rows = present(log.time, values)
         taken = log.vibrations if name == "raw" else ()
-        colour = colour_of(time, values, _stated(rig, name), [(x.low, x.high) for x in taken])
+        find = thinned_of if name == "position" else colour_of
+        colour = find(time, values, _stated(rig, name), [(x.low, x.high) for x in taken])
         if colour is None:
             continue
         out = np.full((len(log.time_ns), values.shape[1]), np.nan)
@@ -109,7 +111,9 @@ def _stated(rig: Rig, stream: str) -> Array | None:
     """1 sigma (M,) of its noise; None where the rig does not say."""
     if stream == "raw":
         return rig.sensor.noise_array
-    told = rig.motion.acceleration_noise if stream == "specific_force" else rig.motion.noise
+    motion = rig.motion
+    other = {"position": motion.position_noise, "specific_force": motion.acceleration_noise}
+    told = other.get(stream, motion.noise)
     return None if told is None else np.array(told)
 
 
@@ -127,6 +131,18 @@ def colour_of(
     modelled, thinned = _modelled(found), thinning_of(time, values, stated, without)
     if thinned is None or (modelled is not None and modelled.holds(time, values, without)):
         return None if modelled is None else modelled.colour
+    return _one_of(thinned)
+
+
+def thinned_of(
+    time: Array, values: Array, stated: Array | None, without: Sequence[tuple[float, float]]
+) -> Colour | None:
+    """As `colour_of` of what a motion is 100,000 times as large as: models take its slope for a filter's."""
+    thinned = thinning_of(time, values, stated, without)
+    return None if thinned is None else _one_of(thinned)
+
+
+def _one_of(thinned: Thinning) -> Colour:
     return Colour(np.ones(1), thinned.step, 1.0, thinned.corner)
 
 

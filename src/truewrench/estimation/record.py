@@ -232,7 +232,9 @@ def _joint_streams(
     if told:
         assert position is not None
         assert assumptions.position_noise is not None
-        streams.append(_stream(assumptions, log, position, assumptions.position_noise, together))
+        streams.append(
+            _stream(assumptions, log, position, assumptions.position_noise, together, field="position")
+        )
     if velocity is not None and np.isfinite(velocity).any() and assumptions.motion_noise is not None:
         sigma = assumptions.motion_noise
         starts: list[tuple[Array, Array]] = []
