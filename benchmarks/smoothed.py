@@ -29,6 +29,7 @@ from scipy.optimize import brentq
 
 import truewrench as tw
 from truewrench.model.log import Log
+from truewrench.model.split import rows_of
 
 SLOWEST, FASTEST = 5.0, 25.0  # [Hz]
 STREAMS = {
@@ -127,16 +128,11 @@ def run_one(seed: int, index: int) -> Row:
     row: Row = {"filter": name, "streams": streams, "motion": motion, "hz": half, "rate": rate}
     settled = slice(round(rate), None)
     for prefix, of in (("", filtered(log, made, streams)), ("twin_", log)):
-        found, calibration = runs.calibrated(rig, cut(of, settled), run.truth.gain, held_out=False)
+        found, calibration = runs.calibrated(rig, rows_of(of, settled), run.truth.gain, held_out=False)
         if calibration is not None:
             found["wrong"] = found["beyond"]
         row |= {prefix + key: value for key, value in found.items()}
     return row
-
-
-def cut(log: Log, rows: slice) -> Log:
-    names = ("time_ns", "raw", "twist", "gravity", "attitude", "position", "velocity")
-    return replace(log, **{name: x[rows] for name in names if (x := getattr(log, name)) is not None})
 
 
 def line(name: str, rows: Sequence[Row]) -> list[str]:

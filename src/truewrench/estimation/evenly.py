@@ -71,9 +71,8 @@ def hann(length: int) -> Array:
     return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length))
 
 
-def blackman_harris(length: int) -> Array:
-    """Blackman and Harris' window, whose lobes are 92 dB down from four bins on."""
-    phase = 2.0 * np.pi * np.arange(length) / length
+def blackman_harris(phase: Array) -> Array:
+    """Blackman and Harris' window at phases of 0 to 2 pi; its lobes are 92 dB down from four bins on."""
     return np.asarray(
         0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2.0 * phase) - 0.01168 * np.cos(3.0 * phase)
     )

@@ -68,7 +68,8 @@ def thinning_of(
 
 def window(period: float) -> Array:
     """Of a spectrum that tells noise as slow as `BEGINS` beside motions a thousand times as large."""
-    return blackman_harris(max(512, 2 ** int(np.log2(SECONDS / period))))
+    length = max(512, 2 ** int(np.log2(SECONDS / period)))
+    return blackman_harris(2.0 * np.pi * np.arange(length) / length)
 
 
 def _folded(found: NoiseSpectrum, band: Integers, step: int) -> Array:

@@ -14,7 +14,16 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
-from truewrench.estimation.evenly import at_places, evenly, filled, hann, places_of, present, welch
+from truewrench.estimation.evenly import (
+    at_places,
+    blackman_harris,
+    evenly,
+    filled,
+    hann,
+    places_of,
+    present,
+    welch,
+)
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Vibration
 from truewrench.model.rig import Rig
@@ -191,10 +200,9 @@ def _kernel(bands: Sequence[Vibration], period: float) -> Array:
     m = round(0.5 * WINDOW / period)
     n = np.arange(-m, m + 1)
     phase = 2.0 * np.pi * (n + m + 0.5) / (2 * m + 1)
-    window = 0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2 * phase) - 0.01168 * np.cos(3 * phase)
     hz = np.concatenate([x.centre + APART * np.arange(*_steps(x)) for x in bands])
     waves = np.cos(2.0 * np.pi * period * np.outer(hz, n))
-    passed = waves * window
+    passed = waves * blackman_harris(phase)
     return np.asarray(np.linalg.lstsq(waves @ passed.T, np.ones(hz.size), rcond=1e-6)[0] @ passed)
 
 
