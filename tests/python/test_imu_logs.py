@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import MS, START, Bag, with_recording, write
+from scipy.stats import chi2
 
 from truewrench.calibrating.pipeline import calibrate
+from truewrench.estimation.estimator import estimate
 from truewrench.inspection.log import inspect_log
 from truewrench.inspection.recording import inspect_recording
 from truewrench.io.tables import read_log, write_table
 from truewrench.judging.validation import validate
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -196,3 +199,50 @@ def test_what_an_imu_cannot_do_yet_is_refused(
     ):
         with pytest.raises(UnsupportedError, match=r"motion\.source: found `?imu`?, expected `twist`"):
             attempt()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_arm_that_turns_one_joint_is_solved(settings: dict[str, Any], seed: int) -> None:
+    """Five components rest, and the accelerometer's constant errors look like offsets of the sensor.
+
+    Sensor, accelerometer and gyroscope at 700, 250 and 100 Hz, each at stamps of its own.
+    """
+    rng = np.random.default_rng(seed)
+    noise = np.repeat([0.03, 1.5e-3], 3)
+    sensor = {"feels": "payload_on_sensor", "noise": noise.tolist(), "gain_prior": 0.05}
+    sensor |= {"channels": ["fx", "fy", "fz", "mx", "my", "mz"], "range": [500] * 3 + [20] * 3}
+    motion = IMU | {"acceleration_noise": [0.06] * 3, "accelerometer_bias_prior": 1.0}
+    body = {"mass": 0.9, "center_of_mass": [0, 0, 0.044], "inertia": {"xx": 0.003, "yy": 0.003, "zz": 0.001}}
+    rig = Rig.from_mapping({"sensor": sensor, "motion": motion, "payloads": {"only": body}})
+    span = rig.sensor.range_array
+    gain = np.eye(6) + 0.05 * rng.normal(size=(6, 6)) * span[:, None] / span
+
+    def turning(t: Array) -> tuple[Array, Array, Array]:
+        """Specific force (T, 3) at the sensor's origin, rate and acceleration of a turn about y."""
+        x = np.clip((t - 1.0) / 4.3, 0.0, 1.0)
+        angle = 2.5 * x**3 * (10 - 15 * x + 6 * x**2) - 0.5 * np.pi
+        rate = 2.5 / 4.3 * 30 * x**2 * (1 - x) ** 2
+        acceleration = 2.5 / 4.3**2 * 60 * x * (1 - x) * (1 - 2 * x)
+        return 9.81 * np.column_stack([-np.sin(angle), 0.0 * x, np.cos(angle)]), rate, acceleration
+
+    times = [np.arange(first, 6.3, 1.0 / hz) for first, hz in ((0.0, 700), (0.0007, 250), (0.0021, 100))]
+    f, omega, alpha = turning(times[0])
+    force = -0.9 * (f + 0.044 * np.column_stack([alpha, 0.0 * alpha, -(omega**2)]))
+    moment = np.cross([0.0, 0.0, 0.044], force) - np.outer(0.003 * alpha, [0.0, 1.0, 0.0])
+    values = {
+        "raw": np.hstack([force, moment]) @ gain.T + noise * rng.normal(size=(times[0].size, 6)),
+        "specific_force": turning(times[1])[0] + 0.3 * rng.normal(size=3),
+        "angular_velocity": np.outer(turning(times[2])[1], [0.0, 1.0, 0.0]),
+    }
+    values["specific_force"] += 0.06 * rng.normal(size=values["specific_force"].shape)
+    values["angular_velocity"] += 1e-3 * rng.normal(size=values["angular_velocity"].shape)
+    stamps = [(1e9 * t).astype(np.int64) for t in times]
+    together = np.unique(np.concatenate(stamps))
+    columns = {name: np.full((together.size, x.shape[1]), np.nan) for name, x in values.items()}
+    for at, (name, x) in zip(stamps, values.items(), strict=True):
+        columns[name][np.searchsorted(together, at)] = x
+    found = estimate(rig, [Log(None, "only", "", together, **columns)], threads=1)
+    assert found.solved
+    assert found.converged
+    error = (found.gain - gain).ravel()
+    assert error @ np.linalg.solve(found.covariance[:36, :36], error) < chi2.ppf(0.999, 36)

@@ -153,6 +153,29 @@ def test_an_imu_tells_attitude_and_motion(data: str) -> None:
     assert sum(squares) < chi2.ppf(1.0 - 1e-4, len(squares))
 
 
+def test_an_imu_needs_no_gravity_and_no_row_that_it_shares_with_the_sensor() -> None:
+    """Gyroscope, accelerometer and sensor each at stamps of its own, as a recording has them."""
+    motion = {"source": "imu", "noise": [1e-3] * 3, "acceleration_noise": [1e-2] * 3}
+    sensor = {"discrepancy": 0, "time_offset_prior": 0}
+    rig = tool_rig(a_rig(motion=motion, sensor=sensor))
+    log = swing_log(rig, MASS, CENTER, INERTIA)
+    plain = tw.identify_tool(rig, log)
+    count = len(log.time_ns)
+    stamps = (log.time_ns[:, None] + np.array([0, 20_000, 40_000])).ravel()
+    parts = {
+        name: np.full((3 * count, getattr(log, name).shape[1]), np.nan)
+        for name in ("raw", "angular_velocity", "specific_force")
+    }
+    for k, (name, values) in enumerate(parts.items()):
+        values[k::3] = getattr(log, name)
+    weightless = tool_rig(a_rig(motion=motion, sensor=sensor, gravity=[0.0, 0.0, 0.0]))
+    found = tw.identify_tool(weightless, replace(log, time_ns=stamps, **parts))
+    assert found.verdict.usable
+    body = plain.layout.body
+    std = np.sqrt(np.diag(plain.covariance)[body])
+    assert np.abs((found.theta - plain.theta)[body] / std).max() < 0.3
+
+
 def test_a_log_a_pose_is_one_log_of_poses_where_they_are_of_one_session() -> None:
     rig = tool_rig(a_rig(sensor={"pool_offsets": True}))
     log, offset = pose_log(rig, MASS, CENTER)

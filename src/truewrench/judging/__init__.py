@@ -152,7 +152,8 @@ def _unsolved(estimate: Estimate, logs: Sequence[Log]) -> list[str]:
     ]
     return dropped or [
         "the record could not be solved: it holds no stretch in which the sensor and its motion were both "
-        "logged long enough, or in all of them hardly anything moved"
+        "logged long enough, in all of them hardly anything moved, or what it shows is orders of magnitude "
+        "from what is stated of its noise"
     ]
 
 

@@ -64,7 +64,10 @@ def check_options(
 def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
     """Refuse silent channels, degrees, free fall of another size than the rig's, joints of no arm."""
     stated = float(np.linalg.norm(rig.gravity_array))
-    if stated == 0.0 and not any(log.twist is not None or log.position is not None for log in logs):
+    moving = any(
+        values is not None for log in logs for values in (log.twist, log.position, log.specific_force)
+    )
+    if stated == 0.0 and not moving:
         raise InputError.at(rig.path, "gravity", "0", "gravity, which poses need")
     for log in logs:
         if not len(log.time_ns):

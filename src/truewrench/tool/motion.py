@@ -271,9 +271,12 @@ def measured_motions(rig: Rig, log: Log) -> list[tuple[Integers, Array, Array, A
     from scipy.signal import savgol_filter  # brings scipy.stats: half a second
 
     rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+    force = np.zeros((len(rows), 3))
     if imu:
         assert log.specific_force is not None
-        rows = rows[np.isfinite(log.specific_force[rows]).all(axis=1)]
+        force = on_rows(log, log.specific_force, rows)
+        known = np.isfinite(force).all(axis=1)
+        rows, force = rows[known], force[known]
     fall = np.zeros((len(log.time), 3)) if log.gravity is None or imu else log.gravity
     for piece in segments(log.time[rows]):
         at = rows[piece]
@@ -284,10 +287,9 @@ def measured_motions(rig: Rig, log: Log) -> list[tuple[Integers, Array, Array, A
         smooth = savgol_filter(values[at], window, 3, axis=0)
         rate = savgol_filter(values[at], window, 3, deriv=1, delta=period, axis=0)
         if imu:
-            assert log.specific_force is not None
-            force = savgol_filter(log.specific_force[at], window, 3, axis=0)
-            zero = np.zeros_like(force)
-            out.append((at, np.column_stack([zero, smooth]), np.column_stack([force, rate]), zero))
+            felt = savgol_filter(force[piece], window, 3, axis=0)
+            zero = np.zeros_like(felt)
+            out.append((at, np.column_stack([zero, smooth]), np.column_stack([felt, rate]), zero))
         else:
             out.append((at, smooth, rate, on_rows(log, fall, at)))
     return out
