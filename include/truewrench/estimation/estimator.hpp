@@ -167,7 +167,9 @@ class Estimator {
     return best;
   }
 
-  bool finest(std::size_t l) const { return rungs_[l] + 1 == spacings(motion_period(*recorded_[l])).size(); }
+  bool finest(std::size_t l) const {
+    return !whole_[l]->resolved && rungs_[l] + 1 == spacings(motion_period(*recorded_[l])).size();
+  }
 
   // What gathered rows do not resolve, the samples themselves may: 20 Hz at 5e-5 of range from 1 kHz on. Null where neither do.
   std::shared_ptr<Fit> choose_by_samples(std::size_t l, const Fit& gathered, Estimate& out) {

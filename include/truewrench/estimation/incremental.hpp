@@ -104,7 +104,7 @@ class Incremental {
   // (10.7) still falls at one knot a sample; or at the finest h that memory is for, beside more noise than stated: what these
   // knots do not follow is in it
   bool unresolved() const {
-    return at_finest_ &&
+    return at_finest_ && !lag_.about().resolved &&
            (h_ <= 1.01 * motion_period_ || lag_.sizes.raw_factor.maxCoeff() > constants::noise_told);
   }
   Status status() const { return status_; }

@@ -52,7 +52,13 @@ class FoundNoise:
     """Noise found, as a factor on the stated one."""
 
     what: str  # `force`, `moment`, `channels`, or a motion stream and its part (`velocities v`, `positions`)
-    factor: float  # found over stated
+    factor: float  # found over what filters have left of the stated
+    left: float = 1.0  # that, of the stated
+
+    @property
+    def of_sample(self) -> float:
+        """The scatter of a sample as it is read, over the stated."""
+        return self.factor * self.left
 
 
 @dataclass(frozen=True, slots=True)

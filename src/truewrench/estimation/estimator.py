@@ -115,7 +115,7 @@ def solved(
         quadratic=theta[u],
         quadratic_std=np.sqrt(np.diag(covariance)[u]),
         discrepancy=np.sqrt(np.asarray(found.discrepancy2)),
-        noise=tuple(_noise(rig, record, fit, k) for k, record in enumerate(records)),
+        noise=tuple(_noise(rig, log, records[k], fit, k) for k, log in enumerate(logs)),
         slow=tuple(_slow(rig, found, k) for k in range(len(logs))),
         events=tuple(_events(r) for r in rows),
         steps=tuple(_steps(c, theta, covariance, n) for c in columns),
@@ -189,6 +189,7 @@ def _rows(rig: Rig, of: Any) -> LogRows:
 
 
 _FIELDS = {
+    "twist": "twist",
     "positions": "position",
     "velocities": "velocity",
     "rate of turn": "angular_velocity",
@@ -343,15 +344,16 @@ def _groups(n: int) -> tuple[str, ...]:
     return ("force", "moment") if n == 6 else ("channels",)
 
 
-def _noise(rig: Rig, record: Any, fit: Any, k: int) -> tuple[FoundNoise, ...]:
-    sizes = fit.sizes(k)
-    out = [
-        FoundNoise(what, float(f)) for what, f in zip(_groups(rig.sensor.n), sizes.raw_factor, strict=True)
-    ]
+def _noise(rig: Rig, log: Log, record: Any, fit: Any, k: int) -> tuple[FoundNoise, ...]:
+    sizes, left = fit.sizes(k), log.calmed.get("raw", 1.0)
+    groups = zip(_groups(rig.sensor.n), sizes.raw_factor, strict=True)
+    out = [FoundNoise(what, float(f) / left, left) for what, f in groups]
     for stream, factors in zip(_streams(rig, record), sizes.motion_factor, strict=True):
         name = "velocities" if stream == "twist" else stream
         parts = (" v", " Omega") if record.source == _core.Source.twist else ("",)
-        out += [FoundNoise(name + p, float(f)) for p, f in zip(parts, np.asarray(factors), strict=False)]
+        left = log.calmed.get(_FIELDS[stream], 1.0)
+        of_parts = zip(parts, np.asarray(factors), strict=False)
+        out += [FoundNoise(name + p, float(f) / left, left) for p, f in of_parts]
     return tuple(out)
 
 

@@ -50,6 +50,15 @@ SEEN = 2.0
 """Times the noise of a stream of the motion in and beside a band, from which on the motion shows it: in 0.2%
 of 1,800 bands of white noise of six components."""
 
+CORNERS = (40.0, 27.0, 18.0, 12.0, 8.0)  # [Hz] from one of which on everything may be left out: tolerance
+LOWPASS = 0.8  # [s] of the filter that does
+EDGE = 5.0  # [Hz] below its corner it changes nothing by more than 2e-5
+WIDEST = 6.0  # [Hz] of all bands together, beyond which everything is left out: tolerance
+
+REST = 4.0
+"""Times the density of the slowest noise that is found outside all bands, from which on everything from a
+corner on is left out: in none of 1,000 records of imperfect hardware (benchmarks/imperfect.py, seed 96)."""
+
 _MOTION = (
     *("position", "velocity", "twist", "acceleration", "angular_velocity", "specific_force"),
     "base_twist",
@@ -62,24 +71,28 @@ def without_vibrations(rig: Rig, log: Log) -> Log:
     if shown := [x for x in found if x.shown]:
         still = _motion_without(rig, log, shown) or log
         found = tuple(x for x in found if still is not log or not x.shown)
-    raw = _left(log, log.raw, found) if found else None
-    return log if raw is None else replace(still, raw=raw, vibrations=found)
+    if not found or (raw := _left(log, log.raw, found)) is None:
+        return log
+    return replace(still, raw=raw[0], vibrations=found, calmed=dict(still.calmed) | {"raw": raw[1]})
 
 
 def _motion_without(rig: Rig, log: Log, bands: Sequence[Vibration]) -> Log | None:
     """The log with another motion; None of one that is made of vibration, and of integrated velocities."""
     streams = _motion(log)
-    changed: dict[str, Any] = {name: _left(log, values, bands) for name, values in streams.items()}
-    if any(left is None for left in changed.values()):
-        return None
+    changed: dict[str, Any] = {}
+    calmed: dict[str, float] = {}
+    for name, values in streams.items():
+        if (left := _left(log, values, bands)) is None:
+            return None
+        changed[name], calmed[name] = left
     if not any(_moves(changed[name], values) for name, values in streams.items()):
         return None
     if log.tracking is None:
-        return replace(log, **changed)
+        return replace(log, **changed, calmed=calmed)
     if log.position is None:  # these begin where the record does
         return None
     found = track(rig, replace(log, **changed, twist=None, gravity=None, tracking=None))
-    return replace(found, notes=log.notes)
+    return replace(found, notes=log.notes, calmed=calmed)
 
 
 def _moves(left: Array, values: Array) -> bool:
@@ -93,26 +106,28 @@ def _motion(log: Log) -> dict[str, Array]:
     return {name: values for name in names if (values := getattr(log, name)) is not None}
 
 
-def _left(log: Log, values: Array, bands: Sequence[Vibration]) -> Array | None:
-    """A stream without bands; None where less than half of its samples would be left.
+def _left(log: Log, values: Array, bands: Sequence[Vibration]) -> tuple[Array, float] | None:
+    """A stream without bands, and what of the 1 sigma of its noise; None where too few samples would be left.
 
     Of the rest of a white spectrum so many samples are left as make it white again.
     """
     out = np.full_like(values, np.nan)
     time, there, rows = present(log.time, values)
     period = float(np.median(np.diff(time))) if rows.size > 1 else np.inf
-    told = [band for band in bands if band.high < 0.5 / period]
+    told = [band for band in bands if min(band.high, 1.1 * band.low) < 0.5 / period]
     if not told:
-        return values
-    kernel = _kernel(told, period)
+        return values, 1.0
+    everything = np.isinf(told[0].high)
+    kernel = _all_from(told[0].low, period) if everything else _kernel(told, period)
     share = 1.0 - 2.0 * kernel[kernel.size // 2] + kernel @ kernel  # of the variance of white noise
     for piece in _pieces(log, time):
         places = places_of(time[piece])
-        without = _without(kernel, at_places(places, there[piece]))
+        without = _without(kernel, at_places(places, there[piece]), lone=not everything)
         counted = np.floor(share * np.arange(len(without) + 1))
         without[counted[1:] == counted[:-1]] = np.nan
         out[rows[piece]] = without[places]
-    return out if np.isfinite(out).sum() > 0.5 * np.isfinite(values).sum() else None
+    enough = np.isfinite(out).sum() > 0.5 * share * np.isfinite(values).sum()
+    return (out, float(np.sqrt(share))) if enough else None
 
 
 def _pieces(log: Log, time: Array) -> list[slice]:
@@ -144,23 +159,59 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
         for begin, end in edges.reshape(-1, 2)
         if (excess[begin:end].sum(axis=0) / white).max() >= SHARE
     ]
-    if not bands:
-        return ()
     motion = [found for values in _motion(log).values() if (found := _spectrum(log.time, values))]
+    corner = _corner(hz, power, bands, half, motion)
+    if corner is not None:
+        bands = [slice(int(np.searchsorted(hz, corner)), hz.size)]
     out = []
     for inner in bands:
         weight = np.sum(excess[inner] / white, axis=1)
         centre = float(weight @ hz[inner] / weight.sum())
-        low = min(float(hz[inner][0]) + SMOOTH, centre)
-        high = max(float(hz[inner][-1]) - SMOOTH, centre)
+        low, high = min(float(hz[inner][0]) + SMOOTH, centre), max(float(hz[inner][-1]) - SMOOTH, centre)
+        if corner is not None:
+            low, high = corner, np.inf
+        seen = low if corner is None else corner - EDGE
         size = np.sqrt(2.0 * excess[inner].sum(axis=0)) / rig.sensor.channel_scale
         channel = rig.sensor.channels[int(np.argmax(size))]
         out.append(
             Vibration(
-                low, high, centre, float(size.max()), channel, any(_shows(x, low, high) for x in motion)
+                low, high, centre, float(size.max()), channel, any(_shows(x, seen, high) for x in motion)
             )
         )
     return tuple(out)
+
+
+def _corner(
+    hz: Array, power: Array, bands: Sequence[slice], half: int, motion: Sequence[tuple[Array, Array]]
+) -> float | None:
+    """From where on everything is left out, as what shakes is not of a few bands; None where nothing is."""
+    fastest = hz[-1] + hz[1] - hz[0]
+    corners = [corner for corner in CORNERS if 1.25 * corner < fastest]
+    slowest = np.log(np.maximum(power[hz < QUIET + 2.0 * SMOOTH].mean(axis=0), 1e-300))
+    louder = np.log(np.maximum(_moving_sum(power, half) / (2 * half + 1), 1e-300)) - slowest
+    rest = np.ones(hz.size, dtype=np.bool_)
+    for band in bands:
+        rest[max(band.start - half, 0) : band.stop + half] = False
+    wide = sum(band.stop - band.start for band in bands) * (hz[1] - hz[0]) > WIDEST
+    loud = rest.any() and louder[rest].max(axis=0).mean() > np.log(REST)
+    if not corners or not (wide or loud):
+        return None
+    slow = hz < SLOWEST
+    loudest = [float(louder[part].max(axis=0).mean()) for part in (slow, ~slow)]
+    if loudest[0] > loudest[1] and any(_shows(x, QUIET, SLOWEST) for x in motion):
+        return None  # a motion that is so fast
+    passes = (c for c in corners if louder[hz <= c].mean(axis=1).max() < np.log(REST))
+    return next(passes, corners[-1])
+
+
+def _all_from(corner: float, period: float) -> Array:
+    """(2 M + 1,) what passes everything from a corner on, by half of its amplitude there."""
+    m = round(0.5 * LOWPASS / period)
+    n = np.arange(-m, m + 1)
+    slow = np.sinc(2.0 * corner * period * n) * blackman_harris(2.0 * np.pi * (n + m + 0.5) / (2 * m + 1))
+    out = -slow / slow.sum()
+    out[m] += 1.0
+    return np.asarray(out)
 
 
 def _shows(motion: tuple[Array, Array], low: float, high: float) -> bool:
@@ -210,8 +261,11 @@ def _steps(band: Vibration) -> tuple[int, int]:
     return round((band.low - band.centre) / APART), 1 + round((band.high - band.centre) / APART)
 
 
-def _without(kernel: Array, values: Array) -> Array:
-    """(N, n) evenly sampled less what a kernel passes; NaN at the ends, and where a sample is missing."""
+def _without(kernel: Array, values: Array, lone: bool) -> Array:
+    """(N, n) evenly sampled less what a kernel passes; NaN at the ends, and where a sample is missing.
+
+    With `lone`, samples that stand out alone are not spread over the filter's length.
+    """
     out, m = np.full_like(values, np.nan), kernel.size // 2
     z = filled(values)
     if len(z) < kernel.size:
@@ -221,7 +275,7 @@ def _without(kernel: Array, values: Array) -> Array:
     def passed() -> Array:
         return np.asarray(oaconvolve(z, kernel[:, None], mode="valid", axes=0))
 
-    for _ in range(2):  # what stands out would be spread over the filter's length
+    for _ in range(2 if lone else 0):
         left = z[m:-m] - passed()
         stands = left - median_filter(left, (9, 1), mode="nearest")
         sigma = 1.4826 / np.sqrt(6.0) * np.median(np.abs(np.diff(left, 2, axis=0)), axis=0)

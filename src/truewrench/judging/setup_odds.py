@@ -171,7 +171,7 @@ def _lost(estimate: Estimate, rig: Rig) -> bool:
     n = rig.sensor.n
     known = np.sqrt(np.diag(estimate.before_pose)) <= _core.UNDETERMINED * estimate.gain_prior
     of = {"force": slice(0, 3), "moment": slice(3, 6), "channels": slice(0, n)}
-    loud = [f.what for found in estimate.noise for f in found if f.what in of and f.factor > LOST]
+    loud = [f.what for found in estimate.noise for f in found if f.what in of and f.of_sample > LOST]
     return any(not known.reshape(n, 6)[of[what]].any() for what in loud)
 
 

@@ -341,7 +341,7 @@ def _events(
     estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int, slow: Sequence[str], fast: Sequence[str]
 ) -> Iterator[Assumed]:
     where, rows = log_name(logs, k), estimate.rows[k]
-    factor = max((f.factor for f in estimate.noise[k] if f.what in CHANNELS), default=1.0)
+    factor = max((f.of_sample for f in estimate.noise[k] if f.what in CHANNELS), default=1.0)
     noise = factor * rig.sensor.noise_array / rig.sensor.channel_scale
     contacts = [event for event in estimate.events[k] if event.lasting]
     for event in contacts[:EVENTS]:

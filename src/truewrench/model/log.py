@@ -39,7 +39,7 @@ class Vibration:
     """A band that has been taken out of the channels, and of the motion where that shows it too."""
 
     low: float  # [Hz]
-    high: float
+    high: float  # infinite where all from a corner on is left out
     centre: float
     size: float  # its largest mean amplitude, were it of one frequency, fraction of range
     channel: str  # that has it
@@ -48,8 +48,9 @@ class Vibration:
     @property
     def words(self) -> str:
         """For a person."""
-        wide = self.high - self.low > WIDE
-        at = f"from {self.low:.3g} to {self.high:.3g} Hz" if wide else f"at {self.centre:.3g} Hz"
+        at = f"at {self.centre:.3g} Hz"
+        if self.high - self.low > WIDE:
+            at = f"from {self.low:.3g} {f'to {self.high:.3g} Hz' if np.isfinite(self.high) else 'Hz on'}"
         seen = "shows too; left out of both" if self.shown else "does not show; left out"
         return f"a vibration {at}, {100 * self.size:.2g}% of range in {self.channel}, that the motion {seen}"
 
@@ -121,6 +122,7 @@ class Log:
         tracking: of a joint log, whose twist and gravity come from its joints; None likewise.
         whitened: fields of which a filter has been undone, as the estimate reads them.
         vibrations: that have been taken out, likewise.
+        calmed: of its fields from which they were, what of the 1 sigma of white noise is left in a sample.
         clock_rate: how much faster than the motion's the sensor's clock ran, undone.
         weight_offset: how much later than the sensor's stamps the motion was taken by which a weight that the
             driver had subtracted was added back [s]; None where none was.
@@ -150,6 +152,7 @@ class Log:
     tracking: Tracking | None = None
     whitened: Mapping[str, Whitened] = field(default_factory=dict)
     vibrations: tuple[Vibration, ...] = ()
+    calmed: Mapping[str, float] = field(default_factory=dict)
     clock_rate: float = 0.0
     weight_offset: float | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)

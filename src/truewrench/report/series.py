@@ -131,7 +131,7 @@ def _placed(logs: Sequence[Log]) -> list[Series]:
 def _of_estimate(calibration: Calibration, placed: Series, log: Log, k: int, estimate: Estimate) -> Series:
     rig, inverse, rows = calibration.rig, calibration.inverse, estimate.rows[k]
     scale = rig.sensor.channel_scale
-    factor = {found.what: found.factor for found in estimate.noise[k]}
+    factor = {found.what: found.of_sample for found in estimate.noise[k]}
     noise, left = rig.sensor.noise_array.copy(), np.ones(rig.sensor.n)
     shown = np.where(rows.masked[:, None], np.nan, rows.residual) * scale
     for what, channels in groups_of(rig.sensor.n).items():
