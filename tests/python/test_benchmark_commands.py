@@ -34,6 +34,7 @@ SMALLEST: dict[str, str] = {
     "robot_accuracy.py": "--states 20",
     "setup_sweep.py": "--healthy 4 --end-to-end 1",
     "smoothed.py": "--runs 2",
+    "shaken.py": "--runs 2",
     "speed.py": "--duration 5 --repeat 1",
     "static_poses.py": "",
     "tool_setup.py": "--seeds 1 --healthy 1",

@@ -53,7 +53,7 @@ of 1,800 bands of white noise of six components."""
 CORNERS = (40.0, 27.0, 18.0, 12.0, 8.0)  # [Hz] from one of which on everything may be left out: tolerance
 LOWPASS = 0.8  # [s] of the filter that does
 EDGE = 5.0  # [Hz] below its corner it changes nothing by more than 2e-5
-WIDEST = 6.0  # [Hz] of all bands together, beyond which everything is left out: tolerance
+WIDEST = 12.0  # [Hz] of all bands together, beyond which everything is left out: tolerance
 
 REST = 4.0
 """Times the density of the slowest noise that is found outside all bands, from which on everything from a
