@@ -400,6 +400,34 @@ def test_an_imu_and_temperature() -> None:
     assert max(np.abs(w).max() for w, *_ in found.values()) < 5e-3
 
 
+@pytest.mark.parametrize("block", [1, 7, 600])
+def test_halves_of_an_imu_may_have_rows_of_their_own(block: int) -> None:
+    """Sensor, accelerometer and gyroscope at 500, 250 and 125 Hz; row by row the same as all at once."""
+    tool, motion = tool_of(9), Swing()
+    rig = tool.rig.to_mapping()
+    rig["motion"] = {"source": "imu", "noise": [1e-3] * 3, "acceleration_noise": [1e-2] * 3}
+    tool = replace(tool, rig=tool_rig(rig), tilt=np.zeros(2))
+    apart = [PERIOD * step * np.arange(600 // (3 * step)) + late for step, late in ((1, 0), (2, 1), (4, 2))]
+    time_ns = np.unique(np.concatenate(apart))
+    rows = [np.searchsorted(time_ns, each) for each in apart]
+    time = 1e-9 * time_ns
+    nu, a = motion.twist(time)
+    g = np.einsum("kji,j->ki", motion.R(time), tool.rig.gravity_array)
+    force = a[:, :3] + np.cross(nu[:, 3:], nu[:, :3]) - g
+    whole = raw_of(tool.theta, 1, tool.rig.gravity_array, motion, time, HIT)
+    raw, read = np.full_like(whole, np.nan), np.full((len(time), 6), np.nan)
+    raw[rows[0]], read[rows[1], :3], read[rows[2], 3:] = whole[rows[0]], force[rows[1]], nu[rows[2], 3:]
+    columns = dict(zip(("accel_x", "accel_y", "accel_z", "wx", "wy", "wz"), read.T, strict=True))
+    run, found = ContactRun(tool, {"time_ns", *columns}), []
+    for first in range(0, len(time), block):
+        part = slice(first, first + block)
+        found.append(run.feed(time_ns[part], raw[part], {n: c[part] for n, c in columns.items()}))
+    found.append(run.finish())
+    wrench = np.vstack([part.wrench for part in found])
+    assert len(wrench) > 180
+    np.testing.assert_allclose(wrench, np.tile(HIT, (len(wrench), 1)), atol=0.1)
+
+
 def test_of_an_imu_the_weight_a_driver_subtracted_comes_of_gravity_not_of_the_specific_force() -> None:
     tool, motion, time_ns = tool_of(9), Swing(rate=8.0), stamps(300)
     time, rig = 1e-9 * time_ns, tool.rig.to_mapping()

@@ -12,6 +12,7 @@ from truewrench.correction.contact.run import (
     CAPACITY,
     DELAY,
     NEW_COLUMNS,
+    NEWEST_WINDOW,
     ContactEvent,
     ContactRun,
     Contacts,
@@ -28,6 +29,7 @@ from truewrench.tool.model import Tool
 
 TOPIC = "/truewrench/contact"
 STD = "/truewrench/contact_std"
+_NONE = "no row has the contact wrench: around none are there samples of sensor and motion within {:g} ms"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,8 @@ def apply_contact(
                     writer.wrenches(STD, found.time_ns, found.columns[:, 6:12])
     else:
         write_added(output, table, NEW_COLUMNS, done.read, done.whole)
-    return ContactApplied(done.rows, done.found, tuple(done.events), (*table.notes, *run.notes))
+    lacking = () if done.found else (_NONE.format(1e3 * (2.0 * delay or NEWEST_WINDOW)),)
+    return ContactApplied(done.rows, done.found, tuple(done.events), (*table.notes, *run.notes, *lacking))
 
 
 class _Pass:

@@ -1,7 +1,7 @@
 """Columns of a log, row by row, as motion and gravity of the sensor's origin."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from truewrench.robot.arm import BaseMotion, robot_of, rotation_of
 
 Columns = Mapping[str, Array]
 
-HELD = 0.1  # [s] that positions of joints are carried on by velocities, and a direction of gravity by Omega
+HELD = 0.1  # [s] that positions of joints are carried on by velocities, a direction of gravity by Omega, and
+# what one half of an IMU read to the other's rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,11 +29,21 @@ class MotionRows:
     noise: Array  # (N, 36) covariance of the twist where it changes with the pose, else (0, 36)
 
 
+@dataclass(slots=True, eq=False)
+class _Half:
+    """What a gyroscope, or an accelerometer, read last."""
+
+    time: int = 0  # [ns]
+    value: Array = field(default_factory=lambda: np.full(3, np.nan))
+    fresh: bool = False  # and no row of motion has told yet
+
+
 class MotionColumns:
     """What the source of motion of a tool's rig needs of a table, and what it makes of it.
 
     Joints tell twist and gravity of each row by itself: no spline is fitted. Velocities at rows without
-    positions are taken at the last ones, carried on by the velocities. Without `names` of columns rows come
+    positions are taken at the last ones, carried on by the velocities. Where gyroscope and accelerometer have
+    rows of their own, the slower one's tell the motion. Without `names` of columns rows come
     one by one, and any may come; `place` is that of the table, for messages.
     """
 
@@ -62,6 +73,7 @@ class MotionColumns:
                     raise without_attitude(place)
         elif self.imu:
             needed = (*ANGULAR_VELOCITY, *SPECIFIC_FORCE)
+            self._halves = [_Half(), _Half()]  # Omega and specific force
             # which gravity is no part of, but for the weight that a driver has subtracted
             optional = () if rig.sensor.subtracted is None else (*GRAVITY, *ATTITUDE)
             self.twist_noise[3:, 3:] = np.diag(motion.noise_array**2)
@@ -91,6 +103,8 @@ class MotionColumns:
         """Where stamps begin again: no position is carried on from before."""
         if self._source == "joints":
             self._q[:] = np.nan
+        elif self.imu:
+            self._halves = [_Half(), _Half()]
 
     def read(self, time_ns: Integers, columns: Columns) -> MotionRows:
         """N rows, after those that were read before; columns (N,) that are absent hold no sample."""
@@ -98,10 +112,30 @@ class MotionColumns:
         if self._source == "joints":
             return self._of_joints(time_ns, columns)
         if self.imu:
-            omega, force = _group(columns, ANGULAR_VELOCITY, count), _group(columns, SPECIFIC_FORCE, count)
+            omega, force = self._together(
+                time_ns, _group(columns, ANGULAR_VELOCITY, count), _group(columns, SPECIFIC_FORCE, count)
+            )
             twist = np.hstack([np.zeros((count, 3)), omega])
             return MotionRows(twist, -force, np.full((count, 9), np.nan), np.empty((0, 36)))
         return MotionRows(_group(columns, TWIST, count), *self.gravity(time_ns, columns), np.empty((0, 36)))
+
+    def _together(self, time_ns: Integers, omega: Array, force: Array) -> tuple[Array, Array]:
+        """Both halves (N, 3) of an IMU at rows by which each has read anew; NaN at the others."""
+        halves = (omega, force)
+        told = [np.asarray(np.isfinite(values).all(axis=1), np.bool_) for values in halves]
+        if (told[0] == told[1]).all() and not any(half.fresh for half in self._halves):
+            return halves
+        out = np.full((2, len(time_ns), 3), np.nan)
+        for k in np.flatnonzero(told[0] | told[1]):
+            for half, values, here in zip(self._halves, halves, told, strict=True):
+                if here[k]:
+                    half.time, half.value, half.fresh = int(time_ns[k]), values[k].copy(), True
+                half.fresh = half.fresh and 1e-9 * (int(time_ns[k]) - half.time) <= HELD
+            if all(half.fresh for half in self._halves):
+                out[:, k] = [half.value for half in self._halves]
+                for half in self._halves:
+                    half.fresh = False
+        return out[0], out[1]
 
     def gravity(self, time_ns: Integers, columns: Columns) -> tuple[Array, Array]:
         """Free fall (N, 3) and R_sensor_root (N, 9) of rows that tell them by themselves."""
