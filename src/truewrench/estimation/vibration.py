@@ -6,8 +6,9 @@ payload is hardly rigid. A filter of even length takes the band out, without del
 anything slow (docs/method.md, M12b): of the channels, and of the motion where that shows it as well.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -159,8 +160,15 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
         for begin, end in edges.reshape(-1, 2)
         if (excess[begin:end].sum(axis=0) / white).max() >= SHARE
     ]
-    motion = [found for values in _motion(log).values() if (found := _spectrum(log.time, values))]
-    corner = _corner(hz, power, bands, half, motion)
+
+    @cache
+    def motion() -> list[tuple[Array, Array]]:
+        return [found for values in _motion(log).values() if (found := _spectrum(log.time, values))]
+
+    def shown(low: float, high: float) -> bool:
+        return any(_shows(x, low, high) for x in motion())
+
+    corner = _corner(hz, power, bands, half, shown)
     if corner is not None:
         bands = [slice(int(np.searchsorted(hz, corner)), hz.size)]
     out = []
@@ -173,16 +181,12 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
         seen = low if corner is None else corner - EDGE
         size = np.sqrt(2.0 * excess[inner].sum(axis=0)) / rig.sensor.channel_scale
         channel = rig.sensor.channels[int(np.argmax(size))]
-        out.append(
-            Vibration(
-                low, high, centre, float(size.max()), channel, any(_shows(x, seen, high) for x in motion)
-            )
-        )
+        out.append(Vibration(low, high, centre, float(size.max()), channel, shown(seen, high)))
     return tuple(out)
 
 
 def _corner(
-    hz: Array, power: Array, bands: Sequence[slice], half: int, motion: Sequence[tuple[Array, Array]]
+    hz: Array, power: Array, bands: Sequence[slice], half: int, shown: Callable[[float, float], bool]
 ) -> float | None:
     """From where on everything is left out, as what shakes is not of a few bands; None where nothing is."""
     fastest = hz[-1] + hz[1] - hz[0]
@@ -198,7 +202,7 @@ def _corner(
         return None
     slow = hz < SLOWEST
     loudest = [float(louder[part].max(axis=0).mean()) for part in (slow, ~slow)]
-    if loudest[0] > loudest[1] and any(_shows(x, QUIET, SLOWEST) for x in motion):
+    if loudest[0] > loudest[1] and shown(QUIET, SLOWEST):
         return None  # a motion that is so fast
     passes = (c for c in corners if louder[hz <= c].mean(axis=1).max() < np.log(REST))
     return next(passes, corners[-1])
