@@ -165,6 +165,7 @@ def test_an_arm_that_shakes_as_it_moves_is_calibrated_all_the_same(shown: bool) 
         assert "from 8 Hz on" in found.words
         calibration = tw.calibrate(RIG, log, held_out=False)
         assert calibration.verdict.usable, calibration.verdict.reasons
+        assert not any("resolved in steps" in x.evidence for x in calibration.assumed)
         plain = tw.calibrate(RIG, run.log, held_out=False)
         ratios.append(np.sqrt(np.trace(calibration.covariance) / np.trace(plain.covariance)))
         errors.append(nees(calibration, run))

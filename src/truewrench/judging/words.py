@@ -281,10 +281,10 @@ def plural(what: str) -> str:
 
 
 def _fine(estimate: Estimate, logs: Sequence[Log], k: int, fast: Sequence[str]) -> Iterator[Assumed]:
-    h, rows = float(estimate.spacing[k]), estimate.rows[k]
-    if rows.time.size < 2:
+    h, period = float(estimate.spacing[k]), logs[k].motion_period
+    if period is None:
         return
-    coarsest = _core.coarsest_spacing(float(np.median(np.diff(rows.time))) / rows.every)
+    coarsest = _core.coarsest_spacing(period)
     if h < FINE * coarsest:
         kinds = [kind for kind in fast if kind in ("vibration", "jitter")] or ["vibration", "jitter"]
         words = f"the motion is resolved in steps of {1e3 * h:.2g} ms, not {1e3 * coarsest:.2g} ms"

@@ -175,6 +175,14 @@ class Log:
         """(N,) time since the first row [s]."""
         return np.asarray((self.time_ns - self.time_ns[:1]) * 1e-9, np.float64)
 
+    @property
+    def motion_period(self) -> float | None:
+        """Of the fastest stream of the motion [s]; None where no stream has two samples."""
+        streams = (self.position, self.velocity, self.twist, self.specific_force, self.angular_velocity)
+        told = (np.isfinite(x).any(axis=1) for x in streams if x is not None)
+        periods = [float(np.median(np.diff(self.time[rows]))) for rows in told if np.count_nonzero(rows) > 1]
+        return min(periods, default=None)
+
     def advance(self, stream: str | None = None) -> float:
         """How far filters undone advance the sensor against a field of motion, by default the first [s]."""
         first = ("position", "velocity", "twist", "specific_force")  # the twist of joints is no stream
