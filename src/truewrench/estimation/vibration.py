@@ -6,9 +6,8 @@ payload is hardly rigid. A filter of even length takes the band out, without del
 anything slow (docs/method.md, M12b): of the channels, and of the motion where that shows it as well.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -36,7 +35,8 @@ QUIET = 5.0  # [Hz] from which on up to `SLOWEST` the noise is that which counts
 WINDOW = 0.7  # [s] of the filter: what is 5.7 Hz and more below a band passes unchanged to 2e-5
 APART = 0.7  # [Hz] between the frequencies that fill a band
 SMOOTH = 0.7  # [Hz] on either side, over which spectra are averaged
-RESOLVED = 4.0  # [s] of a spectrum's segments
+RESOLVED = 4.0  # [s] of a spectrum's segments,
+BRIEF = 2.0  # and of those of half a record
 MOST = 131_072  # samples that are looked at
 OUTLIER = 8.0  # sigma of a sample, from which on it tells nothing of a vibration
 
@@ -127,7 +127,8 @@ def _left(log: Log, values: Array, bands: Sequence[Vibration]) -> tuple[Array, f
         counted = np.floor(share * np.arange(len(without) + 1))
         without[counted[1:] == counted[:-1]] = np.nan
         out[rows[piece]] = without[places]
-    enough = np.isfinite(out).sum() > 0.5 * share * np.isfinite(values).sum()
+    least = 0.5 * share if everything else 0.5
+    enough = np.isfinite(out).sum() > least * np.isfinite(values).sum()
     return (out, float(np.sqrt(share))) if enough else None
 
 
@@ -160,15 +161,10 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
         for begin, end in edges.reshape(-1, 2)
         if (excess[begin:end].sum(axis=0) / white).max() >= SHARE
     ]
-
-    @cache
-    def motion() -> list[tuple[Array, Array]]:
-        return [found for values in _motion(log).values() if (found := _spectrum(log.time, values))]
-
-    def shown(low: float, high: float) -> bool:
-        return any(_shows(x, low, high) for x in motion())
-
-    corner = _corner(hz, power, bands, half, shown)
+    motion = [found for values in _motion(log).values() if (found := _spectrum(log.time, values))]
+    corner = _corner(hz, power, bands, motion)
+    if corner is not None and not any(_lasts(log.time, x) for x in (log.raw, *_motion(log).values())):
+        corner = None
     if corner is not None:
         bands = [slice(int(np.searchsorted(hz, corner)), hz.size)]
     out = []
@@ -178,34 +174,46 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
         low, high = min(float(hz[inner][0]) + SMOOTH, centre), max(float(hz[inner][-1]) - SMOOTH, centre)
         if corner is not None:
             low, high = corner, np.inf
-        seen = low if corner is None else corner - EDGE
+        seen = any(_shows(x, low if corner is None else corner - EDGE, high) for x in motion)
+        seen = seen or (corner is not None and any(_loud(*x) for x in motion))
         size = np.sqrt(2.0 * excess[inner].sum(axis=0)) / rig.sensor.channel_scale
         channel = rig.sensor.channels[int(np.argmax(size))]
-        out.append(Vibration(low, high, centre, float(size.max()), channel, shown(seen, high)))
+        out.append(Vibration(low, high, centre, float(size.max()), channel, seen))
     return tuple(out)
 
 
 def _corner(
-    hz: Array, power: Array, bands: Sequence[slice], half: int, shown: Callable[[float, float], bool]
+    hz: Array, power: Array, bands: Sequence[slice], motion: Sequence[tuple[Array, Array]]
 ) -> float | None:
     """From where on everything is left out, as what shakes is not of a few bands; None where nothing is."""
-    fastest = hz[-1] + hz[1] - hz[0]
-    corners = [corner for corner in CORNERS if 1.25 * corner < fastest]
-    slowest = np.log(np.maximum(power[hz < QUIET + 2.0 * SMOOTH].mean(axis=0), 1e-300))
-    louder = np.log(np.maximum(_moving_sum(power, half) / (2 * half + 1), 1e-300)) - slowest
-    rest = np.ones(hz.size, dtype=np.bool_)
-    for band in bands:
-        rest[max(band.start - half, 0) : band.stop + half] = False
-    wide = sum(band.stop - band.start for band in bands) * (hz[1] - hz[0]) > WIDEST
-    loud = rest.any() and louder[rest].max(axis=0).mean() > np.log(REST)
-    if not corners or not (wide or loud):
+    step = float(hz[1] - hz[0])
+    corners = [corner for corner in CORNERS if 1.25 * corner < hz[-1] + step]
+    wide = sum(band.stop - band.start for band in bands) * step > WIDEST
+    known = [(float(hz[band.start]), float(hz[band.stop - 1])) for band in bands]
+    if not corners or not (wide or any(_loud(*x, known) for x in ((hz, power), *motion))):
         return None
-    slow = hz < SLOWEST
+    louder, slow = _louder(hz, power), hz < SLOWEST
     loudest = [float(louder[part].max(axis=0).mean()) for part in (slow, ~slow)]
-    if loudest[0] > loudest[1] and shown(QUIET, SLOWEST):
+    if loudest[0] > loudest[1] and any(_shows(x, QUIET, SLOWEST) for x in motion):
         return None  # a motion that is so fast
-    passes = (c for c in corners if louder[hz <= c].mean(axis=1).max() < np.log(REST))
+    profiles = [(x[0], _louder(*x).mean(axis=1)) for x in ((hz, power), *motion)]
+    passes = (c for c in corners if all(of[at <= c].max() < np.log(REST) for at, of in profiles))
     return next(passes, corners[-1])
+
+
+def _louder(hz: Array, power: Array) -> Array:
+    """(F, M) logarithms of densities over those of the slowest noise."""
+    half = round(SMOOTH / float(hz[1] - hz[0]))
+    slowest = np.maximum(power[hz < QUIET + 2.0 * SMOOTH].mean(axis=0), 1e-300)
+    return np.asarray(np.log(np.maximum(_moving_sum(power, half) / (2 * half + 1), 1e-300) / slowest))
+
+
+def _loud(hz: Array, power: Array, bands: Sequence[tuple[float, float]] = ()) -> bool:
+    """Whether a stream shakes outside some bands [Hz]."""
+    rest = hz >= SLOWEST
+    for low, high in bands:
+        rest &= (hz < low - SMOOTH) | (hz > high + SMOOTH)
+    return bool(rest.any() and _louder(hz, power)[rest].max(axis=0).mean() > np.log(REST))
 
 
 def _all_from(corner: float, period: float) -> Array:
@@ -218,6 +226,16 @@ def _all_from(corner: float, period: float) -> Array:
     return np.asarray(out)
 
 
+def _lasts(time: Array, values: Array) -> bool:
+    """Whether a stream shakes in both halves of a record: a burst of noise, or a contact, is in one."""
+    middle = len(time) // 2
+    halves = [_spectrum(time[part], values[part], BRIEF) for part in (slice(middle), slice(middle, None))]
+    return all(
+        half is not None and _louder(*half)[half[0] >= SLOWEST].mean(axis=1).max() > 0.5 * np.log(REST)
+        for half in halves
+    )
+
+
 def _shows(motion: tuple[Array, Array], low: float, high: float) -> bool:
     """Whether a component of a stream has more than its noise within a band."""
     hz, power = motion
@@ -225,14 +243,14 @@ def _shows(motion: tuple[Array, Array], low: float, high: float) -> bool:
     return bool((inner.sum(axis=0) > SEEN * len(inner) * np.median(power, axis=0)).any())
 
 
-def _spectrum(time: Array, values: Array) -> tuple[Array, Array] | None:
+def _spectrum(time: Array, values: Array, seconds: float = RESOLVED) -> tuple[Array, Array] | None:
     """Frequencies (F,) [Hz] and one-sided densities (F, M); None of what is too short or slow."""
     time, values, _ = present(time, values)
     if len(time) < 2:
         return None
     piece = max(segments(time), key=lambda x: x.stop - x.start)
     period = float(np.median(np.diff(time)))
-    length = round(RESOLVED / period)
+    length = round(seconds / period)
     part = evenly(time[piece], values[piece], MOST)
     if len(part) < length + 2 or 0.4 / period < SLOWEST:
         return None
