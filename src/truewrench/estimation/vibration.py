@@ -162,23 +162,22 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
         if (excess[begin:end].sum(axis=0) / white).max() >= SHARE
     ]
     motion = [found for values in _motion(log).values() if (found := _spectrum(log.time, values))]
+
+    def vibration(inner: slice, low: float, high: float, centre: float, shown: bool) -> Vibration:
+        size = np.sqrt(2.0 * excess[inner].sum(axis=0)) / rig.sensor.channel_scale
+        channel = rig.sensor.channels[int(np.argmax(size))]
+        return Vibration(low, high, centre, float(size.max()), channel, shown)
+
     corner = _corner(hz, power, bands, motion)
-    if corner is not None and not any(_lasts(log.time, x) for x in (log.raw, *_motion(log).values())):
-        corner = None
-    if corner is not None:
-        bands = [slice(int(np.searchsorted(hz, corner)), hz.size)]
+    if corner is not None and any(_lasts(log.time, x) for x in (log.raw, *_motion(log).values())):
+        shown = any(_shows(x, corner - EDGE, np.inf) or _loud(*x) for x in motion)
+        return (vibration(slice(int(np.searchsorted(hz, corner)), None), corner, np.inf, corner, shown),)
     out = []
     for inner in bands:
         weight = np.sum(excess[inner] / white, axis=1)
         centre = float(weight @ hz[inner] / weight.sum())
         low, high = min(float(hz[inner][0]) + SMOOTH, centre), max(float(hz[inner][-1]) - SMOOTH, centre)
-        if corner is not None:
-            low, high = corner, np.inf
-        seen = any(_shows(x, low if corner is None else corner - EDGE, high) for x in motion)
-        seen = seen or (corner is not None and any(_loud(*x) for x in motion))
-        size = np.sqrt(2.0 * excess[inner].sum(axis=0)) / rig.sensor.channel_scale
-        channel = rig.sensor.channels[int(np.argmax(size))]
-        out.append(Vibration(low, high, centre, float(size.max()), channel, seen))
+        out.append(vibration(inner, low, high, centre, any(_shows(x, low, high) for x in motion)))
     return tuple(out)
 
 
