@@ -18,12 +18,12 @@ inline constexpr double gather_window =
 inline constexpr double jacobian_spread =
     1e-3;  // of the motion's information in an interval, that a shared Jacobian may leave out: of 168 clean records of wrench motions and
            // tumbling wrong 2 -> 0, NEES 1.32 -> 0.99; 0.01 left 1
-inline constexpr double smoothness_start = 1e3;    // q, SI: tolerance
+inline constexpr double smoothness_start = 1e3;  // q, SI: tolerance
 inline constexpr double smoothness_least =
     1e-9;  // q's, by the rows of R against a sample's own: what rests keeps its information to 0.3 %, rounding loses 2e-7 of it; with
            // 1e-12 18 of 40 clean IMU records of one turning axis could not be factored
-inline constexpr double freedom = 4.0;             // of the Student-t weights: 1 % of spikes at NEES 1.03
-inline constexpr double mask_weight = 0.3;         // share of clean samples masked: 0.0003 of six channels
+inline constexpr double freedom = 4.0;          // of the Student-t weights: 1 % of spikes at NEES 1.03
+inline constexpr double mask_weight = 0.3;      // share of clean samples masked: 0.0003 of six channels
 inline constexpr double mask_shortest = 0.030;  // [s] of a contact, which is widened; shorter gaps are closed
 inline constexpr double mask_worth =
     1.2;  // factor on the variance of the noise found, up to which masked samples are left in: of motions that stop and go NEES

@@ -70,7 +70,8 @@ struct RecordedLog {
   // this log alone, anew from each of these times on, where stretches begin and end; empty: the root frame that logs share
   std::vector<double> own_roots;
   double half_window = 0.0;  // [s] as of a stream, of the sensor's samples
-  bool resolved = false;     // a low-pass of motion and sensor alike has left nothing that a knot a sample does not follow
+  bool resolved =
+      false;  // a low-pass of motion and sensor alike has left nothing that a knot a sample does not follow
   std::vector<MotionStream> motion;
   MotionMap map;         // of a mapped motion
   bool carried = false;  // whether it depends on the time: what carries an arm has the stamps of the motion
