@@ -19,14 +19,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from dataclasses import replace
 from functools import partial
 
-import imperfect
 import numpy as np
 import runs
+import twins
 from imperfect import Array, Row
 from scipy import signal
-from smoothed import line
 
-import truewrench as tw
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.simulation.truth import Truth
@@ -84,20 +82,10 @@ def run_one(seed: int, index: int) -> Row:
     rng = np.random.default_rng((seed, index))
     motion = ("six", "six", "one", "joints")[index % 4]
     shown = motion != "joints" and bool(index // 4 % 2)
-    settings, path = imperfect.settings_of(rng, motion, bool(rng.uniform() < 0.5), 6)
-    trajectory = imperfect.motion_of(rng, motion, settings["plan"]["duration"])
-    rig = tw.Rig.from_mapping(settings, path)
-    simulate = tw.simulate if motion != "joints" else tw.simulate_arm
-    run = simulate(rig, trajectory, seed=int(rng.integers(2**31)))
-    log = run.log if motion != "joints" else replace(run.log, twist=None, gravity=None, tracking=None)
+    rig, log, truth = twins.recorded(rng, motion)
     size = float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
     row: Row = {"size": size, "shown": shown, "motion": motion}
-    for prefix, of in (("", shaken(rig, log, run.truth, size, shown, rng)), ("twin_", log)):
-        found, calibration = runs.calibrated(rig, of, run.truth.gain, held_out=False)
-        if calibration is not None:
-            found["wrong"] = found["beyond"]
-        row |= {prefix + key: value for key, value in found.items()}
-    return row
+    return row | twins.compared(rig, shaken(rig, log, truth, size, shown, rng), log, truth)
 
 
 def main() -> None:
@@ -107,15 +95,6 @@ def main() -> None:
     rows = runs.gather(work, range(chosen.runs), chosen.out, chosen.workers, [chosen.seed])
     lost = [r for r in rows if "size" not in r]
     rows = [r for r in rows if "size" in r]
-    header = (
-        "records",
-        "runs",
-        "usable",
-        "usable and wrong",
-        "coverage",
-        "NEES/36, median",
-        "time over the twin's",
-    )
     groups = [(name, [r for r in rows if r["motion"] == name]) for name in ("six", "one", "joints")]
     groups += [
         ("the motion shows it", [r for r in rows if r["shown"]]),
@@ -125,7 +104,7 @@ def main() -> None:
         (f"{100 * low:g} to {100 * high:g}%", [r for r in rows if low <= r["size"] < high])
         for low, high in ((1e-4, 4e-4), (4e-4, 1.5e-3), (1.5e-3, 5e-3))
     ]
-    runs.table(header, [line(name, of) for name, of in [*groups, ("all", rows)]])
+    twins.table("records", [*groups, ("all", rows)])
     print(f"\nlost: {len(lost)}")
 
 

@@ -15,19 +15,18 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before NumPy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-import imperfect
 import numpy as np
 import runs
+import twins
 from imperfect import Array, Row
 from scipy import signal
 from scipy.ndimage import convolve1d, gaussian_filter1d
 from scipy.optimize import brentq
 
-import truewrench as tw
 from truewrench.model.log import Log
 from truewrench.model.split import rows_of
 
@@ -115,41 +114,14 @@ def run_one(seed: int, index: int) -> Row:
     rng = np.random.default_rng((seed, index))
     name, streams = list(FILTERS)[index % len(FILTERS)], list(STREAMS)[index // len(FILTERS) % 3]
     motion = ("six", "six", "one", "joints")[index // (3 * len(FILTERS)) % 4]
-    settings, path = imperfect.settings_of(rng, motion, bool(rng.uniform() < 0.5), 6)
-    settings["plan"]["duration"] += 1.0
-    trajectory = imperfect.motion_of(rng, motion, settings["plan"]["duration"])
-    rig = tw.Rig.from_mapping(settings, path)
-    simulate = tw.simulate if motion != "joints" else tw.simulate_arm
-    run = simulate(rig, trajectory, seed=int(rng.integers(2**31)))
-    log = run.log if motion != "joints" else replace(run.log, twist=None, gravity=None, tracking=None)
+    rig, log, truth = twins.recorded(rng, motion, longer=1.0)
     rate = 1e9 / float(np.median(np.diff(log.time_ns)))
     half = float(np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST))))
     made = at_half_power(FILTERS[name], half / rate)
     row: Row = {"filter": name, "streams": streams, "motion": motion, "hz": half, "rate": rate}
     settled = slice(round(rate), None)
-    for prefix, of in (("", filtered(log, made, streams)), ("twin_", log)):
-        found, calibration = runs.calibrated(rig, rows_of(of, settled), run.truth.gain, held_out=False)
-        if calibration is not None:
-            found["wrong"] = found["beyond"]
-        row |= {prefix + key: value for key, value in found.items()}
-    return row
-
-
-def line(name: str, rows: Sequence[Row]) -> list[str]:
-    done = [r for r in rows if r["outcome"] == "calibrated" and r["twin_outcome"] == "calibrated"]
-    twins = [r for r in done if r["twin_usable"]]
-    usable = [r for r in twins if r["usable"]]
-    wrong = sum(bool(r["usable"] and r["wrong"]) for r in done)
-    ratio = [r["seconds"] / r["twin_seconds"] for r in done]
-    return [
-        name,
-        str(len(rows)),
-        runs.interval(len(usable), len(twins)),
-        str(wrong),
-        f"{np.mean([r['covered'] for r in usable]):.3f}" if usable else "-",
-        f"{np.median([r['nees'] for r in usable]):.2f}" if usable else "-",
-        f"{np.median(ratio):.1f}, {np.max(ratio):.0f}" if ratio else "-",
-    ]
+    smooth = rows_of(filtered(log, made, streams), settled)
+    return row | twins.compared(rig, smooth, rows_of(log, settled), truth)
 
 
 def main() -> None:
@@ -159,15 +131,6 @@ def main() -> None:
     rows = runs.gather(work, range(chosen.runs), chosen.out, chosen.workers, [chosen.seed])
     lost = [r for r in rows if "filter" not in r]
     rows = [r for r in rows if "filter" in r]
-    header = (
-        "filter",
-        "runs",
-        "usable",
-        "usable and wrong",
-        "coverage",
-        "NEES/36, median",
-        "time over the twin's",
-    )
     groups = [(name, [r for r in rows if r["filter"] == name]) for name in FILTERS]
     groups += [(name, [r for r in rows if r["streams"] == name]) for name in STREAMS]
     groups += [(name, [r for r in rows if r["motion"] == name]) for name in ("six", "one", "joints")]
@@ -175,7 +138,7 @@ def main() -> None:
         ("5 to 8 Hz", [r for r in rows if r["hz"] < 8.0]),
         ("faster", [r for r in rows if r["hz"] >= 8.0]),
     ]
-    runs.table(header, [line(name, of) for name, of in [*groups, ("all", rows)]])
+    twins.table("filter", [*groups, ("all", rows)])
     print(f"\nlost: {len(lost)}")
 
 

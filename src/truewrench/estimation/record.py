@@ -102,7 +102,7 @@ def recorded(
         _leave_out(notes, log, known, "base_*", "the motion of the base is not known then")
         out.set_chain(chain, None if base.rests else base.carried, rig.in_gravity)
     out.time, out.half_window = log.time, log.half_window("raw")
-    out.resolved = any(shakes.shown and np.isinf(shakes.high) for shakes in log.vibrations)
+    out.resolved = any(shakes.shown and shakes.open for shakes in log.vibrations)
     out.raw = np.where(known[:, None], log.raw / assumptions.channel_scale, np.nan)
     warm = temperature_at(log, log.time_ns) if assumptions.slope_prior > 0.0 else None
     if warm is not None:

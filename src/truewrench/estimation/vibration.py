@@ -58,7 +58,8 @@ WIDEST = 12.0  # [Hz] of all bands together, beyond which everything is left out
 
 REST = 4.0
 """Times the density of the slowest noise that is found outside all bands, from which on everything from a
-corner on is left out: in none of 1,000 records of imperfect hardware (benchmarks/imperfect.py, seed 96)."""
+corner on is left out: in none of 500 records of imperfect hardware (benchmarks/imperfect.py, seed 96). Of
+each half of a record, whose spectra are rougher, its root: tolerance."""
 
 _MOTION = (
     *("position", "velocity", "twist", "acceleration", "angular_velocity", "specific_force"),
@@ -118,7 +119,7 @@ def _left(log: Log, values: Array, bands: Sequence[Vibration]) -> tuple[Array, f
     told = [band for band in bands if min(band.high, 1.1 * band.low) < 0.5 / period]
     if not told:
         return values, 1.0
-    everything = np.isinf(told[0].high)
+    everything = told[0].open
     kernel = _all_from(told[0].low, period) if everything else _kernel(told, period)
     share = 1.0 - 2.0 * kernel[kernel.size // 2] + kernel @ kernel  # of the variance of white noise
     for piece in _pieces(log, time):

@@ -39,18 +39,23 @@ class Vibration:
     """A band that has been taken out of the channels, and of the motion where that shows it too."""
 
     low: float  # [Hz]
-    high: float  # infinite where all from a corner on is left out
+    high: float  # infinite where it is `open`
     centre: float
     size: float  # its largest mean amplitude, were it of one frequency, fraction of range
     channel: str  # that has it
     shown: bool  # by the motion
 
     @property
+    def open(self) -> bool:
+        """Whether all from a corner on was left out."""
+        return self.high == np.inf
+
+    @property
     def words(self) -> str:
         """For a person."""
         at = f"at {self.centre:.3g} Hz"
         if self.high - self.low > WIDE:
-            at = f"from {self.low:.3g} {f'to {self.high:.3g} Hz' if np.isfinite(self.high) else 'Hz on'}"
+            at = f"from {self.low:.3g} {'Hz on' if self.open else f'to {self.high:.3g} Hz'}"
         seen = "shows too; left out of both" if self.shown else "does not show; left out"
         return f"a vibration {at}, {100 * self.size:.2g}% of range in {self.channel}, that the motion {seen}"
 
