@@ -1034,6 +1034,9 @@ class Estimate:
     def quarters(self) -> Agreement: ...
 
     @property
+    def unsettled(self) -> bool: ...
+
+    @property
     def unresolved(self) -> list[bool]: ...
 
     @property

@@ -226,3 +226,15 @@ def test_the_nearest_physical_body_is_where_no_other_is_nearer() -> None:
         assert abs(np.sum(gradient * symmetric(body[4:]))) < 1e-3 * square + 1e-4
         link = P[:4, 4:] @ inverse
         np.testing.assert_allclose(body[:4] - [0.1, 0.0, 0.0, 0.1], link @ step, rtol=1e-3, atol=1e-9)
+
+
+def test_second_moments_of_a_log_in_millimetres_have_a_nearest_body() -> None:
+    spread = np.diag([1.0, *[0.1] * 3, *[0.01] * 6]) ** 2
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        turn = Rotation.random(random_state=rng).as_matrix()
+        values = rng.uniform([-300.0, 0.0, 500.0], [-1.0, 800.0, 2000.0])
+        S = (turn @ np.diag(values) @ turn.T)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        body, square = nearest_physical(np.concatenate([[0.1, 0.0, 0.0, 0.1], S]), spread)
+        assert np.linalg.eigvalsh(symmetric(body[4:]))[0] > 0.0
+        assert square >= 0.5 * (values[0] / 0.01) ** 2  # of the elements, each once

@@ -60,12 +60,15 @@ class Estimator {
       out.status = Status::not_factorizable;
       return out;
     }
-    // what the samples do not resolve, or no motion explains, is refused: no discrepancy and no step is looked for in it
+    // what the samples do not resolve, no motion explains, or does not settle is refused: no discrepancy and no step is looked for
+    // in it
     bool hopeful = true;
     for (std::size_t l = 0; l < count; ++l)
       hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
     if (!robust->sound()) {
       if (hopeful) seek_steps(robust, steps, out);
+      out.unsettled = !robust->converged;
+      hopeful = hopeful && !out.unsettled;
       set_mask(*robust);
       leave_in(*robust);
     }

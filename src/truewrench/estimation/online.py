@@ -41,6 +41,7 @@ class OnlineFound:
     quarters: Any
     unexplained: Sequence[float]
     unresolved: Sequence[bool]
+    unsettled = False  # whose sizes are robust from block to block
     dropped: Sequence[int]
     history: History
     fits: int = 1

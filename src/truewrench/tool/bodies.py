@@ -11,7 +11,7 @@ from truewrench.tool.parameters import COLUMNS, ROWS, channel_turn, symmetric
 
 _THINNEST = 1e-8  # [m^2] of second moments: simulators refuse a body without any
 _UNIT = np.array([symmetric(element) for element in np.eye(6)])
-_CLOSE = 1e-7  # of a squared distance in units of sigma: tolerance
+_CLOSE = 1e-7  # of a squared distance in units of sigma, and of one above 1 its share: tolerance
 _STEP = 1e-30  # of the complex step
 
 
@@ -92,7 +92,7 @@ def _least_change(S: Array, white: Array, inside: Array) -> Array:
     """
     Q, x = white.T @ white, inside
     mu = 1.0 + 0.5 * float((x - S) @ Q @ (x - S))
-    while mu > _CLOSE:
+    while mu > _CLOSE * max(1.0, float((x - S) @ Q @ (x - S))):
         mu *= 0.1
         for _ in range(50):
             felt = np.linalg.solve(symmetric(x) - _THINNEST * np.eye(3), _UNIT)  # (6, 3, 3)
