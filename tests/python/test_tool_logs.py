@@ -13,8 +13,10 @@ from tool_cases import Array, a_rig, apart, as_imu, pose_log, swing_log, tour_lo
 
 import truewrench as tw
 from truewrench.model.log import Log
+from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.model.split import rows_of
+from truewrench.robot.track import track
 from truewrench.tool.identify import Evidence
 from truewrench.tool.poses import split_poses
 
@@ -97,10 +99,9 @@ def test_moves_between_poses_walk_with_them() -> None:
     assert sum(squares) < chi2.ppf(1.0 - 1e-4, len(squares))
 
 
-@pytest.mark.parametrize("step", [0.0, 4e-4], ids=["noise", "steps of an encoder"])
-def test_positions_alone_tell_where_an_arm_dwells(step: float) -> None:
+def dwelling_arm(rig: Rig, step: float = 0.0) -> Log:
+    """Positions at 100 Hz of eight dwells of 2.5 s, and of 1.5 s from each to the next; nothing is held."""
     rng = np.random.default_rng(2)
-    rig = tw.load_tool_rig(tw.robots.path("ur10_tool"))
     s = np.linspace(0.0, 1.0, 150)
     there = rng.uniform(-1.0, 1.0, (8, 6))
     q = [np.repeat(there[:1], 250, axis=0)]
@@ -109,7 +110,13 @@ def test_positions_alone_tell_where_an_arm_dwells(step: float) -> None:
     position = np.vstack(q) + 5e-5 * rng.normal(size=(8 * 250 + 7 * 150, 6))
     position = step * np.round(position / step) if step else position
     raw = rig.sensor.noise_array * rng.normal(size=position.shape)
-    log = Log(None, "tool", "", np.arange(len(raw)) * 10_000_000, raw, position=position)
+    return Log(None, "tool", "", np.arange(len(raw)) * 10_000_000, raw, position=position)
+
+
+@pytest.mark.parametrize("step", [0.0, 4e-4], ids=["noise", "steps of an encoder"])
+def test_positions_alone_tell_where_an_arm_dwells(step: float) -> None:
+    rig = tw.load_tool_rig(tw.robots.path("ur10_tool"))
+    log = dwelling_arm(rig, step)
     dwells = 1.25e9 + 4.0e9 * np.arange(8) + 0.5e9 * (np.arange(8) > 0)  # a second of settling left out
     for split in (split_poses(rig, [one]) for one in (log, apart(log, 2_000_000))):
         assert len(split.poses) == 8
@@ -118,6 +125,23 @@ def test_positions_alone_tell_where_an_arm_dwells(step: float) -> None:
         lasts = np.diff(split.moves[0].knots)[::2]
         assert lasts.size == 7
         assert ((lasts > 1.5) & (lasts < 3.3)).all()
+
+
+def test_halves_of_an_arm_with_stamps_of_their_own_dwell_as_one() -> None:
+    """As the legs of a humanoid: no row has all joints."""
+    rig = tw.load_tool_rig(tw.robots.path("ur10_tool"))
+    log = dwelling_arm(rig)
+    assert log.position is not None
+    first, later = log.position.copy(), log.position.copy()
+    first[:, 3:], later[:, :3] = np.nan, np.nan
+    stamps = np.concatenate([log.time_ns, log.time_ns + 3_000_000])
+    order = np.argsort(stamps)
+    raw = np.vstack([log.raw, np.full_like(log.raw, np.nan)])[order]
+    halves = replace(log, time_ns=stamps[order], raw=raw, position=np.vstack([first, later])[order])
+    whole, found = (split_poses(rig, [track(rig, one)]) for one in (log, halves))
+    assert len(whole.poses) == len(found.poses) == 8
+    np.testing.assert_allclose(found.poses.R_sensor_root, whole.poses.R_sensor_root, atol=1e-4)
+    assert len(found.moves) == 1
 
 
 @pytest.mark.parametrize("kind", ["tour", "swing"])

@@ -1,6 +1,5 @@
 """Joints of one arm as logs have them: parts sampled at times of their own, turns that begin anew."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,15 +51,23 @@ def _not_filled(time: Array, position: Array, velocity: Array | None) -> bool:
     return any(np.ptp(position[run], axis=0).max(initial=0.0) > MOVES for run in runs if run.size > _POINTS)
 
 
-def together(
-    time: Array, joints: Array | None, names: Sequence[str], what: str
-) -> tuple[Array | None, list[str]]:
-    """Joints on rows that all of them have, and a note where some were interpolated; `what` they are."""
+def together(rig: Rig, log: Log) -> Log:
+    """The log with its joints on rows that all of them have, and a note where some were interpolated."""
+    if rig.motion.source != "joints":
+        return log
+    position, of_positions = _together(rig, log.time, log.position, "positions")
+    velocity, of_velocities = _together(rig, log.time, log.velocity, "velocities")
+    notes = (*log.notes, *of_positions, *of_velocities)
+    return replace(log, position=position, velocity=velocity, notes=notes)
+
+
+def _together(rig: Rig, time: Array, joints: Array | None, what: str) -> tuple[Array | None, list[str]]:
     if joints is None:
         return None, []
     joints, parts = on_common_rows(time, joints)
     if len(parts) == 1:
         return joints, []
+    names = robot_of(rig).joints
     slowest, *others = (", ".join(names[k] for k in part) for part in parts)
     return joints, [
         f"the {what} of {'; '.join(others)} were interpolated at the times of {slowest}: parts of the arm "

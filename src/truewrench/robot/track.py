@@ -64,11 +64,8 @@ def track(rig: Rig, log: Log, *, exact_positions: bool = False) -> Log:
             raise InputError.at(log.path, name, f"{values.shape[1]} joints", expected)
     log = unwrapped(rig, log)
     base = BasePath.of(rig, log)
-    position, of_positions = together(log.time, base.within(log, log.position), robot.joints, "positions")
-    velocity, of_velocities = together(log.time, base.within(log, log.velocity), robot.joints, "velocities")
-    within = replace(
-        log, position=position, velocity=velocity, notes=(*log.notes, *of_positions, *of_velocities)
-    )
+    position, velocity = base.within(log, log.position), base.within(log, log.velocity)
+    within = together(rig, replace(log, position=position, velocity=velocity))
     if log.position is None:
         found = _integrated(rig, robot, base, within)
     elif rig.motion.position_noise is not None and not exact_positions:

@@ -16,6 +16,7 @@ from truewrench.model.rig import Rig
 from truewrench.model.temperature import temperature_at
 from truewrench.robot.arm import robot_of
 from truewrench.robot.attitude import attitude_of
+from truewrench.robot.parts import together
 
 APART = 0.3  # [s] from both neighbours: a row by itself
 SETTLE = 1.0  # [s] of a dwell that is left out: what the motion before it leaves
@@ -82,7 +83,7 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     InputError: nothing tells a pose's direction of gravity.
     """
     parts, moves = [], []
-    for k, log in enumerate(logs):
+    for k, log in enumerate(together(rig, one) for one in logs):
         pieces, kept, seconds = _cut(rig, log)
         parts.append(_poses(rig, k, log, pieces))
         white = without_filters(rig, without_vibrations(rig, log)) if kept.size else log
@@ -94,7 +95,7 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
 
 def stands_still(rig: Rig, log: Log) -> bool:
     """Whether a log is static poses, `FEWEST` and more, and no motion."""
-    alone, dwells, _, seconds = _pieces(rig, log)
+    alone, dwells, _, seconds = _pieces(rig, together(rig, log))
     return float(seconds.sum()) < MOVING and len(alone) + len(dwells) >= FEWEST
 
 
