@@ -172,7 +172,7 @@ class Estimate:
     spacing: Array  # (L,) h [s]
     unexplained: Array  # (L,) share of the raw output that no motion explains; 0 where its noise is as stated
     unresolved: Mask  # (L,) (10.7) still falls at one knot per sample
-    unsettled: bool  # whether the robust fit still moved at its last step
+    unsettled: bool  # whether the robust fit still moved far at its last step
     dropped: Integers  # (L,) stretches that were too short
     rows: tuple[LogRows, ...]  # per log
     # 1 sigma (n, 6) of the normalised gain that each source accounts for: `noise` (with priors), `mass`,
