@@ -228,7 +228,6 @@ void bind_fit(nb::module_& m) {
       .def_ro("pose", &Estimate::pose)
       .def_ro("halves", &Estimate::halves)
       .def_ro("quarters", &Estimate::quarters)
-      .def_ro("unsettled", &Estimate::unsettled)
       .def_prop_ro(
           "unresolved",
           [](const Estimate& e) { return std::vector<bool>(e.unresolved.begin(), e.unresolved.end()); })

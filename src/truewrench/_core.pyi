@@ -1034,9 +1034,6 @@ class Estimate:
     def quarters(self) -> Agreement: ...
 
     @property
-    def unsettled(self) -> bool: ...
-
-    @property
     def unresolved(self) -> list[bool]: ...
 
     @property

@@ -109,7 +109,6 @@ def estimate_of(
         spacing=np.array([0.05]),
         unexplained=np.zeros(1),
         unresolved=np.array([False]),
-        unsettled=False,
         dropped=np.array([0]),
         rows=(fitted,),
         sources={"noise": np.sqrt(np.diag(P)[: 6 * n]).reshape(n, 6)},
@@ -243,7 +242,6 @@ def test_permuting_channels_permutes_the_judgement() -> None:
         ({"p_halves": 1e-6}, "parts of the record disagree on the gain (halves, p = 1e-06)", True),
         ({"p_quarters": np.nan}, "quarters 1 + 3 and 2 + 4, p = nan", True),
         ({"unresolved": np.array([True])}, "the motion of the log is not resolved", True),
-        ({"unsettled": True}, "no fit settles: something does not fit the model", True),
         ({"gain": np.zeros((6, 6))}, "singular", False),
     ],
 )

@@ -30,7 +30,6 @@ struct Estimate {
   std::vector<double>
       unexplained;  // by log: share of the raw output that no motion explains; 0 where its noise is as stated
   std::vector<int> dropped;  // by log: stretches too short
-  bool unsettled = false;    // ROBUST still moved far at its last step
   int fits = 0;
 };
 

@@ -60,17 +60,12 @@ class Estimator {
       out.status = Status::not_factorizable;
       return out;
     }
-    // what the samples do not resolve, no motion explains, or does not settle is refused: no discrepancy and no step is looked for
-    // in it
+    // what the samples do not resolve, or no motion explains, is refused: no discrepancy and no step is looked for in it
     bool hopeful = true;
     for (std::size_t l = 0; l < count; ++l)
       hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
     if (!robust->sound()) {
       if (hopeful) seek_steps(robust, steps, out);
-      // by more than its own sigma: 0 usable of 320 imperfect and 480 shaken records, of which one ends at 0.4; a motion that is
-      // not the sensor's has 3 to 7
-      out.unsettled = !robust->converged && robust->last_move > 1.0;
-      hopeful = hopeful && !out.unsettled;
       set_mask(*robust);
       leave_in(*robust);
     }

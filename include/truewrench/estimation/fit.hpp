@@ -44,7 +44,6 @@ class Fit {
   RowMatrix lagged;              // C_0 of (10.3)
   bool robust = false;
   int iterations = 0;
-  double last_move = 0.0;  // by the last step, in sigma of theta (RMS)
   bool converged = false;
   bool failed = false;  // a factorisation: the record says nothing finite
 
@@ -230,11 +229,10 @@ class Fit {
       if (!find_step()) return *this;
       advance(turned(last) ? 0.5 : 1.0);
       const auto count = static_cast<double>(active_places().size());
-      last_move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
+      const double move = std::sqrt(step_.dot(dense::times(S_, step_)) / count);
       if (robust) resized = resize();
       converged = iterations > 1 && resized < constants::move &&
-                  last_move < (robust ? constants::robust_move : constants::move) &&
-                  (robust || slopes_hold());
+                  move < (robust ? constants::robust_move : constants::move) && (robust || slopes_hold());
       if (converged) return robust ? *this : end();
       if (!robust) resized = resize();
       begun_ = iterations == 1 && enough && enough(*this);

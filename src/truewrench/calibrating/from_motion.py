@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from truewrench import _core
 from truewrench.calibrating.hopeless import hopeless, plain_gain
 from truewrench.calibrating.pooled import Pooled, estimate_pooled, moving_logs
 from truewrench.calibrating.unknown_bodies import (
@@ -80,10 +81,10 @@ def calibrate_from_motion(
     compared: Comparison | str = "not asked for"
     if not estimate.solved:
         compared = "nothing of the record could be fitted"
-    elif not estimate.follows:
+    elif estimate.unresolved.any() or (estimate.unexplained > _core.MOST_LOST).any():
         compared = "the record does not follow its motion"
-    elif not estimate.parts_agree or estimate.unsettled:
-        compared = "the parts of the record disagree" if not estimate.parts_agree else "no fit settles"
+    elif not estimate.parts_agree:
+        compared = "the parts of the record disagree"
     elif held_out and not known:
         compared = "no payload is known, by which the gains could be compared"
     elif held_out:

@@ -172,7 +172,6 @@ class Estimate:
     spacing: Array  # (L,) h [s]
     unexplained: Array  # (L,) share of the raw output that no motion explains; 0 where its noise is as stated
     unresolved: Mask  # (L,) (10.7) still falls at one knot per sample
-    unsettled: bool  # whether the robust fit still moved far at its last step
     dropped: Integers  # (L,) stretches that were too short
     rows: tuple[LogRows, ...]  # per log
     # 1 sigma (n, 6) of the normalised gain that each source accounts for: `noise` (with priors), `mass`,
@@ -199,11 +198,6 @@ class Estimate:
     def parts_agree(self) -> bool:
         """By (10.11)."""
         return self.p_halves >= AGREE and self.p_quarters >= AGREE
-
-    @property
-    def follows(self) -> bool:
-        """Whether the motion explains the record, and its samples resolve the motion."""
-        return not (self.unresolved.any() or (self.unexplained > _core.MOST_LOST).any())
 
     @property
     def time_offsets(self) -> Array:
@@ -248,7 +242,6 @@ def without_motion(n: int, count: int, **found: Any) -> Estimate:
         "spacing": np.full(count, np.nan),
         "unexplained": np.zeros(count),
         "unresolved": np.zeros(count, dtype=bool),
-        "unsettled": False,
         "dropped": np.zeros(count, dtype=np.int64),
         "rows": (no_rows(n),) * count,
         "sources": {},

@@ -122,7 +122,6 @@ def solved(
         spacing=np.array([fit.spacing(k) for k in range(len(logs))]),
         unexplained=np.array(found.unexplained),
         unresolved=np.array(found.unresolved, dtype=bool),
-        unsettled=bool(found.unsettled),
         dropped=np.array(found.dropped, dtype=np.int64),
         rows=rows,
         sources=_sources(columns, covariance, before, normalised, n),
@@ -149,12 +148,11 @@ def unsolved(rig: Rig, logs: Sequence[Log], found: Any = None) -> Estimate:
     normalised = np.diag(prior**2)
     units = np.append((scale[:, None] / span).ravel(), scale)
     offset_std = np.tile(rig.sensor.offset_prior_array, (count, 1))
-    unexplained, unresolved, unsettled = np.zeros(count), np.zeros(count, dtype=bool), False
+    unexplained, unresolved = np.zeros(count), np.zeros(count, dtype=bool)
     dropped = np.zeros(count, dtype=np.int64)
     if found is not None:
         unexplained[: len(found.unexplained)] = found.unexplained
         unresolved[: len(found.unresolved)] = found.unresolved
-        unsettled = bool(found.unsettled)
         dropped[: len(found.dropped)] = found.dropped
     return without_motion(
         n,
@@ -169,7 +167,6 @@ def unsolved(rig: Rig, logs: Sequence[Log], found: Any = None) -> Estimate:
         offsets_std=offset_std,
         unexplained=unexplained,
         unresolved=unresolved,
-        unsettled=unsettled,
         dropped=dropped,
         converged=False,
         iterations=0,

@@ -41,7 +41,6 @@ class OnlineFound:
     quarters: Any
     unexplained: Sequence[float]
     unresolved: Sequence[bool]
-    unsettled = False  # whose sizes are robust from block to block
     dropped: Sequence[int]
     history: History
     fits: int = 1

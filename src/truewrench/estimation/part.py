@@ -70,8 +70,9 @@ class Part:
 
     @property
     def follows(self) -> bool:
-        """Whether the motion explains it, the samples resolve it, and a fit settles."""
-        return self.found is not None and self.estimate.follows and not self.estimate.unsettled
+        """Whether the motion explains it and the samples resolve it."""
+        lost = self.estimate.unresolved.any() or (self.estimate.unexplained > _core.MOST_LOST).any()
+        return self.found is not None and not lost
 
 
 def part_of(

@@ -117,8 +117,7 @@ class InParts:
         of = [[part for part in parts if part.log == k] for k in range(count)]
         lost = SimpleNamespace(
             unexplained=np.array([_unexplained(parts) for parts in of]),
-            unresolved=np.array([_many(parts, "unresolved") for parts in of]),
-            unsettled=any(_many(parts, "unsettled") for parts in of),
+            unresolved=np.array([_unresolved(parts) for parts in of]),
             dropped=np.array([sum(int(part.estimate.dropped.sum()) for part in parts) for parts in of]),
             fits=sum(part.estimate.fits for part in parts),
         )
@@ -301,9 +300,8 @@ def _unexplained(parts: Sequence[Part]) -> float:
     return float(np.mean([p.estimate.unexplained[0] for p in of])) if of else 0.0
 
 
-def _many(parts: Sequence[Part], what: str) -> bool:
-    """Whether the parts of a log of which this finding holds are too many."""
-    lost = sum(p.samples for p in parts if np.any(getattr(p.estimate, what)))
+def _unresolved(parts: Sequence[Part]) -> bool:
+    lost = sum(p.samples for p in parts if p.estimate.unresolved.any())
     return lost > _core.MOST_LOST * sum(p.samples for p in parts)
 
 

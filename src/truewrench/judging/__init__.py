@@ -235,7 +235,7 @@ def _nothing_learnt(estimate: Estimate) -> str:
 
 
 def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[str]) -> list[str]:
-    """What of the record speaks against it: unresolved, masked, unsettled, in disagreement; singular."""
+    """What of the record speaks against the result: unresolved, masked, in disagreement; a singular gain."""
     reasons = []
     for k in np.flatnonzero(estimate.unresolved):
         reasons.append(
@@ -251,10 +251,9 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[st
         )
     p = {"halves": estimate.p_halves, "quarters 1 + 3 and 2 + 4": estimate.p_quarters}
     parts = [f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= AGREE]  # NaN, too
-    if parts or estimate.unsettled:
-        what = f"parts of the record disagree on the gain ({'; '.join(parts)})" if parts else "no fit settles"
+    if parts:
         reasons.append(
-            f"{what}: something does not fit the "
+            f"parts of the record disagree on the gain ({'; '.join(parts)}): something does not fit the "
             f"model ({_named(kinds_of_disagreement(estimate, rig, logs), named)}); "
             f"{_largest_departure(estimate, rig, logs)}"
         )
