@@ -166,7 +166,7 @@ def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, M
     body, x = body_start(rig, logs, gain), None if still is None else still.x
     motion = None
     solution = still
-    fitted = True  # a rigid body, the round before
+    misfit = False
     for turn in range(_ROUNDS):
         walk = 0.0 if solution is None else solution.rate  # without poses no log has a walk
         found = motion_information(
@@ -185,9 +185,11 @@ def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, M
         gain = x[layout.gain].reshape(-1, 6) @ np.kron(np.eye(2), channel_turn(x[layout.mounting])[0])
         sigma = np.sqrt(np.diag(solution.covariance))[: layout.log_mass + 1]
         by = np.abs(moved / sigma)
-        before, fitted = fitted, not misfit_of_motion(motion)
-        if not fitted and (not before or mistakes_of_motion(rig, logs, problem.prior.gain_std)):
-            break  # refused: further rounds would take half a minute to fit what cannot be
+        again, misfit = misfit, bool(misfit_of_motion(motion))
+        if misfit and (again or mistakes_of_motion(rig, logs, problem.prior.gain_std)):
+            # refused: further rounds would take minutes to fit what cannot be; of 96 tools on imperfect
+            # hardware (benchmarks/imperfect_tools.py, seed 70) none is lost
+            break
         if turn > 0 and max(float(np.sqrt(np.mean(by**2))), by[-1]) < _SETTLED:
             break
     if solution is None:
