@@ -50,6 +50,15 @@ def test_what_is_slower_than_the_motion_counts_over_a_period_of_it() -> None:
     assert found.discrepancy[:3] == pytest.approx(counted, rel=0.05)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drift_lasts_no_longer_than_its_record_and_its_fit_ends(seed: int) -> None:
+    """A correlation time beyond the record is told by nothing in it."""
+    rig, log = record(seed, 100.0, {"drift": 5e-4})
+    found = estimate(rig, [log])
+    assert found.converged
+    assert 0.5 * SECONDS < found.slow[0][0].tau <= SECONDS + 1e-9
+
+
 def test_the_beginning_of_a_drift_is_left_in_and_a_long_push_is_not() -> None:
     rig, log = record(0, 400.0, {"drift": 8e-3})
     assert estimate(rig, [log]).masked_share() < 0.02

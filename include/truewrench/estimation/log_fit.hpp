@@ -19,7 +19,14 @@ struct LogFit {
   std::vector<Stretch> stretches;
   std::vector<Sweep> sweeps;
   Sizes sizes;
-  double tau_step = 0.0, tau_limit = 0.7;  // of the last move of log k
+  static constexpr double tau_furthest = 0.7;                        // a move of log k, at most
+  double tau_step = 0.0, tau_moved = 0.0, tau_limit = tau_furthest;  // last: argmin's, taken; of the next
+
+  double longest() const {  // stretch [s]
+    double out = 0.0;
+    for (const Stretch& s : stretches) out = std::max(out, s.spline.end() - s.spline.begin());
+    return out;
+  }
 };
 
 // Place of a time within a log, 0 ... 1.

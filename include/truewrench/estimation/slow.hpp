@@ -33,12 +33,8 @@ inline std::vector<LogFit> bare(const Fit& fit) {
 // d begins at what the moments of a fit without it show, within 0.1 to 1 sigma.
 inline void start_slow(const Fit& plain, LogFit& log, std::size_t l, const std::vector<Moment>& found) {
   Sizes& z = log.sizes;
-  double length = 0.0;
-  for (Stretch& s : log.stretches) {
-    length = std::max(length, s.spline.end() - s.spline.begin());
-    s.e.setZero();
-  }
-  z.k = z.form == Form::walk ? 1.0 / length : 1.0 / 0.3;
+  for (Stretch& s : log.stretches) s.e.setZero();
+  z.k = z.form == Form::walk ? 1.0 / log.longest() : 1.0 / 0.3;
   for (int r = 0; r < z.delta.size(); ++r) {
     const double sigma = plain.group_sigma(l, r);
     z.delta[r] = std::clamp(std::sqrt(found[static_cast<std::size_t>(r)].delta2), 0.1 * sigma, sigma);
