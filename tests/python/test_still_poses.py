@@ -130,6 +130,21 @@ def test_what_is_not_asked_for_refuses_nothing_and_what_is_asked_for_does() -> N
     assert [refused.axes[axis] for axis in ("fx", "fy", "fz")] == [True] * 3
 
 
+def test_a_gain_that_was_right_is_not_held_against_the_new_one_for_the_walk_of_the_offset() -> None:
+    """Both have the same poses and the same walk: neither is better."""
+    settings = settings_of(ONE, FORCE)
+    right = deepcopy(settings)
+    right["sensor"]["gain_prior"] = 2e-3
+    for seed in range(8):
+        logs, _ = poses(Rig.from_mapping(right), seed, 60, walk=1.6e-3)
+        calibration = tw.calibrate(Rig.from_mapping(settings), logs)
+        assert calibration.verdict.usable, calibration.verdict.reasons
+        for axis in ("fx", "fy", "fz"):
+            improvement = calibration.improvement[axis]
+            assert improvement.held_out
+            assert improvement.new < 1.25 * improvement.nominal
+
+
 def test_several_centres_of_mass_give_the_moments_too() -> None:
     rig = Rig.from_mapping(settings_of(SEVERAL, uncertainty=1e-3))
     logs, gain = poses(rig, 2)

@@ -11,7 +11,7 @@ from truewrench.estimation.assembly import log_report
 from truewrench.estimation.estimate import Estimate, without_motion
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
-from truewrench.judging.validation import CHANGE
+from truewrench.judging.validation import CHANGE, LOSS
 from truewrench.judging.validation.comparison import Comparison
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, AxisImprovement, LogReport
@@ -135,16 +135,17 @@ def compare_known_wrench(
     if not np.isfinite(squares).all():
         return Comparison({}, (), figures)
     improvement = improvement_by_axis(*squares, np.concatenate(block_of), held_out)
-    return Comparison(improvement, worse_on_rows(improvement) if held_out else (), figures)
+    worse = worse_on_rows(improvement, rig.required_array) if held_out else ()
+    return Comparison(improvement, worse, figures)
 
 
-def worse_on_rows(improvement: Mapping[str, AxisImprovement]) -> tuple[str, ...]:
-    """Axes on which rows that were held out speak for the nominal gain, in words."""
+def worse_on_rows(improvement: Mapping[str, AxisImprovement], required: Array) -> tuple[str, ...]:
+    """Axes on which rows that were held out speak for the nominal gain, in words; of those asked for (6,)."""
     return tuple(
         f"on rows that were held out, {name} is worse than with the nominal gain: an error of {axis.new:.3g} "
         f"instead of {axis.nominal:.3g}"
-        for name, axis in improvement.items()
-        if axis.better is False
+        for (name, axis), asked in zip(improvement.items(), np.isfinite(required), strict=True)
+        if axis.better is False and asked
     )
 
 
@@ -249,7 +250,7 @@ def improvement_by_axis(
         strict=True,
     ):
         better: Literal[True, False, "unsure"] = "unsure"
-        if abs(a - b) > CHANGE * b and abs(mean) > limit:
+        if abs(mean) > limit and not b / (1.0 + CHANGE) <= a <= b * (1.0 + LOSS):
             better = bool(a < b)
         improvement[axis] = AxisImprovement(float(b), float(a), held_out, better)
     return improvement

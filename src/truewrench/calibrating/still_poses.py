@@ -212,7 +212,7 @@ def _weights(rig: Rig, solution: Solution) -> Array:
 def compare_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, held_out: bool) -> Comparison:
     """Corrected wrench against the payload's weight in poses that were held out, by nominal and new gain.
 
-    The nominal gain has the mean of its errors in each log taken off.
+    Either gain has the mean of its errors in each log taken off: offsets walk whatever the gain.
     """
     poses, why = found.poses, "not asked for"
     if held_out and len(poses) < FEWEST:
@@ -227,12 +227,16 @@ def compare_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, held_out:
             layout, x = Layout(rig.sensor.n), found.solutions[name].x
             mass, center = float(np.exp(x[layout.log_mass])), x[layout.center_of_mass]
         w[own] = rig.sensor.sign * weight(mass, center, fall)
-    old = poses.raw @ np.linalg.pinv(rig.sensor.nominal_gain_array).T - w
+
+    def errors(gain: Array) -> Array:
+        error = poses.raw @ np.linalg.pinv(gain).T - w
+        for k in range(len(logs) if rig.sensor.offset_prior_array.any() else 0):
+            error[poses.log == k] -= error[poses.log == k].mean(axis=0)
+        return error
+
+    old = errors(rig.sensor.nominal_gain_array)
     new = np.full_like(old, np.nan)
     ends = [int(log.time_ns[-1]) for log in logs]
-    for k in range(len(logs)):
-        if rig.sensor.offset_prior_array.any():
-            old[poses.log == k] -= old[poses.log == k].mean(axis=0)
     for fold in range(FOLDS if held_out else 1):
         out = block % FOLDS == fold if held_out else np.ones(len(poses), dtype=bool)
         fitted = found.estimate
@@ -241,11 +245,11 @@ def compare_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, held_out:
             if np.setdiff1d(np.arange(len(logs)), kept.log).size:
                 return Comparison({}, (), {"none_because": "a log of too few poses to hold some of them out"})
             fitted = _as_estimate(rig, logs, *_solved(rig, logs, kept, ends, found.before, found.sizes))
-        inverse = np.linalg.pinv(fitted.gain)
-        new[out] = (poses.raw[out] - fitted.offsets[poses.log[out]]) @ inverse.T - w[out]
+        new[out] = errors(fitted.gain)[out]
     figures = {"samples": len(poses), "folds": FOLDS} if held_out else {"none_because": why}
     improvement = improvement_by_axis(old**2, new**2, block, held_out)
-    return Comparison(improvement, worse_on_rows(improvement) if held_out else (), figures)
+    worse = worse_on_rows(improvement, rig.required_array) if held_out else ()
+    return Comparison(improvement, worse, figures)
 
 
 def still_figures(found: StillEstimate) -> dict[str, Any]:

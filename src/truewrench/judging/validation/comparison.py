@@ -59,7 +59,8 @@ def compare_on(
         found = validate(calibration, rig, [piece for log in out for piece in between_jumps(log)])
     except (InputError, np.linalg.LinAlgError) as error:
         return f"the part held out could not be compared: {' '.join(str(error).split())}"
-    reasons = [worse(name, axis) for name, axis in found.axes.items() if axis.better is False]
+    asked = dict(zip(AXES, np.isfinite(rig.required_array), strict=True))
+    reasons = [worse(name, axis) for name, axis in found.axes.items() if axis.better is False and asked[name]]
     return Comparison(
         found.improvement,
         tuple(f"on the part of the record that was held out, {reason}" for reason in reasons),
