@@ -12,7 +12,9 @@ from bags import MS, START, Bag
 
 from truewrench.cli import main
 from truewrench.inspection.recording import RecordingContent, TopicContent, inspect_recording
+from truewrench.io.tables import read_log
 from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 
 
 def written(tmp_path: Path, kind: str = "mcap") -> Path:
@@ -94,6 +96,44 @@ def test_jitter_lateness_and_repetition_are_those_of_the_stamps(tmp_path: Path) 
     assert stream.late == 1
     assert stream.jitter == pytest.approx(0.1, rel=0.05)
     assert stream.rate == pytest.approx(1000, rel=0.02)
+
+
+def test_packets_have_the_rate_of_their_samples(tmp_path: Path) -> None:
+    with Bag(tmp_path / "run") as bag:
+        for i in range(700):
+            packet, place = divmod(i, 7)
+            bag.wrench("/ft", START + i * 6 * MS, [0] * 6, receive=START + packet * 42 * MS + place * 25_000)
+            bag.array("/gauges", START + packet * 42 * MS + place * 25_000, range(8))
+    content = inspect_recording(tmp_path / "run")
+    for name in ("/ft", "/gauges"):
+        assert topic_of(content, name).rate == pytest.approx(1000 / 6, rel=0.02)
+        assert topic_of(content, name).streams[0].rate == pytest.approx(1000 / 6, rel=0.02)
+        assert topic_of(content, name).streams[0].gap_count == 0
+
+
+def test_longest_pauses_are_listed_where_there_are_many(tmp_path: Path) -> None:
+    with Bag(tmp_path / "run") as bag:
+        stamp = START
+        for i in range(15_000):
+            stamp += (1 if i % 125 else 10 + i // 125) * MS
+            bag.array("/gauges", stamp, [i])
+    (stream,) = topic_of(inspect_recording(tmp_path / "run"), "/gauges").streams
+    assert stream.gap_count == 119
+    assert [round(gap.duration * 1000) for gap in stream.gaps] == list(range(30, 130))
+
+
+def test_late_messages_are_as_many_as_where_the_log_is_read(tmp_path: Path, rig: Rig) -> None:
+    draw = np.random.default_rng(0)
+    stamps = START + MS * np.arange(6000) + (5 * MS * draw.random(6000)).astype(int)
+    with Bag(tmp_path / "run") as bag:
+        for k, stamp in enumerate(stamps.tolist()):
+            bag.wrench("/ft", stamp, [k] * 6, receive=START + k * MS)
+            bag.twist("/twist", START + k * MS, [k] * 6)
+    (stream,) = topic_of(inspect_recording(tmp_path / "run"), "/ft").streams
+    assert stream.late == int((stamps < np.maximum.accumulate(stamps)).sum())
+    notes = read_log(tmp_path / "run", rig).notes
+    assert f"/ft: {stream.late} messages came late and were sorted in by their stamps" in notes
+    assert stream.rate == pytest.approx(1000, rel=0.01)
 
 
 def test_command_shows_topics_to_people_and_programs(

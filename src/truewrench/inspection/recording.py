@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from truewrench.inspection.log import GAP_PERIODS, ColumnContent, Gap, Ranges
+from truewrench.inspection.log import ColumnContent, Gap, Ranges
+from truewrench.io.recordings.cadence import Cadence
 from truewrench.io.recordings.choice import KEYS, commanded
 from truewrench.io.recordings.layout import Layout
 from truewrench.io.recordings.reader import Batch, Recording, Topic, open_recording
@@ -16,7 +17,6 @@ from truewrench.io.recordings.streams import Clocks, clock_notes, role_of, sampl
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 
-_FIRST = 1024  # periods whose median is the nominal one
 _LISTED = 100  # gaps that are named one by one
 
 _TAKEN = {
@@ -36,12 +36,12 @@ class StreamContent:
 
     columns: tuple[ColumnContent, ...]  # with their ranges
     samples: int  # how many messages have them
-    rate: float  # samples a second, from the median of the first periods; 0 with fewer than two samples
-    jitter: float  # standard deviation of the period over its median, gaps left out
-    gaps: tuple[Gap, ...]  # the first pauses of more than five nominal periods
+    rate: float  # samples a second over the time they span, pauses left out; 0 with fewer than two samples
+    jitter: float  # standard deviation of the period over its mean, pauses left out
+    gaps: tuple[Gap, ...]  # the longest pauses, of more than five times the ordinary period
     gap_count: int  # how many there are
     late: int  # samples stamped earlier than one before them
-    repeated: int  # samples with the stamp of the one before
+    repeated: int  # samples with the latest stamp before them
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class TopicContent:
     type: str  # of its messages
     publishers: int  # known of ROS 1 only, else 1
     messages: int  # as counted
-    rate: float  # of receipt
+    rate: float  # of receipt, likewise
     stamps: str | None  # `header`, `receive` where the messages have no header, None where they are not read
     delay: float | None  # mean time from header stamp to receipt [s], None without headers
     drift: float | None  # how much that grows over the recording [s], likewise
@@ -135,92 +135,48 @@ def _rivals(a: _TopicCounter, b: _TopicCounter) -> bool:
     return len(roles) == 1
 
 
-class _Stamps:
-    """Count, rate and gaps of stamps that are passed over once."""
+class _Pauses:
+    """The longest periods of stamps that are passed over once, and their cadence."""
 
     def __init__(self) -> None:
-        self.samples = self.late = self.repeated = self.gap_count = 0
-        self.first = self.last = 0
-        self.gaps: list[tuple[int, int]] = []
-        self._waiting: list[Integers] = []
-        self._nominal = 0.0
-        self._steady = np.zeros(3)  # periods that are no gap: number, sum and sum of squares over nominal
+        self.cadence = Cadence()
+        self._longest = np.empty((2, 0), dtype=np.int64)  # length and begin
 
     def add(self, stamps: Integers) -> None:
-        if not len(stamps):
-            return
-        if not self.samples:
-            self.first, self.last = int(stamps[0]), int(stamps[0])
-            period = np.diff(stamps)
-        else:
-            period = np.diff(stamps, prepend=self.last)
-        self.samples += len(stamps)
-        self.first = min(self.first, int(stamps.min()))
-        self._count(period, stamps[len(stamps) - len(period) :] - period)
-        self.last = max(self.last, int(stamps.max()))
-
-    def _count(self, period: Integers, begin: Integers) -> None:
-        self.late += int((period < 0).sum())
-        self.repeated += int((period == 0).sum())
-        if not self._nominal:
-            self._waiting.append(np.stack([period, begin]))
-            if sum(block.shape[1] for block in self._waiting) < _FIRST:
-                return
-            self.settle()
-            return
-        pause = period > GAP_PERIODS * self._nominal
-        self.gap_count += int(pause.sum())
-        room = _LISTED - len(self.gaps)
-        self.gaps += list(zip(begin[pause][:room].tolist(), period[pause][:room].tolist(), strict=True))
-        steady = period[~pause & (period > 0)] / self._nominal
-        self._steady += [len(steady), steady.sum(), steady @ steady]
-
-    def settle(self) -> None:
-        """Take the periods so far for nominal; nothing if that is done."""
-        waiting, self._waiting = self._waiting, []
-        if self._nominal or not waiting:
-            return
-        period, begin = np.concatenate(waiting, axis=1)
-        positive = period[period > 0]
-        if len(positive):
-            self._nominal = float(np.median(positive))
-            late, repeated = self.late, self.repeated
-            self._count(period, begin)
-            self.late, self.repeated = late, repeated
+        known = bool(self.cadence.samples)
+        earlier = self.cadence.add(stamps)
+        begin = earlier if known else earlier[1:]  # the first has no period
+        period = stamps[len(stamps) - len(begin) :] - begin
+        found = np.concatenate([self._longest, [period, begin]], axis=1)
+        self._longest = found[:, np.argsort(-found[0], kind="stable")[:_LISTED]]
 
     @property
-    def rate(self) -> float:
-        """Samples a second."""
-        return 1e9 / self._nominal if self._nominal else 0.0
-
-    @property
-    def jitter(self) -> float:
-        """Of periods that are no gap, over the nominal one."""
-        n, total, squares = self._steady
-        return float(np.sqrt(max(squares / n - (total / n) ** 2, 0.0))) if n else 0.0
+    def longest(self) -> list[tuple[int, int]]:
+        """Begin and length of the longest pauses, in order of time."""
+        period, begin = self._longest[:, self.cadence.is_pause(self._longest[0])].tolist()
+        return sorted(zip(begin, period, strict=True))
 
 
 class _StreamCounter:
     def __init__(self, names: Sequence[str]) -> None:
-        self.stamps = _Stamps()
+        self.pauses = _Pauses()
         self._ranges = Ranges(names)
 
     def add(self, stamps: Integers, values: Array) -> None:
-        self.stamps.add(stamps)
+        self.pauses.add(stamps)
         self._ranges.add(values)
 
     def content(self, start: int) -> StreamContent:
-        stamps = self.stamps
-        stamps.settle()
+        cadence = self.pauses.cadence
         return StreamContent(
             self._ranges.columns(),
-            stamps.samples,
-            stamps.rate,
-            stamps.jitter,
-            tuple(Gap((begin - start) * 1e-9, length * 1e-9) for begin, length in stamps.gaps),
-            stamps.gap_count,
-            stamps.late,
-            stamps.repeated,
+            cadence.samples,
+            cadence.rate,
+            cadence.jitter,
+            tuple(Gap((begin - start) * 1e-9, length * 1e-9) for begin, length in self.pauses.longest),
+            cadence.pauses,
+            cadence.late,
+            cadence.repeated,
         )
 
 
@@ -229,7 +185,7 @@ class _TopicCounter:
 
     def __init__(self, topic: Topic) -> None:
         self.topic = topic
-        self.receive = _Stamps()
+        self.receive = Cadence()
         self.clocks = Clocks()
         self.streams: dict[tuple[str, ...], _StreamCounter] = {}
         self._headers: bool | None = None
@@ -246,9 +202,8 @@ class _TopicCounter:
         self.receive.add(batch.receive)
 
     def content(self, start: int, taken_as: str) -> TopicContent:
-        self.receive.settle()
         headers = bool(self._headers)
-        origins = [counter.stamps.first for counter in self.streams.values()]
+        origins = [counter.pauses.cadence.first for counter in self.streams.values()]
         return TopicContent(
             topic=self.topic.name,
             type=self.topic.type_name,

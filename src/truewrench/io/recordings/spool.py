@@ -8,11 +8,11 @@ from typing import IO
 import numpy as np
 import numpy.typing as npt
 
+from truewrench.io.recordings.cadence import Cadence
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 
 _ROWS = 1 << 14  # read at once
-_NEVER = np.iinfo(np.int64).min
 
 
 def _unnamed() -> IO[bytes]:
@@ -30,26 +30,38 @@ class Spool:
         self._late = _unnamed()  # and those that came late
         self.rows = 0
         self.repeated = 0  # rows left out because an earlier one has their stamp; final after `finish`
-        self.late = 0  # rows that came with an earlier stamp than one before them
-        self.first = self.last = 0  # the earliest and the latest stamp [ns]
-        self.rate = 0.0  # rows a second, from the median of the first periods; 0 while there is none
+        self._cadence = Cadence()
         self.all_nan = True  # whether no row has a number
+
+    @property
+    def late(self) -> int:
+        """Rows that came with an earlier stamp than one before them."""
+        return self._cadence.late
+
+    @property
+    def first(self) -> int:
+        """The earliest stamp [ns]."""
+        return self._cadence.first
+
+    @property
+    def last(self) -> int:
+        """The latest stamp [ns]."""
+        return self._cadence.last
+
+    @property
+    def rate(self) -> float:
+        """Rows a second, pauses left out; 0 while there is none."""
+        return self._cadence.rate
 
     def append(self, time: Integers, values: Array) -> None:
         """Add rows with stamps (N,) and numbers (N, width)."""
         if not len(time):
             return
-        earlier = np.maximum.accumulate(np.concatenate([[self.last if self.rows else _NEVER], time[:-1]]))
+        earlier = self._cadence.add(time)
         late = time < earlier
-        self.late += int(late.sum())
         self.repeated += int((time == earlier).sum())
-        if not self.rate and len(time) > 1:
-            period = float(np.median(np.abs(np.diff(time))))
-            self.rate = 1e9 / period if period else 0.0
         if late.any():
             self._write(self._late, self._joined(time[late], values[late]))
-        self.first = min(self.first, int(time.min())) if self.rows else int(time.min())
-        self.last = int(max(time[-1], earlier[-1]))
         self.all_nan &= bool(np.isnan(values).all())
         new = time > earlier
         self.rows += int(new.sum())
