@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import sqlite3
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from bags import MS, START, Bag, record, still, with_recording, write
 
 from truewrench.io.tables import read_log
@@ -141,6 +144,73 @@ def test_truncated_file_is_a_clear_error(
     file.write_bytes(data[: int(share * len(data))])
     with pytest.raises(InputError, match=r"found a broken recording \(.*\), expected a complete recording"):
         read_log(path, run[0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "remedy"),
+    [
+        ("mcap", r"`mcap recover run\.mcap`"),
+        ("sqlite3", r"`sqlite3 run\.db3 \.recover`"),
+        ("sqlite3-file", r"`zstdcat run\.db3\.zstd`"),
+        ("bag", r"`rosbag reindex run\.bag`"),
+    ],
+)
+def test_remedy_is_that_of_the_broken_file(
+    run: tuple[Rig, Columns], tmp_path: Path, kind: str, remedy: str
+) -> None:
+    path = record(tmp_path / "run", kind, run[1])
+    file = path if path.is_file() else next(f for f in path.iterdir() if f.name != "metadata.yaml")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(InputError, match=rf"{file.name}: found a broken recording .*\({remedy}"):
+        read_log(path, run[0])
+
+
+def split(path: Path, columns: Columns) -> Path:
+    """A recording in three files."""
+    for k in range(3):
+        record(path.with_name(f"{path.name}_{k}"), "mcap", columns)
+    folder = path.with_name(f"{path.name}_0")
+    metadata = yaml.safe_load((folder / "metadata.yaml").read_text())
+    names = [f"{path.name}_{k}.mcap" for k in range(3)]
+    for name in names[1:]:
+        (path.with_name(name[:-5]) / name).rename(folder / name)
+    metadata["rosbag2_bagfile_information"]["relative_file_paths"] = names
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    return folder
+
+
+def test_broken_part_of_a_folder_is_named(run: tuple[Rig, Columns], tmp_path: Path) -> None:
+    folder = split(tmp_path / "run", run[1])
+    part = folder / "run_1.mcap"
+    whole = part.read_bytes()
+    part.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"run_1\.mcap: found a broken .*`mcap recover run_1\.mcap`"):
+        read_log(folder, run[0])
+    inside = bytearray(whole)  # its index stays
+    inside[200 : len(whole) // 2] = bytes(len(whole) // 2 - 200)
+    part.write_bytes(bytes(inside))
+    with pytest.raises(InputError, match=r"run_1\.mcap: found a broken .*`mcap recover run_1\.mcap`"):
+        read_log(folder, run[0])
+    part.unlink()
+    with pytest.raises(InputError, match=r"run_0: found a broken .*run_1\.mcap.*`ros2 bag reindex`"):
+        read_log(folder, run[0])
+
+
+def test_another_serialisation_is_named(run: tuple[Rig, Columns], tmp_path: Path) -> None:
+    folder = record(tmp_path / "run", "sqlite3", run[1])
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(
+        re.sub("serialization_format: .*", "serialization_format: xcdr", metadata.read_text())
+    )
+    words = r"metadata\.yaml: serialization_format: found messages in `xcdr`, expected messages in CDR"
+    with pytest.raises(InputError, match=words):
+        read_log(folder, run[0])
+    database = sqlite3.connect(folder / "run.db3")
+    database.execute("UPDATE topics SET serialization_format = 'xcdr'")
+    database.commit()
+    database.close()
+    with pytest.raises(InputError, match=r"run\.db3: topic /.*: found messages in `xcdr`, expected messages"):
+        read_log(folder / "run.db3", run[0])
 
 
 def test_message_of_another_shape_is_named(rig: Rig, tmp_path: Path) -> None:

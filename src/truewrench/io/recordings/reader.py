@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from truewrench.io.recordings.faults import faults_of
 from truewrench.io.recordings.layout import Definitions
 from truewrench.model.arrays import Integers
 from truewrench.model.errors import InputError
@@ -32,6 +33,7 @@ class Topic:
     type_name: str  # `geometry_msgs/msg/WrenchStamped`
     messages: int  # how many, as the recording counts them
     publishers: int = 1  # known of ROS 1 only, else 1
+    encoding: str = "cdr"  # of the messages; `ros1` in a .bag
     definitions: Definitions = field(repr=False, default_factory=dict)  # of the type and those in it
 
 
@@ -68,13 +70,14 @@ class Recording:
 
     def _topic(self, connections: list[Connection]) -> Topic:
         first = connections[0]
-        readable = self.ros1 or getattr(first.ext, "serialization_format", "") == "cdr"
+        encoding = "ros1" if self.ros1 else getattr(first.ext, "serialization_format", "")
         return Topic(
             name=first.topic,
             type_name=first.msgtype,
             messages=sum(connection.msgcount for connection in connections),
             publishers=len({getattr(connection.ext, "callerid", None) for connection in connections}),
-            definitions=_definitions(first, self.ros1) if readable else {},
+            encoding=encoding,
+            definitions=_definitions(first, self.ros1) if encoding in ("cdr", "ros1") else {},
         )
 
     def batches(
@@ -124,7 +127,7 @@ class Recording:
         ]
 
     def _messages(self, connections: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        with _faults_of(self.path):
+        with faults_of(self.path, reading=True):
             yield from self._reader.messages(connections=connections)
 
 
@@ -162,7 +165,7 @@ def open_recording(path: Path) -> Iterator[Recording]:
     """Open a recording: a folder of rosbag2, or a file .mcap, .db3 or .bag."""
     _check(path)
     ros1 = path.suffix.lower() == ".bag" and path.is_file()
-    with _faults_of(path):
+    with faults_of(path):
         if ros1:
             from truewrench.io.recordings.bag import BagReader
 
@@ -173,7 +176,7 @@ def open_recording(path: Path) -> Iterator[Recording]:
             reader = Reader(path)
         opened = reader.__enter__()
     try:
-        with _faults_of(path):
+        with faults_of(path):
             recording = Recording(path, opened, ros1)
         yield recording
     finally:
@@ -205,21 +208,6 @@ def _check_closed(database: Path) -> None:
     if log.is_file() and log.stat().st_size:
         expected = f"one that was closed; `sqlite3 {database.name} 'PRAGMA wal_checkpoint(TRUNCATE)'` does so"
         raise InputError.at(database, "", f"a recording that was cut off ({log.name} beside it)", expected)
-
-
-@contextmanager
-def _faults_of(path: Path) -> Iterator[None]:
-    """Whatever a foreign reader trips over is a fault of the file that it reads."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        suffix = path.suffix.lower()
-        remedy = {".mcap": "`mcap recover`", ".bag": "`rosbag reindex`"}.get(suffix, "`ros2 bag reindex`")
-        expected = f"a complete recording ({remedy} repairs one that was cut off)"
-        raise InputError.at(path, "", f"a broken recording ({reason})", expected) from error
 
 
 def _definitions(connection: Connection, ros1: bool) -> Definitions:

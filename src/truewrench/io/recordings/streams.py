@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from truewrench.io.recordings.faults import CDR
 from truewrench.io.recordings.layout import Layout, layouts_of
 from truewrench.io.recordings.reader import Batch, Recording, Topic
 from truewrench.io.recordings.spool import Spool
@@ -77,6 +78,8 @@ def samples_of(batch: Batch, known: list[Layout], recording: Recording, first: i
     New layouts are added to the known ones of the topic. InputError: a message is not what its type says.
     """
     topic = batch.topic
+    if topic.encoding not in ("cdr", "ros1"):
+        raise InputError.at(recording.path, f"topic {topic.name}", f"messages in `{topic.encoding}`", CDR)
     try:
         groups = layouts_of(batch.messages, known, topic.type_name, topic.definitions, recording.ros1)
     except ValueError as error:
