@@ -18,6 +18,7 @@ from truewrench.cli import main
 from truewrench.correction import apply_recording
 from truewrench.correction.apply import apply
 from truewrench.correction.apply_recording import CORRECTED, PREDICTED, RAW, STD, apply_to_recording
+from truewrench.inspection.recording import inspect_recording
 from truewrench.io.recordings import reader, spool
 from truewrench.io.tables import write_table
 from truewrench.model.calibration import Calibration
@@ -258,3 +259,49 @@ def test_command_writes_what_its_name_says_and_notes_what_is_left_out(
     assert json.loads(out)["figures"]["corrected"] == 10
     assert "no /truewrench/predicted" in err  # ten rows are too few
     assert len(by_rosbags(output)[apply_recording.CORRECTED]) == 10
+
+
+def two_sensors(tmp_path: Path) -> Path:
+    with Bag(tmp_path / "run", "mcap") as bag:
+        for i in range(5):
+            bag.wrench("/ft", START + i, [1] * 6)
+            bag.wrench("/ft_filtered", START + i, [7] * 6)
+    return bag.path
+
+
+def test_wrench_topic_is_chosen_by_an_option_of_the_command(
+    cells: dict[str, list[str]], csv_of: Any, tmp_path: Path, calibration: Calibration,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def run(log: Path, *words: str) -> tuple[int, str]:
+        fixed = ["apply", str(tmp_path / "calibration.yaml"), str(log), "-o", str(tmp_path / "out.parquet")]
+        return main([*fixed, *words]), " ".join(capsys.readouterr().err.split())
+
+    calibration.write_yaml(tmp_path / "calibration.yaml")
+    log = two_sensors(tmp_path)
+    status, err = run(log)
+    assert status == 2
+    assert "`recording: {wrench_topic: /ft}`; in `apply` also: `--wrench-topic /ft`" in err
+    assert run(log, "--wrench-topic", "/ft_filtered")[0] == 0
+    assert pq.read_table(tmp_path / "out.parquet").column("raw_0").to_pylist() == [7] * 5
+    status, err = run(log, "--wrench-topic", "/ftt")
+    assert status == 2
+    assert "found no topic `/ftt`, expected one of: /ft" in err
+    status, err = run(csv_of(cells), "--wrench-topic", "/ft")
+    assert status == 2
+    assert "--wrench-topic: found a table, expected this option with a recording only" in err
+
+
+def test_what_apply_wrote_is_no_sensor_when_it_is_read_again(
+    calibration: Calibration, settings: dict[str, Any], tmp_path: Path
+) -> None:
+    calibration, run = exact(calibration, settings)
+    write_table(tmp_path / "run.csv", columns_of(run))
+    apply_to_recording(calibration, tmp_path / "run.csv", tmp_path / "out.mcap")
+    taken = {topic.topic: topic.taken_as for topic in inspect_recording(tmp_path / "out.mcap").topics}
+    assert taken[RAW] == "sensor"
+    assert taken[STD] == "a result of truewrench, by its name; unless named in recording.wrench_topic"
+    apply(calibration, tmp_path / "out.mcap", tmp_path / "again.parquet")
+    raw = pq.read_table(tmp_path / "again.parquet").column("raw_0").to_numpy()
+    sensed = run.log.raw[np.isfinite(run.log.raw[:, 0]), 0]
+    np.testing.assert_array_equal(raw, sensed)

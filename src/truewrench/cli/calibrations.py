@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from itertools import chain
@@ -24,6 +25,7 @@ from truewrench.cli.common import (
     progress_bar,
     report_left_out,
     report_notes,
+    with_wrench_topic,
 )
 from truewrench.model.errors import UnsupportedError
 
@@ -176,6 +178,12 @@ def apply(
     predict: Annotated[
         bool, typer.Option(help="Of MCAP: with what the motion predicts, which needs memory for the log.")
     ] = True,
+    wrench_topic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Of a recording: the sensor's; by default the rig's, or the only one."
+        ),
+    ] = None,
     tool: Annotated[
         Path | None, typer.Option(metavar="TOOL", help="A tool.yaml: the contact wrench instead.")
     ] = None,
@@ -202,7 +210,7 @@ def apply(
     if tool is not None:
         from truewrench.cli.contacts import apply_tool
 
-        return apply_tool(calibration, log, output, tool, delay, at, axes)
+        return apply_tool(calibration, log, output, tool, delay, at, axes, wrench_topic)
     for name, value in {"--delay": delay, "--at": at, "--axes": axes}.items():
         if value is not None:
             raise UnsupportedError.at(None, name, "without --tool", "this option with --tool only")
@@ -210,6 +218,8 @@ def apply(
     from truewrench.model.calibration import load_calibration
 
     loaded = load_calibration(calibration)
+    if wrench_topic is not None:
+        loaded = dataclasses.replace(loaded, rig=with_wrench_topic(loaded.rig, log, wrench_topic))
     with progress_bar() as update:
         show = lambda rows: update(f"{rows} rows", None)  # noqa: E731
         if output.suffix.lower() == ".mcap":

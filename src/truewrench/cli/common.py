@@ -14,11 +14,12 @@ import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from truewrench.model.errors import InputError
+from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.files import is_special
 
 if TYPE_CHECKING:
     from truewrench.model.log import Log
+    from truewrench.model.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,17 @@ def check_distinct(logs: Sequence[Log]) -> None:
         if log.sha256 and same != number:
             found = f"the same content as log {same}, {logs[same - 1].path}"
             raise InputError.at(log.path, f"log {number}", found, "every log once")
+
+
+def with_wrench_topic(rig: Rig, log: str, topic: str) -> Rig:
+    """The rig with another topic of the sensor; refused for a log that is a table."""
+    from truewrench.io.recordings.reader import is_recording
+    from truewrench.io.tables import named_payload
+
+    path = named_payload(log, rig)[0]
+    if os.path.exists(path) and not is_recording(path):
+        raise UnsupportedError.at(path, "--wrench-topic", "a table", "this option with a recording only")
+    return rig.model_copy(update={"recording": rig.recording.model_copy(update={"wrench_topic": topic})})
 
 
 def report_left_out(log: Log) -> None:

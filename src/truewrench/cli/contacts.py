@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from truewrench.cli.common import Outcome, progress_bar, report_notes
+from truewrench.cli.common import Outcome, progress_bar, report_notes, with_wrench_topic
 from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,12 +56,15 @@ def apply_tool(
     delay: float | None,
     at: str | None,
     axes: Literal["sensor", "base"] | None,
+    wrench_topic: str | None,
 ) -> Outcome:
     """`apply --tool`."""
     from truewrench.correction.contact.apply import apply_contact
     from truewrench.correction.contact.run import DELAY
 
     made, found, verdict = sensor_and_tool(source, tool)
+    if wrench_topic is not None:
+        found = dataclasses.replace(found, rig=with_wrench_topic(found.rig, log, wrench_topic))
     with progress_bar() as update:
         done = apply_contact(
             found,

@@ -10,7 +10,7 @@ import numpy as np
 
 from truewrench.inspection.log import ColumnContent, Gap, Ranges
 from truewrench.io.recordings.cadence import Cadence
-from truewrench.io.recordings.choice import KEYS, commanded
+from truewrench.io.recordings.choice import KEYS, commanded, derived
 from truewrench.io.recordings.layout import Layout
 from truewrench.io.recordings.reader import Batch, Recording, Topic, open_recording
 from truewrench.io.recordings.streams import Clocks, clock_notes, role_of, samples_of
@@ -114,6 +114,13 @@ def _taken(counters: Sequence[_TopicCounter]) -> list[str]:
             )
         else:
             rivals = [c for c in counters if c is not counter and _rivals(c, counter)]
+            measured = [c for c in rivals if not derived(c.topic.name)]
+            if measured and derived(counter.topic.name):
+                words.append(
+                    f"a result of truewrench, by its name; unless named in recording.{KEYS['wrench']}"
+                )
+                continue
+            rivals = rivals if derived(counter.topic.name) else measured
             meant = _TAKEN[role]
             if role == "array":
                 meant += " of a rig with n = " + " or ".join(str(len(c)) for c in counter.streams)

@@ -50,6 +50,11 @@ def commanded(topic: str) -> bool:
     return _COMMANDS.search(topic) is not None
 
 
+def derived(topic: str) -> bool:
+    """Whether a topic's name says that this package made it; it is no sensor where there is another one."""
+    return topic.strip("/").startswith("truewrench/") and topic.strip("/") != "truewrench/raw"
+
+
 def named_topic(path: Path, topics: Sequence[Topic], name: str, role: str) -> Topic:
     """The topic of this name; InputError if there is none, or it holds something else."""
     roles = ("wrench", "array") if role == "wrench" else (role,)
@@ -70,7 +75,10 @@ def one_topic(path: Path, streams: Sequence[Stream], role: str, what: str) -> St
     """The only stream, None where there is none; several are an InputError, whose text lists them."""
     if len(streams) > 1:
         found = f"{len(streams)} topics that could hold {what}: {_listed(streams)}"
-        expected = f"the choice of one in the rig: `recording: {{{KEYS[role]}: {streams[0].topic.name}}}`"
+        name = streams[0].topic.name
+        expected = f"the choice of one in the rig: `recording: {{{KEYS[role]}: {name}}}`"
+        if role == "wrench":
+            expected += f"; in `apply` also: `--wrench-topic {name}`"
         raise InputError.at(path, "", found, expected)
     return streams[0] if streams else None
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from truewrench.io.recordings.choice import (
     KEYS,
     commanded,
+    derived,
     gravity_missing,
     named_topic,
     one_topic,
@@ -119,6 +120,7 @@ def _sensor(recording: Recording, rig: Rig, streams: Sequence[Stream]) -> Stream
     found = wrenches if n == 6 else []
     if not found or rig.sensor.nominal_gain != "identity":
         found = found + arrays
+    found = [s for s in found if not derived(s.topic.name)] or found
     what = "the sensor" if n == 6 else f"the {n} raw channels"
     stream = one_topic(recording.path, found, "wrench", what)
     if stream is None:
