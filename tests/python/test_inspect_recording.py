@@ -136,6 +136,28 @@ def test_late_messages_are_as_many_as_where_the_log_is_read(tmp_path: Path, rig:
     assert stream.rate == pytest.approx(1000, rel=0.01)
 
 
+def test_frames_are_shown_and_two_on_one_topic_are_noted(
+    tmp_path: Path, rig: Rig, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Bag(tmp_path / "run") as bag:
+        for i in range(20):
+            frame = "right_ft\x1b[1m" if i % 3 == 2 else "left_ft"
+            bag.wrench("/ft", START + i * MS, [i] * 6, frame=frame)
+            bag.twist("/twist", START + i * MS, [0] * 6)
+            bag.joints("/joint_states", START + i * MS, {"a": 0.0})
+            bag.array("/gauges", START + i * MS, range(8))
+    content = inspect_recording(tmp_path / "run")
+    frames = {topic.topic: topic.frames for topic in content.topics}
+    assert frames["/ft"] == ("left_ft", "right_ft\x1b[1m")
+    assert frames["/twist"] == ("tool0",)
+    assert frames["/joint_states"] == frames["/gauges"] == ()
+    note = "/ft: messages of 2 frames (`left_ft`, `right_ft\\x1b[1m`): is it more than one sensor?"
+    assert content.notes == (note,)
+    assert note in read_log(tmp_path / "run", rig).notes
+    assert main(["inspect", str(tmp_path / "run")]) == 0
+    assert "left_ft and 1 more" in capsys.readouterr().out
+
+
 def test_command_shows_topics_to_people_and_programs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

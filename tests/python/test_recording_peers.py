@@ -165,4 +165,5 @@ def test_recording_of_foxglove_is_read(rig: Rig, tmp_path: Path) -> None:
     for values in (log.raw, log.twist):
         np.testing.assert_array_equal(values[:, 0], np.arange(SAMPLES) / 3)
         np.testing.assert_array_equal(values[:, 5], -np.arange(SAMPLES) / 7)
-    assert log.notes == ()
+    note = "/ft: messages of 3 frames (`ft`, `ftft`, `ftftft`): is it more than one sensor?"
+    assert log.notes == (note,)

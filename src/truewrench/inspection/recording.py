@@ -13,7 +13,7 @@ from truewrench.io.recordings.cadence import Cadence
 from truewrench.io.recordings.choice import KEYS, commanded, derived
 from truewrench.io.recordings.layout import Layout
 from truewrench.io.recordings.reader import Batch, Recording, Topic, open_recording
-from truewrench.io.recordings.streams import Clocks, clock_notes, role_of, samples_of
+from truewrench.io.recordings.streams import Clocks, clock_notes, frame_notes, role_of, samples_of
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 
@@ -56,6 +56,7 @@ class TopicContent:
     stamps: str | None  # `header`, `receive` where the messages have no header, None where they are not read
     delay: float | None  # mean time from header stamp to receipt [s], None without headers
     drift: float | None  # how much that grows over the recording [s], likewise
+    frames: tuple[str, ...]  # `header.frame_id` of what is read, without the empty one, as they came
     streams: tuple[StreamContent, ...]  # what is read of it, stamped by headers if there are any
     taken_as: str  # what a rig without topics of its own would take it for, or why it would not
 
@@ -89,6 +90,7 @@ def inspect_recording(path: str | Path, progress: Callable[[int], object] | None
     topics = [c.content(start, words) for c, words in zip(counters.values(), taken, strict=True)]
     for counter in counted:
         notes += clock_notes(counter.topic.name, counter.clocks)
+        notes += frame_notes(counter.topic, counter.frames)
     return RecordingContent(
         path=path,
         format=recording.format,
@@ -195,6 +197,7 @@ class _TopicCounter:
         self.receive = Cadence()
         self.clocks = Clocks()
         self.streams: dict[tuple[str, ...], _StreamCounter] = {}
+        self.frames: dict[str, None] = {}
         self._headers: bool | None = None
         self._layouts: list[Layout] = []
 
@@ -203,6 +206,7 @@ class _TopicCounter:
             for samples in samples_of(batch, self._layouts, recording, self.receive.samples):
                 counter = self.streams.setdefault(samples.columns, _StreamCounter(samples.columns))
                 self._headers = samples.header is not None
+                self.frames |= dict.fromkeys(samples.frames)
                 if samples.header is not None:
                     self.clocks.add(samples.receive, samples.header)
                 counter.add(samples.receive if samples.header is None else samples.header, samples.values)
@@ -220,6 +224,7 @@ class _TopicCounter:
             stamps=None if self._headers is None else "header" if headers else "receive",
             delay=self.clocks.delay if headers else None,
             drift=self.clocks.drift[0] if headers else None,
+            frames=tuple(self.frames),
             streams=tuple(
                 counter.content(min(origins) if headers else start) for counter in self.streams.values()
             ),

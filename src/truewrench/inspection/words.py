@@ -8,14 +8,16 @@ from rich.table import Table
 from rich.text import Text
 
 from truewrench.inspection.log import ColumnContent, LogContent
-from truewrench.inspection.recording import RecordingContent, StreamContent
+from truewrench.inspection.recording import RecordingContent, StreamContent, TopicContent
+from truewrench.model.rig.strict import printable
 
 
 def recording_summary(content: RecordingContent) -> Iterator[RenderableType]:
     """Topics and what they would be taken for, then rates, gaps and ranges of what can be read."""
     size = f"{content.messages} messages in {content.duration:.6g} s"
     yield Text(f"{content.path}: {content.format}, {size}")
-    topics = _table("Topics", ["topic", "type", "messages", "rate, Hz", "header to receipt, s", "taken as"])
+    titles = ["topic", "type", "messages", "rate, Hz", "header to receipt, s", "frame_id", "taken as"]
+    topics = _table("Topics", titles)
     streams = _table("Streams", ["columns", "samples", "rate, Hz", "jitter", "gaps", "longest, s", "late"])
     columns = _table("Columns", ["column", "smallest", "largest", "numbers", "NaN"])
     for topic in content.topics:
@@ -27,6 +29,7 @@ def recording_summary(content: RecordingContent) -> Iterator[RenderableType]:
             str(topic.messages),
             f"{topic.rate:.6g}",
             delay,
+            Text(_framed(topic)),
             Text(topic.taken_as or "-"),
         )
         for stream in topic.streams:
@@ -77,6 +80,11 @@ def _figures(stream: StreamContent) -> list[str]:
     ]
 
 
+def _framed(topic: TopicContent) -> str:
+    more = f" and {len(topic.frames) - 1} more" if len(topic.frames) > 1 else ""
+    return printable(topic.frames[0]) + more if topic.frames else "-"
+
+
 def _range(column: ColumnContent) -> tuple[Text, str, str, str]:
     return (
         Text(column.name),
@@ -94,7 +102,7 @@ def _named(stream: StreamContent) -> str:
 def _table(title: str, columns: list[str]) -> Table:
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold", pad_edge=False)
     for i, column in enumerate(columns):
-        words = i == 0 or column in ("type", "taken as")
+        words = i == 0 or column in ("type", "frame_id", "taken as")
         table.add_column(
             column, justify="left" if words else "right", overflow="fold" if words else "ellipsis"
         )

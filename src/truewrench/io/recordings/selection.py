@@ -14,7 +14,7 @@ from truewrench.io.recordings.choice import (
     topics_in_words,
 )
 from truewrench.io.recordings.reader import Recording, Topic
-from truewrench.io.recordings.streams import Stream, clock_notes, gather, role_of
+from truewrench.io.recordings.streams import Stream, clock_notes, frame_notes, gather, role_of
 from truewrench.io.table import SPECIFIC_FORCE
 from truewrench.model.calibration import AXES
 from truewrench.model.errors import InputError
@@ -215,7 +215,7 @@ def _stream_notes(stream: Stream) -> list[str]:
         notes.append(f"{topic}: {spool.late} messages came late and were sorted in by their stamps")
     if spool.repeated:
         notes.append(f"{topic}: {spool.repeated} messages with the stamp of an earlier one left out")
-    return notes + clock_notes(topic, stream.clocks)
+    return notes + clock_notes(topic, stream.clocks) + frame_notes(stream.topic, stream.frames)
 
 
 def _apart(rig: Rig, chosen: Sequence[Stream]) -> list[str]:

@@ -15,13 +15,15 @@ from truewrench.io.recordings.spool import Spool
 from truewrench.io.table import ANGULAR_VELOCITY, GRAVITY, SPECIFIC_FORCE, TWIST
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
+from truewrench.model.rig.strict import printable
 
 _LARGE_DELAY = 0.1  # [s] from header stamp to receipt, worth a note,
 _DRIFT = 0.01  # [s] over the recording, likewise
 _MOST_CHANNELS = 256
+_NAMED = 4  # frames that a note names
 _SURE = 5.0  # sigma of a drift
 _XYZ = ("x", "y", "z")
-_STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+_STAMP, _FRAME = ("header.stamp.sec", "header.stamp.nanosec"), "header.frame_id"
 _ARRAY = re.compile(r"std_msgs/msg/(Float32|Float64|Int8|Int16|Int32|UInt8|UInt16|UInt32)MultiArray")
 
 
@@ -61,15 +63,16 @@ def role_of(type_name: str) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Consecutive samples: columns, stamps of receipt and of the header, if there is one, numbers."""
+    """Consecutive samples: columns, stamps of receipt and of the header, if there is one, numbers, frames."""
 
     columns: tuple[str, ...]
     receive: Integers
     header: Integers | None
     values: Array
+    frames: tuple[str, ...]  # `header.frame_id` of them, each once, without the empty one
 
 
-_Part = tuple[npt.NDArray[np.intp], Integers | None, Array]
+_Part = tuple[npt.NDArray[np.intp], Integers | None, Array, tuple[str, ...]]
 
 
 def samples_of(batch: Batch, known: list[Layout], recording: Recording, first: int) -> Iterator[Samples]:
@@ -94,9 +97,10 @@ def samples_of(batch: Batch, known: list[Layout], recording: Recording, first: i
         if _STAMP[0] in layout.numbers and _STAMP[1] in layout.numbers:
             sec, nanosec = (layout.read(messages, path)[:, 0].astype(np.int64) for path in _STAMP)
             header = sec * 1_000_000_000 + nanosec
+        frame = layout.texts.get(_FRAME, ())
         try:
             for columns, values in _values(topic.type_name, layout, messages):
-                found.setdefault(columns, []).append((rows, header, values))
+                found.setdefault(columns, []).append((rows, header, values, frame))
         except (KeyError, ValueError) as error:
             place = f"topic {topic.name}, message {first + int(rows[0]) + 1}"
             raise InputError.at(recording.path, place, str(error), f"a {topic.type_name}") from error
@@ -109,6 +113,7 @@ def samples_of(batch: Batch, known: list[Layout], recording: Recording, first: i
             batch.receive[rows[order]],
             np.concatenate(headers)[order] if headers else None,
             np.concatenate([part[2] for part in parts])[order],
+            tuple(dict.fromkeys(f for part in sorted(parts, key=lambda p: p[0][0]) for f in part[3] if f)),
         )
 
 
@@ -187,6 +192,16 @@ def clock_notes(topic: str, clocks: Clocks) -> list[str]:
     return notes
 
 
+def frame_notes(topic: Topic, frames: Iterable[str]) -> list[str]:
+    """What is worth a look in the frames of a topic: of one sensor they are one."""
+    names = list(frames)
+    if role_of(topic.type_name) != "wrench" or len(names) < 2:
+        return []
+    more = ", ..." if len(names) > _NAMED else ""
+    listed = ", ".join(f"`{printable(name)}`" for name in names[:_NAMED])
+    return [f"{topic.name}: messages of {len(names)} frames ({listed}{more}): is it more than one sensor?"]
+
+
 @dataclass(slots=True)
 class Stream:
     """Columns that come together, in messages of one topic."""
@@ -196,6 +211,7 @@ class Stream:
     spool: Spool
     headers: bool
     clocks: Clocks = field(default_factory=Clocks)
+    frames: dict[str, None] = field(default_factory=dict)  # in the order in which they came
 
     @property
     def words(self) -> str:
@@ -235,6 +251,7 @@ def gather(
                 streams[*key, columns] = stream
             if samples.header is not None:
                 stream.clocks.add(samples.receive, samples.header)
+            stream.frames |= dict.fromkeys(samples.frames)
             use_header = stamps == "header" and samples.header is not None
             time = samples.header if use_header and samples.header is not None else samples.receive
             stream.spool.append(time, samples.values[:, list(kept)])
