@@ -32,7 +32,11 @@ class MotionAlone {
     friend class MotionAlone;
     Bands H, inverse;
     std::vector<std::vector<double>> b;  // of each stream: sum B^T y / stated^2
-    std::vector<double> first;           // x of the first solution; about it, where squares lose no digits:
+    // The first value of each component, about which x is until the end: where a component rests, R / q is up to 1e12 times what the
+    // rows tell of the slowest, and rounding goes with x.
+    Values origin{};
+    std::array<bool, max_components> begun{};
+    std::vector<double> first;  // x of the first solution; about it, where squares lose no digits:
     std::vector<std::vector<double>> apart;  // sum B^T (y - B first) / stated^2
     std::vector<Values> squares;             // and (y - B first)^2 / stated^2
   };
@@ -101,7 +105,11 @@ class MotionAlone {
       for (std::size_t i = 0; i < streams; ++i)
         std::copy_n(factor_[i].begin(), z.motion_factor[i].size(), z.motion_factor[i].data());
       for (int j = 0; j < M; ++j) z.q[j] *= std::clamp(q[at(j)] / z.q[j], 1e-3, 1e3);
-      if (last) return deviance;
+      if (!last) continue;
+      for (Part& part : parts)
+        for (Eigen::Index k = 0; k < part.R.size; ++k)
+          dense::add(part.x.data() + k * part.R.lanes, 1.0, part.origin.data(), M);
+      return deviance;
     }
     return std::nan("");
   }
@@ -122,6 +130,11 @@ class MotionAlone {
   std::vector<Values> count_, rss_, used_, factor_;  // of each stream's groups
 
   static std::size_t at(int j) { return static_cast<std::size_t>(j); }
+  static double sum_of(const Basis& basis) {
+    double out = 0.0;
+    for (int l = 0; l < kLocal; ++l) out += basis[l];
+    return out;
+  }
 
   static void set(Part& part, Eigen::Index coefficients, int components, std::size_t streams) {
     for (Bands* m : {&part.R, &part.H, &part.inverse}) m->resize(coefficients, components);
@@ -143,14 +156,21 @@ class MotionAlone {
   double sum(Part& part, std::size_t k, const RecordedLog& log, const Rows& rows) {
     const int M = log.components(), lanes = part.R.lanes;
     double standing = 0.0;
+    part.begun.fill(false);
+    part.origin.fill(0.0);
     for (int j = 0; j < M; ++j) standing -= part.spline.smoothness_logdet(smoothness_order(log.source, j));
     for (std::size_t i = 0; i < log.motion.size(); ++i) {
       const MotionStream& stream = log.motion[i];
       rows(k, i, [&](Eigen::Index interval, const Basis& basis, const double* size, const double* value) {
+        const double whole = sum_of(basis);  // 1, or 0 of a derivative
         Values v{}, y{};
         for (int j = 0; j < M; ++j) {
+          if (!part.begun[at(j)] && size[j] > 0.0 && whole > 0.5) {
+            part.origin[at(j)] = value[j];
+            part.begun[at(j)] = true;
+          }
           v[at(j)] = size[j] / (stream.sigma[j] * stream.sigma[j]);
-          y[at(j)] = v[at(j)] * value[j];
+          y[at(j)] = v[at(j)] * (value[j] - whole * part.origin[at(j)]);
         }
         for (int l = 0; l < kLocal; ++l) {
           dense::add(part.b[i].data() + (interval + l) * lanes, basis[l], y.data(), M);
@@ -205,8 +225,9 @@ class MotionAlone {
     for (std::size_t i = 0; i < log.motion.size(); ++i) {
       const Eigen::VectorXd& sigma = log.motion[i].sigma;
       rows(k, i, [&](Eigen::Index interval, const Basis& basis, const double* size, const double* value) {
+        const double whole = sum_of(basis);
         Values e{}, y{};
-        for (int j = 0; j < M; ++j) e[at(j)] = value[j];
+        for (int j = 0; j < M; ++j) e[at(j)] = value[j] - whole * part.origin[at(j)];
         for (int l = 0; l < kLocal; ++l)
           dense::add(e.data(), -basis[l], part.first.data() + (interval + l) * lanes, M);
         for (int j = 0; j < M; ++j) {
