@@ -165,6 +165,8 @@ void bind_fit(nb::module_& m) {
       .def("objective", &Fit::objective)
       .def("likelihood", &Fit::likelihood)
       .def("log_determinant", &Fit::log_determinant)
+      .def("slope_of_determinant", &Fit::slope_of_determinant, nb::arg("places"),
+           nb::call_guard<nb::gil_scoped_release>(), "d log |H_xx| / d theta at places of theta.")
       .def(
           "traces",
           [](Fit& f, std::size_t l, std::size_t s) {

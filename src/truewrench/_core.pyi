@@ -972,6 +972,9 @@ class Fit:
 
     def log_determinant(self) -> float: ...
 
+    def slope_of_determinant(self, places: Sequence[int]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """d log |H_xx| / d theta at places of theta."""
+
     def traces(self, log: int, stretch: int, /) -> dict[str, object]: ...
 
     def gradient(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...

@@ -287,6 +287,9 @@ class Fit {
   // -2 log L (10.7), with the Student-t sum in place of the rows' r^2 / sigma^2 where robust.
   double likelihood() const;
 
+  // d log |H_xx| / d theta: what the score of (10.7) has beyond that of theta at the best x; gives the factorisation back.
+  Eigen::VectorXd slope_of_determinant(const std::vector<int>& places);
+
   // (10.6) once, at the state after the step, traces from the factor before it; the largest relative move.
   double resize();
 
