@@ -163,13 +163,12 @@ def test_a_twist_of_the_centre_of_mass_that_nobody_knows_is_refused(tmp_path: Pa
 def test_what_widens_the_gain_of_a_motion_leaves_its_most_likely_point_where_it_was() -> None:
     rng = np.random.default_rng(3)
     root = rng.normal(size=(60, 60))
-    data, pull, units = root @ root.T, 30.0 * rng.normal(size=60), np.full(36, 0.1)
-    part = 0.05 * rng.normal(size=(36, 36))
-    scale, slow = np.full(60, 0.2), part @ part.T
-    wide, drawn = _widened(data, pull, slow, scale, units, 6)
-    np.testing.assert_allclose(np.linalg.solve(wide, drawn), np.linalg.solve(data, pull), rtol=1e-6)
+    data, pull, part = root @ root.T, 30.0 * rng.normal(size=60), 0.025 * rng.normal(size=(36, 36))
     added = np.zeros((60, 60))
-    added[:36, :36] = slow * np.outer(units, units) / 0.04
+    added[:36, :36] = part @ part.T
+    added[40, 40] = 0.3
+    wide, drawn = _widened(data, pull, added)
+    np.testing.assert_allclose(np.linalg.solve(wide, drawn), np.linalg.solve(data, pull), rtol=1e-6)
     np.testing.assert_allclose(np.linalg.inv(wide), np.linalg.inv(data) + added, rtol=1e-6, atol=1e-9)
 
 
