@@ -206,6 +206,15 @@ def _equal(log: Log) -> Log:
     return replace(again, raw=weight + noise)
 
 
+def _in_root(log: Log) -> Log:
+    """As drivers log it that turn the wrench to the base."""
+    assert log.attitude is not None
+    R_root_sensor = Rotation.from_quat(log.attitude[:, [1, 2, 3, 0]])
+    return replace(
+        log, raw=np.hstack([R_root_sensor.apply(log.raw[:, :3]), R_root_sensor.apply(log.raw[:, 3:])])
+    )
+
+
 def _two(log: Log) -> Log:
     assert log.gravity is not None
     assert log.attitude is not None
@@ -233,6 +242,7 @@ def _touched(log: Log) -> Log:
         (_sign, "The gains would have to be 100 of their stated sigma away: sign"),
         (_swapped, "sign, axes or units of the log are not as stated"),
         (_inverse, "attitudes fit when taken the other way round"),
+        (_in_root, "The wrench fits when turned from the root's axes"),
         (_subtracted, "a weight already subtracted"),
         (_equal, "directions of gravity"),
         (_two, "directions of gravity"),
@@ -340,6 +350,7 @@ def test_statements_that_cannot_be_right_are_bad_input(known: Any, words: str) -
         (_quarter, "axes"),
         (_subtracted, "a weight already subtracted"),
         (_inverse, "attitudes fit when taken the other way round"),
+        (_in_root, "The wrench fits when turned from the root's axes"),
     ],
 )
 def test_a_motion_that_is_not_as_stated_is_refused_with_its_word(wrong: Any, word: str) -> None:

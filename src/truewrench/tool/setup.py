@@ -1,4 +1,4 @@
-"""Which mistake of the set-up explains poses that do not fit: sign, axes, attitudes the other way round.
+"""Which mistake of the set-up explains poses that do not fit: sign, axes, frame, inverse attitude.
 
 Asked only where something does not fit. A walk of the offset that is fast enough swallows any mistake, so the
 recipe with a fixed offset judges: the reading as stated against the same with one mistake undone.
@@ -13,13 +13,19 @@ import numpy as np
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-from truewrench.robot.attitude import free_fall
+from truewrench.robot.arm import robot_of
+from truewrench.robot.attitude import attitude_at, attitude_of, free_fall
 from truewrench.tool.motion import measured_motions, on_rows, regressor
 from truewrench.tool.poses import Poses
 from truewrench.tool.recipe import Recipe, recipe
 
 _FITS = 0.5  # of what is left as stated: an explanation leaves less
+_CLEAR = 5.0  # of what is left, by RMS, from which on a weight stands out of it
 _FEWEST = 6  # poses
+_IN_ROOT = (
+    "The wrench fits when turned from the root's axes to the sensor's: log the sensor's own channels, not "
+    "what a driver has turned to the base (as `actual_TCP_force` of Universal Robots)."
+)
 
 
 def mistakes(rig: Rig, poses: Poses, gain_std: float) -> list[str]:
@@ -36,6 +42,10 @@ def mistakes(rig: Rig, poses: Poses, gain_std: float) -> list[str]:
     if abs(turned.mass) > 0.0 and _left(rig, turned) < least:
         words = "The attitudes fit when taken the other way round (sensor to root, or root to sensor)."
         found.append((_left(rig, turned), words))
+    raw = _to_sensor(rig, poses.raw, poses.R_sensor_root)
+    own = recipe(rig, replace(poses, raw=raw), np.arange(len(poses)))
+    if own.mass > 0.0 and _left(rig, own) < least:
+        found.append((_left(rig, own), _IN_ROOT))
     back = np.linalg.pinv(rig.sensor.nominal_gain_array)
     for turn in _TURNS:
         six = np.kron(np.eye(2), turn)
@@ -55,7 +65,11 @@ def mistakes_of_motion(rig: Rig, logs: Sequence[Log], gain_std: float) -> list[s
     found: list[tuple[float, str]] = []
 
     def ask(words: str, tried: tuple[float, float] | None) -> None:
-        if tried is not None and tried[1] > 0.0 and tried[0] < _FITS * left:
+        if tried is None or tried[1] <= 0.0:
+            return
+        # noise is in what is left of either: a weight that stands out of it speaks, too
+        shown = tried[0] < left and _felt(rig, *tried) and not _felt(rig, *stated)
+        if shown or tried[0] < _FITS * left:
             found.append((tried[0], words))
 
     ask(
@@ -66,13 +80,22 @@ def mistakes_of_motion(rig: Rig, logs: Sequence[Log], gain_std: float) -> list[s
         around = [_around(rig, log) for log in logs]
         words = "The attitudes fit when taken the other way round (sensor to root, or root to sensor)."
         ask(words, _moved(rig, around))
+    own = [_of_sensor(rig, log) for log in logs]
+    if all(log is not None for log in own):
+        ask(_IN_ROOT, _moved(rig, [log for log in own if log is not None]))
     for turn in _TURNS:
         six = np.kron(np.eye(2), turn)
         words = _gains(float(np.abs(six - np.eye(6)).max()) / gain_std)
         ask(words, _moved(rig, logs, turn=lambda w, six=six: w @ six.T))  # type: ignore[misc]
-    if not found and mass < 0.0:
+    if not found and mass < 0.0 and _felt(rig, left, mass):
         return [_gains(2.0 / gain_std)]
     return [min(found)[1]] if found else []
+
+
+def _felt(rig: Rig, left: float, mass: float) -> bool:
+    """Whether a weight stands out of what is left, fraction of range, as in poses."""
+    span = float(np.sqrt(np.mean(rig.sensor.range_array[:3] ** 2)))
+    return abs(mass) * float(np.linalg.norm(rig.gravity_array)) > _CLEAR * left * span
 
 
 _TURNS = [
@@ -88,6 +111,27 @@ def _around(rig: Rig, log: Log) -> Log:
     assert log.attitude is not None
     attitude = log.attitude * np.array([1.0, -1.0, -1.0, -1.0])
     return replace(log, attitude=attitude, gravity=free_fall(rig, attitude))
+
+
+def _of_sensor(rig: Rig, log: Log) -> Log | None:
+    """The log with channels turned from root axes to the sensor's; None where no attitude is told."""
+    if log.position is None:
+        told = attitude_of(rig, log)
+    else:  # of gravity and twist the heading would be unknown
+        rows = np.flatnonzero(np.isfinite(log.position).all(axis=1))
+        R_root_sensor, _ = robot_of(rig).pose(log.position[rows])
+        told = (log.time[rows], R_root_sensor.transpose(0, 2, 1)) if rows.size else None
+    if told is None:
+        return None
+    return replace(log, raw=_to_sensor(rig, log.raw, attitude_at(*told, log.time)))
+
+
+def _to_sensor(rig: Rig, raw: Array, R_sensor_root: Array) -> Array:
+    """Channels (T, n) of a wrench in root axes as they would be in sensor axes, by the nominal gain."""
+    gain = rig.sensor.nominal_gain_array
+    parts = (raw @ np.linalg.pinv(gain).T).reshape(-1, 2, 3)
+    turned = np.einsum("tij,tkj->tki", R_sensor_root, parts).reshape(-1, 6)
+    return np.asarray(turned @ gain.T)
 
 
 def _moved(
@@ -134,4 +178,4 @@ def _left(rig: Rig, fit: Recipe) -> float:
 def _clear(rig: Rig, fit: Recipe) -> bool:
     """Whether the weight stands out of what is left."""
     weight = abs(fit.mass) * float(np.linalg.norm(rig.gravity_array))
-    return weight > 5.0 * float(np.sqrt(np.mean(fit.residual[:, :3] ** 2)))
+    return weight > _CLEAR * float(np.sqrt(np.mean(fit.residual[:, :3] ** 2)))
