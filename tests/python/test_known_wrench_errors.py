@@ -272,3 +272,18 @@ def test_rows_between_plateaus_are_not_used_where_errors_last() -> None:
     found = estimate_from_known_wrench(rig, [replace(log, raw=raw, reference=reference)])
     assert 39 * 10 <= found.between[0] <= 39 * 12
     assert found.rows[0].size + found.between[0] == len(raw)
+
+
+def test_outliers_that_are_few_are_not_too_many() -> None:
+    """Rows that contradict the others in turns, one set as the other is left out, are out in the end."""
+    rig, few, some = rig_of(), 0, 0
+    for seed in range(60):
+        draw = np.random.default_rng(seed)
+        wrench = draw.uniform(-0.5, 0.5, (60, 6))
+        errors = 2.0 * NOISE * draw.normal(size=wrench.shape)
+        log = log_of(rig, 20.0 * np.arange(60), wrench, *truth(draw), errors, draw)
+        found = estimate_from_known_wrench(rig, [log])
+        few += 0 < found.contradicting <= 6
+        some += found.outliers[0].size > 0
+    assert few == 0
+    assert some > 0

@@ -71,19 +71,22 @@ def fit_with(problem: Problem, kinds: Sequence[Rows], errors: tuple[FoundErrors,
     """Estimate, leaving out rows that contradict the others, unless they are many."""
     grouped, sizes = grouped_by(kinds, errors), [found.sizes for found in errors]
     solution = solve(problem, parts_of(problem, grouped, errors, used))
-    contradicting = 0
+    contradicting, seen = 0, [used]
     for _ in range(_ROUNDS):
         kept = consistent(problem, grouped, sizes, solution, used)
-        contradicting = int(np.count_nonzero(~kept))
-        if contradicting > max(1, int(MOST_OUTLIERS * kept.size)):
-            used = np.ones(kept.size, dtype=bool)
+        count = int(np.count_nonzero(~kept))
+        if count > max(1, int(MOST_OUTLIERS * kept.size)):
+            contradicting, used = count, np.ones(kept.size, dtype=bool)
             solution = solve(problem, parts_of(problem, grouped, errors, used))
             break
         if np.array_equal(kept, used):
-            contradicting = 0
             break
-        used = kept
+        alternate = any(np.array_equal(kept, one) for one in seen)
+        used = kept & used if alternate else kept  # out is what is out in either
         solution = solve(problem, parts_of(problem, grouped, errors, used))
+        if alternate:
+            break
+        seen.append(used)
     return Fit(errors, used, contradicting, solution)
 
 
