@@ -181,6 +181,19 @@ def test_loads_that_are_held_are_plateaus(rate: float, ramp: float) -> None:
         assert np.mean(found[still] >= 0) > 0.9
 
 
+@pytest.mark.parametrize("step", [6.0, 10.0, 30.0])
+@pytest.mark.parametrize("pause", [0.0, 10.0])
+def test_a_step_of_a_few_sigma_ends_a_plateau(step: float, pause: float) -> None:
+    """Its first row is one of fifty in a window, and moves neither half nor scatter."""
+    time = np.concatenate([np.arange(400) / 100.0, 4.0 + pause + np.arange(400) / 100.0])
+    reference = np.zeros((800, 6))
+    reference[400:, 0] = step
+    found = plateaus(time, reference, np.ones(6))
+    assert np.unique(found[:390]).size == np.unique(found[410:]).size == 1
+    assert found[0] >= 0
+    assert found[-1] > found[0]
+
+
 def test_what_moves_is_no_plateau() -> None:
     draw = np.random.default_rng(1)
     time = np.arange(3000) / 100.0

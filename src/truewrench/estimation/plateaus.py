@@ -18,8 +18,9 @@ def is_stepped(plateau: Integers) -> bool:
 def plateaus(time: Array, reference: Array, noise: Array) -> Integers:
     """Numbers of the plateaus that rows at times (N,) [s] belong to, -1 where the reference (N, 6) moves.
 
-    A window of half a second stands still where no axis scatters more, and no half of it differs more from
-    the other, than noise (6,), 1 sigma, explains. Rows that windows link are one plateau, as long as its
+    A window of half a second stands still where no axis scatters more, and neither half nor first or last
+    row differs more from the others, than noise (6,), 1 sigma, explains: of many rows one beyond a step, or
+    a pause, moves neither half nor scatter. Rows that windows link are one plateau, as long as its
     windows do not drift apart: a slow motion stands still in each window, and is no plateau.
     """
     size = len(time)
@@ -39,6 +40,10 @@ def plateaus(time: Array, reference: Array, noise: Array) -> Integers:
     moved = (sums[last + 1] - sums[half]) / later - (sums[half] - sums[first]) / earlier
     still = np.all(np.abs(moved) <= STILL + CHANCE * np.sqrt(1.0 / earlier + 1.0 / later), axis=1)
     still &= np.all(scatter <= SCATTER**2, axis=1)
+    others = np.maximum(count - 1, 1)[:, None]
+    for edge in (first, last):
+        alone = np.abs(x[edge] - mean) * count[:, None] / others
+        still &= np.all(alone <= STILL + CHANCE * np.sqrt(1.0 + 1.0 / others), axis=1)
     if not still.any():
         return found
 
