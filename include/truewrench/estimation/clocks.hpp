@@ -140,38 +140,6 @@ inline double Fit::bend_of_determinant(std::size_t l, Eigen::VectorXd* pull) {
   return sum;
 }
 
-inline Eigen::VectorXd Fit::slope_of_determinant(const std::vector<int>& places) {
-  const auto determinant = [this] {
-    double sum = 0.0;
-    for (std::size_t l = 0; l < logs_.size(); ++l) {
-      LogFit& log = logs_[l];
-      std::vector<double> found(log.stretches.size());
-      parallel_for(found.size(), threads_, [&](std::size_t i) {
-        Stretch& s = log.stretches[i];
-        s.predict(layout_.log(l), local(l), lagged, log.sizes.form != Form::none);
-        found[i] = log.sweeps[i]
-                       .forward(s, layout_.log(l), local(l), lagged, log.sizes, Sweep::Extent::determinant)
-                       .logdet;
-      });
-      for (const double x : found) sum += x;
-    }
-    return sum;
-  };
-  const double here = determinant();
-  Eigen::VectorXd out = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(places.size()));
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    double& x = theta[places[i]];
-    const double from = x, by = constants::move * std::sqrt(P_(places[i], places[i]));
-    if (by == 0.0) continue;  // held
-    x += by;
-    out[static_cast<Eigen::Index>(i)] = (determinant() - here) / by;
-    x = from;
-  }
-  predict();
-  release();
-  return out;
-}
-
 // What x adds to the score of kappa beyond what theta at the true x would have: x and theta together bend the motion to where
 // noise is followed best and smoothness costs least. With lambda a mode's information over its prior's and y^2 = 1 + signal its
 // square, the terms of (10.7) in x and theta fall by y^2 lambda' / (1 + lambda)^2. Of that the pull of smoothness (`pull`) takes

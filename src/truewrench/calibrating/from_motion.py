@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from truewrench import _core
 from truewrench.calibrating.hopeless import hopeless, plain_gain
 from truewrench.calibrating.pooled import Pooled, estimate_pooled, moving_logs
 from truewrench.calibrating.unknown_bodies import (
@@ -81,7 +80,7 @@ def calibrate_from_motion(
     compared: Comparison | str = "not asked for"
     if not estimate.solved:
         compared = "nothing of the record could be fitted"
-    elif estimate.unresolved.any() or (estimate.unexplained > _core.MOST_LOST).any():
+    elif not estimate.follows:
         compared = "the record does not follow its motion"
     elif not estimate.parts_agree:
         compared = "the parts of the record disagree"

@@ -195,6 +195,11 @@ class Estimate:
     deviance: float = math.nan  # -2 log L of `map` (10.7), nan of `online` and of parts
 
     @property
+    def follows(self) -> bool:
+        """Whether the motion explains the record, and its samples resolve the motion."""
+        return not (self.unresolved.any() or (self.unexplained > _core.MOST_LOST).any())
+
+    @property
     def parts_agree(self) -> bool:
         """By (10.11)."""
         return self.p_halves >= AGREE and self.p_quarters >= AGREE

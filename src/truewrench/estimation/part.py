@@ -71,8 +71,7 @@ class Part:
     @property
     def follows(self) -> bool:
         """Whether the motion explains it and the samples resolve it."""
-        lost = self.estimate.unresolved.any() or (self.estimate.unexplained > _core.MOST_LOST).any()
-        return self.found is not None and not lost
+        return self.found is not None and self.estimate.follows
 
 
 def part_of(

@@ -165,7 +165,7 @@ def _of_gain(
 
 def _lost(estimate: Estimate, rig: Rig) -> bool:
     """Whether the record is noise to the estimate, and says nothing of the gain."""
-    if not estimate.solved or estimate.unresolved.any() or (estimate.unexplained > _core.MOST_LOST).any():
+    if not estimate.solved or not estimate.follows:
         return True
     # no gain of channels that are noise to it is known
     n = rig.sensor.n

@@ -247,7 +247,7 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Integers]) -> Poses:
     raw, variance, R = np.empty((len(pieces), n)), np.empty((len(pieces), n)), np.empty((len(pieces), 3, 3))
     stamps, temperature = np.empty(len(pieces), np.int64), np.full(len(pieces), np.nan)
     seconds = np.empty(len(pieces))
-    turn = _attitudes(rig, log) if pieces else None
+    turn = attitudes(rig, log) if pieces else None
     for i, rows in enumerate(pieces):
         raw[i] = log.raw[rows].mean(axis=0)
         over = np.abs(raw[i]) / rig.sensor.channel_scale
@@ -286,7 +286,7 @@ def _around(time: Array, rows: Integers, known: Mask) -> Integers:
     return at[away == away.min(initial=np.inf)][:1] if away.min(initial=np.inf) < APART else at[:0]
 
 
-def _attitudes(rig: Rig, log: Log) -> Array:
+def attitudes(rig: Rig, log: Log) -> Array:
     """R_sensor_root (N, 3, 3) of all rows, NaN where it is not told."""
     out = np.full((len(log.time_ns), 3, 3), np.nan)
     if rig.motion.source == "joints" and log.position is not None and log.base_attitude is None:

@@ -13,10 +13,9 @@ import numpy as np
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-from truewrench.robot.arm import robot_of
-from truewrench.robot.attitude import attitude_at, attitude_of, free_fall
+from truewrench.robot.attitude import attitude_at, free_fall
 from truewrench.tool.motion import measured_motions, on_rows, regressor
-from truewrench.tool.poses import Poses
+from truewrench.tool.poses import Poses, attitudes
 from truewrench.tool.recipe import Recipe, recipe
 
 _FITS = 0.5  # of what is left as stated: an explanation leaves less
@@ -115,15 +114,12 @@ def _around(rig: Rig, log: Log) -> Log:
 
 def _of_sensor(rig: Rig, log: Log) -> Log | None:
     """The log with channels turned from root axes to the sensor's; None where no attitude is told."""
-    if log.position is None:
-        told = attitude_of(rig, log)
-    else:  # of gravity and twist the heading would be unknown
-        rows = np.flatnonzero(np.isfinite(log.position).all(axis=1))
-        R_root_sensor, _ = robot_of(rig).pose(log.position[rows])
-        told = (log.time[rows], R_root_sensor.transpose(0, 2, 1)) if rows.size else None
-    if told is None:
+    R_sensor_root = attitudes(rig, log)
+    known = np.isfinite(R_sensor_root[:, 0, 0])
+    if not known.any():
         return None
-    return replace(log, raw=_to_sensor(rig, log.raw, attitude_at(*told, log.time)))
+    turn = attitude_at(log.time[known], R_sensor_root[known], log.time)
+    return replace(log, raw=_to_sensor(rig, log.raw, turn))
 
 
 def _to_sensor(rig: Rig, raw: Array, R_sensor_root: Array) -> Array:
