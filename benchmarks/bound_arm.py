@@ -10,8 +10,8 @@ import bound_common
 import numpy as np
 from numpy.typing import NDArray
 
+from truewrench.model.motion.trajectory_joint import JointTrajectory
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.simulation.arm.model import Arm
 
 Array = NDArray[np.float64]

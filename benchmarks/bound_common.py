@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from truewrench.model.motion.trajectory import Trajectory, attitude
 from truewrench.model.rig import PayloadSpec, Rig
-from truewrench.motion.trajectory import Trajectory, attitude
 
 Array = NDArray[np.float64]
 

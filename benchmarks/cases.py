@@ -13,8 +13,14 @@ from bound_oracle import MotionInformation, Rnea, covariance
 from numpy.typing import NDArray
 
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import (
+    Body,
+    HarmonicTwist,
+    Trajectory,
+    WrenchSinusoids,
+    integrate_wrench,
+)
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, WrenchSinusoids, integrate_wrench
 from truewrench.simulation.free_body import simulate
 
 Array = NDArray[np.float64]

@@ -36,8 +36,8 @@ from truewrench import robots
 from truewrench.io.plans import joint_columns, read_joint_plan
 from truewrench.io.tables import write_table
 from truewrench.model.files import write_yaml
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig, load_rig
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.planner import plan
 from truewrench.robot.arm import robot_of
 from truewrench.robot.track import track

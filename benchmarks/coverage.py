@@ -35,8 +35,14 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from truewrench import _core
+from truewrench.model.motion.trajectory import (
+    Body,
+    HarmonicTwist,
+    Trajectory,
+    WrenchSinusoids,
+    integrate_wrench,
+)
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, WrenchSinusoids, integrate_wrench
 from truewrench.simulation.free_body import simulate
 
 Array = NDArray[np.float64]

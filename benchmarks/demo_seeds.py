@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from truewrench import demo
 from truewrench.estimation.ekf import estimate_ekf
-from truewrench.motion.trajectory import WrenchMotion, integrate_wrench
+from truewrench.model.motion.trajectory import WrenchMotion, integrate_wrench
 
 PAIRS = tuple(product(demo.LINEAR_DENSITIES, demo.ANGULAR_DENSITIES))
 

@@ -33,8 +33,8 @@ import numpy as np
 import runs
 from numpy.typing import NDArray
 
+from truewrench.model.motion.trajectory import Body, Trajectory
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Body, Trajectory
 from truewrench.simulation.free_body import simulate, wrench_on_sensor
 
 Array = NDArray[np.float64]

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 import truewrench as tw
 from truewrench import robots
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import load_rig
-from truewrench.motion.trajectory import HarmonicTwist
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

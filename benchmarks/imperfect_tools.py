@@ -36,10 +36,10 @@ import truewrench as tw
 from truewrench import _core
 from truewrench.correction.contact.log import contact
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist, Trajectory, attitude
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import UNKNOWN, tool_rig
 from truewrench.model.split import rows_of
-from truewrench.motion.trajectory import HarmonicTwist, Trajectory, attitude
 from truewrench.planning.tool.plan import plan_tool
 from truewrench.robot.track import track
 from truewrench.tool.parameters import ELEMENTS, channel_turn, inertia_of

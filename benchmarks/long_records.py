@@ -31,8 +31,8 @@ from runs import interval
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.parts import InParts
+from truewrench.model.motion.trajectory import Body, HarmonicTwist
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Body, HarmonicTwist
 from truewrench.simulation.free_body import simulate, wrench_on_sensor
 from truewrench.simulation.truth import nees
 

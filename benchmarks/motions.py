@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 
-from truewrench.motion.trajectory import (
+from truewrench.model.motion.trajectory import (
     Body,
     HarmonicTwist,
     Trajectory,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tool_cases import a_rig, a_tool
 
+from truewrench.model.motion.spatial import cross
 from truewrench.model.rig.tool_rig import tool_rig
-from truewrench.motion.spatial import cross
 from truewrench.tool.model import Tool
 
 Array = NDArray[Any]

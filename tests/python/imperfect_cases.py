@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from rigs import changed, two_payloads
 
+from truewrench.model.motion.trajectory import HarmonicTwist, Trajectory
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist, Trajectory
 from truewrench.simulation.free_body import SimulatedRun, simulate, wrench_on_sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

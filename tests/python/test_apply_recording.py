@@ -23,8 +23,8 @@ from truewrench.io.recordings import reader, spool
 from truewrench.io.tables import write_table
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
+from truewrench.model.motion.trajectory import Body
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Body
 from truewrench.simulation.free_body import simulate, wrench_on_sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -17,9 +17,9 @@ from truewrench.cli import main
 from truewrench.io.tables import read_log
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import Body
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig, load_rig
-from truewrench.motion.trajectory import Body
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.arm.model import Arm, Reading, arm_of
 from truewrench.simulation.arm.run import ArmRun, record

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist, attitude
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist, attitude
 from truewrench.robot.attitude import attitude_at, attitude_of, free_fall
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from truewrench.estimation.bound import bound, information
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import Body, HarmonicTwist, attitude
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Body, HarmonicTwist, attitude
 from truewrench.robot.arm import robot_of
 from truewrench.robot.track import track
 from truewrench.simulation.arm.motion import default_motion

@@ -15,8 +15,8 @@ from truewrench.estimation.clock_rate import clock_rates, with_rate
 from truewrench.estimation.estimator import estimate
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist
 
 
 def run_of(rig: Rig, seed: int) -> Any:

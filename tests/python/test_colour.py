@@ -17,8 +17,8 @@ from truewrench.estimation.colour import FEWEST, colour_of, without_filters
 from truewrench.estimation.evenly import hann, welch
 from truewrench.estimation.thinning import thinning_of
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.split import rows_of
-from truewrench.motion.trajectory import HarmonicTwist
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

@@ -20,9 +20,9 @@ from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist, attitude
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
-from truewrench.motion.trajectory import HarmonicTwist, attitude
 from truewrench.planning.planner import plan
 from truewrench.robot.compensation import subtracted, uncompensated
 from truewrench.simulation.free_body import simulate, wrench_on_sensor

@@ -13,8 +13,8 @@ from truewrench import demo
 from truewrench.estimation.estimator import estimate
 from truewrench.io.tables import read_log
 from truewrench.model.calibration import load_calibration
+from truewrench.model.motion.trajectory import integrate_wrench
 from truewrench.model.rig import load_rig
-from truewrench.motion.trajectory import integrate_wrench
 
 FILES = {
     "rig.yaml",

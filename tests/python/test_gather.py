@@ -15,7 +15,7 @@ from truewrench import _core
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.record import recorded_logs
 from truewrench.model.log import Log
-from truewrench.motion.trajectory import HarmonicTwist
+from truewrench.model.motion.trajectory import HarmonicTwist
 
 Array = NDArray[np.float64]
 

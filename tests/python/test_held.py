@@ -8,8 +8,8 @@ from record_cases import light_rig
 
 import truewrench as tw
 from truewrench.estimation.estimator import estimate
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist
 
 SECONDS = 12.0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from imperfect_cases import EVERYTHING, GROUND, Array, normalised_gain, rig_of, swing, true_load, twins
 
-from truewrench.motion.trajectory import HarmonicTwist
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.simulation.effects import LowPass, dahl, play
 from truewrench.simulation.free_body import default_trajectory, simulate, wrench_on_sensor
 

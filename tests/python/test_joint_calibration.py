@@ -22,9 +22,9 @@ from truewrench.judging.validation import validate
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.robot.arm import robot_of
 from truewrench.simulation.arm.drive import Driven
 from truewrench.simulation.arm.motion import default_motion

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from truewrench.motion.joint_spline import JointSpline, fit_joints
+from truewrench.model.motion.joint_spline import JointSpline, fit_joints
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

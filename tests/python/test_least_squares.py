@@ -12,8 +12,8 @@ from rigs import changed, two_payloads
 from truewrench.estimation.least_squares import least_squares
 from truewrench.model.errors import UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import segments, smooth_twist
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments, smooth_twist
 from truewrench.simulation.free_body import simulate
 
 

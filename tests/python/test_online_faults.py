@@ -17,8 +17,8 @@ from truewrench.estimation.online import found_online
 from truewrench.estimation.record import recorded_logs
 from truewrench.judging import findings
 from truewrench.model.errors import InputError
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.simulation.free_body import simulate
 
 

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "src" / "truewrench"
 # The floors of the package, lowest first: imports run downward only.
 FLOORS = [
     {"_cpu"},
-    {"_core", "motion"},
+    {"_core"},
     {"model"},
     {"robot", "robots"},
     {"estimation", "io"},

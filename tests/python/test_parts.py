@@ -21,9 +21,9 @@ from truewrench.estimation.record import recorded_logs
 from truewrench.estimation.together import Shared, Told
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-from truewrench.motion.trajectory import HarmonicTwist
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

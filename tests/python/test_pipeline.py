@@ -21,8 +21,8 @@ from truewrench.cli import main
 from truewrench.model.calibration import AXES, Calibration, load_calibration
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.simulation.free_body import SimulatedRun, simulate
 
 

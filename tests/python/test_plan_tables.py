@@ -9,8 +9,8 @@ import pytest
 
 from truewrench.io.plans import joint_columns, read_joint_plan, read_plan
 from truewrench.model.errors import InputError
-from truewrench.motion.trajectory import HarmonicTwist
-from truewrench.motion.trajectory_joint import SplineJoints
+from truewrench.model.motion.trajectory import HarmonicTwist
+from truewrench.model.motion.trajectory_joint import SplineJoints
 
 JOINTS = ("shoulder", "wrist")
 

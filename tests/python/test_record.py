@@ -16,9 +16,9 @@ from truewrench.estimation.record import recorded_logs
 from truewrench.judging.validation import comparison
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import Trajectory, attitude
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-from truewrench.motion.trajectory import Trajectory, attitude
 from truewrench.simulation.free_body import simulate
 from truewrench.simulation.truth import Truth
 

@@ -21,8 +21,8 @@ from truewrench.estimation.estimator import estimate
 from truewrench.estimation.parts import InParts
 from truewrench.judging.words import findings
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist, attitude
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist, attitude
 from truewrench.simulation.free_body import simulate
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import yaml
 
 from truewrench.estimation.pose import delay_share, pose_share
 from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.motion.trajectory import Body, attitude
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Body, attitude
 from truewrench.simulation.free_body import SimulatedRun, default_trajectory, simulate, wrench_on_sensor
 
 QUIET = {"sensor": {"noise": [1e-12] * 6}, "motion": {"noise": [1e-12] * 6}}

@@ -12,8 +12,8 @@ from imperfect_cases import rig_of
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.estimator import estimate
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import HarmonicTwist
 from truewrench.simulation.free_body import simulate
 
 SECONDS = 12.0

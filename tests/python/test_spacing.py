@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from record_cases import estimate, light_rig, nees
 
 import truewrench as tw
-from truewrench.motion.trajectory import HarmonicTwist, Trajectory
+from truewrench.model.motion.trajectory import HarmonicTwist, Trajectory
 
 Array = NDArray[np.float64]
 

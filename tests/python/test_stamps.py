@@ -16,7 +16,7 @@ import truewrench as tw
 from truewrench.io.stamps import in_packets, with_even_stamps
 from truewrench.io.tables import read_log, write_table
 from truewrench.model.log import Log
-from truewrench.motion.trajectory import HarmonicTwist
+from truewrench.model.motion.trajectory import HarmonicTwist
 
 Stamps = npt.NDArray[np.int64]
 

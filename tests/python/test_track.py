@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from truewrench.estimation.inertial import InertialMotion
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.spatial import twist_adjoint
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
 from truewrench.model.split import held_out
-from truewrench.motion.spatial import twist_adjoint
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.robot.arm import robot_of
 from truewrench.robot.track import track, tracked, tracked_streams
 from truewrench.simulation.arm.model import Reading

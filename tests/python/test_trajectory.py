@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from truewrench.motion.trajectory import (
+from truewrench.model.motion.trajectory import (
     Body,
     HarmonicTwist,
     SplineTwist,

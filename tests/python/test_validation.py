@@ -17,9 +17,9 @@ from truewrench.judging.validation.residuals import residuals
 from truewrench.model.calibration import AXES, Calibration, LogReport, Verdict
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import Body
 from truewrench.model.rig import Rig
 from truewrench.model.split import held_out
-from truewrench.motion.trajectory import Body
 from truewrench.simulation.free_body import simulate, wrench_on_sensor
 
 SPAN = np.array([500.0, 500, 500, 50, 50, 50])

@@ -14,8 +14,8 @@ from scipy.stats import chi2
 import truewrench as tw
 from truewrench.estimation.vibration import without_vibrations
 from truewrench.model.log import Log
-from truewrench.motion.trajectory import HarmonicTwist
-from truewrench.motion.trajectory_joint import SplineJoints
+from truewrench.model.motion.trajectory import HarmonicTwist
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.simulation.arm.run import ArmRun
 from truewrench.simulation.free_body import SimulatedRun
 

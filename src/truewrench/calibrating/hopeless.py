@@ -14,9 +14,9 @@ from truewrench.judging.words import log_name
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import covered
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-from truewrench.motion.smooth import covered
 from truewrench.robot.arm import robot_of, turning
 from truewrench.robot.joint_faults import gravity_faults, joint_faults
 from truewrench.robot.track import tracked

@@ -27,9 +27,9 @@ from truewrench.campaign.workers import Lost, available_cores, in_processes
 from truewrench.io.output import write_batches
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.files import read_yaml, write_yaml
+from truewrench.model.motion.trajectory import Trajectory
 from truewrench.model.rig import Rig
 from truewrench.model.rig.strict import key_path
-from truewrench.motion.trajectory import Trajectory
 from truewrench.simulation.free_body import default_trajectory
 
 FORMAT = "truewrench-campaign/1"

@@ -13,8 +13,8 @@ from scipy.special import ndtri
 from truewrench.calibrating.pipeline import EstimatorName, calibrate
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.motion.trajectory import Trajectory
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Trajectory
 from truewrench.simulation.free_body import simulate
 from truewrench.simulation.truth import Truth, nees
 

@@ -20,8 +20,7 @@ from truewrench.estimation.least_squares import least_squares
 from truewrench.io.pictures import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
 from truewrench.model.arrays import Array
 from truewrench.model.files import write_yaml
-from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import (
+from truewrench.model.motion.trajectory import (
     Body,
     WrenchMotion,
     WrenchSinusoids,
@@ -29,6 +28,7 @@ from truewrench.motion.trajectory import (
     integrate_wrench,
     rotation_matrix,
 )
+from truewrench.model.rig import Rig
 from truewrench.report.figures import (
     Curve,
     Panel,

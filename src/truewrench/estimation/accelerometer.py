@@ -11,8 +11,8 @@ import numpy as np
 from truewrench import _core
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log
-from truewrench.motion.smooth import DEGREE, segments, uniform_spline
-from truewrench.motion.spatial import at_point
+from truewrench.model.motion.smooth import DEGREE, segments, uniform_spline
+from truewrench.model.motion.spatial import at_point
 
 MOST_LENT = 0.5
 """Of the noise of v, that the lever of Omega's may add where a twist is taken to the sensor: that both are

@@ -14,10 +14,10 @@ from truewrench.model.arrays import Array
 from truewrench.model.calibration import Bound
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log, Reference
+from truewrench.model.motion.smooth import segments, smooth_twist
+from truewrench.model.motion.spatial import cross_matrix, twist_adjoint
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments, smooth_twist
-from truewrench.motion.spatial import cross_matrix, twist_adjoint
 from truewrench.robot.track import tracked_streams
 
 NOISE = "noise"  # what is left of the uncertainty when payload, clocks and gravity are known

@@ -27,8 +27,8 @@ from truewrench.estimation.evenly import (
 from truewrench.estimation.thinning import BEGINS, GROWS, Thinning, thinning_of, window
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Whitened
+from truewrench.model.motion.smooth import segments
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments
 
 BEGIN = 12.0  # [Hz] from which on a spectrum is noise, as motions are slower
 SLOW = 0.75  # of it, below which a corner is none: hysteresis and walks have spectra like that of a slow pole

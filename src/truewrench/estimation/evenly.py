@@ -8,7 +8,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 
 from truewrench.model.arrays import Array, Integers
-from truewrench.motion.smooth import segments
+from truewrench.model.motion.smooth import segments
 
 MOST = 131_072  # samples of a stretch that a spectrum is of
 LINES = 15  # bins of a running median, which passes over spectral lines

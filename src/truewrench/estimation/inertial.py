@@ -20,10 +20,10 @@ from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import DEGREE, segments, smooth_twist, uniform_knots, uniform_spline
+from truewrench.model.motion.spatial import twist_adjoint
 from truewrench.model.payload import core_payload, lever, payload_wrench
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import DEGREE, segments, smooth_twist, uniform_knots, uniform_spline
-from truewrench.motion.spatial import twist_adjoint
 from truewrench.robot.track import tracked_streams
 
 _FINER = 1.5  # knots than the coarsest that pass: their bias would count as an error of the sensor

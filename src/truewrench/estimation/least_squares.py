@@ -15,9 +15,9 @@ from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import segments, smooth_twist
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments, smooth_twist
 
 _SHORTEST = 8  # rows that a piece of the record must have to be differentiated
 _INCOMPLETE = 0.1  # share of rows that may lack a stream

@@ -16,10 +16,10 @@ from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import SILENT, segments
 from truewrench.model.rig import Rig
 from truewrench.model.rig.motion import ACCELEROMETER_BIAS_PRIOR
 from truewrench.model.temperature import temperature_at
-from truewrench.motion.smooth import SILENT, segments
 from truewrench.robot.arm import robot_of
 from truewrench.robot.attitude import attitude_of, own_roots
 from truewrench.robot.base_path import BasePath

@@ -17,9 +17,9 @@ from scipy.interpolate import BSpline
 
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import DEGREE, segments, uniform_spline
 from truewrench.model.repeats import SAMPLED
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import DEGREE, segments, uniform_spline
 
 TOLD = 6.0  # sigma of s, or of r, from which on they are undone
 FEWEST, SHORTEST = 200, 20  # rows of a reference that is sampled, and of a stretch of it

@@ -10,9 +10,9 @@ import numpy as np
 
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log
+from truewrench.model.motion.spatial import cross_matrix
 from truewrench.model.rig import Rig
 from truewrench.model.rig.sections import COLUMNS, ROWS
-from truewrench.motion.spatial import cross_matrix
 from truewrench.robot.attitude import attitude_at, attitude_of, own_roots
 
 Motion = Callable[[Array], tuple[Array, Array, Array]]

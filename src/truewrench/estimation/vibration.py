@@ -26,8 +26,8 @@ from truewrench.estimation.evenly import (
 )
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log, Vibration
+from truewrench.model.motion.smooth import segments
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments
 from truewrench.robot.track import track
 
 SLOWEST = 10.0  # [Hz] of a vibration, as in words: motions are slower

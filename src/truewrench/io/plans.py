@@ -9,8 +9,8 @@ from truewrench.io.table import ACCELERATION, TWIST
 from truewrench.io.tables import open_table, read_columns, require
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
-from truewrench.motion.trajectory import SplineTwist
-from truewrench.motion.trajectory_joint import SplineJoints
+from truewrench.model.motion.trajectory import SplineTwist
+from truewrench.model.motion.trajectory_joint import SplineJoints
 
 _FEWEST_ROWS = 6  # what a quintic spline needs
 # of the largest: forgives a coarse table, not a wrong unit or the derivative in another frame

@@ -7,10 +7,10 @@ from scipy.integrate import cumulative_simpson
 
 from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES
+from truewrench.model.motion.spatial import at_point
+from truewrench.model.motion.trajectory import SplineTwist, attitude
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
-from truewrench.motion.spatial import at_point
-from truewrench.motion.trajectory import SplineTwist, attitude
 from truewrench.planning.limits import Limits, Usage, usage_of
 
 TWIST_AXES = ("vx", "vy", "vz", "wx", "wy", "wz")

@@ -10,8 +10,8 @@ from truewrench.io.joint_trajectory import write_joint_trajectory
 from truewrench.io.plans import joint_table, read_plan
 from truewrench.io.tables import write_table
 from truewrench.model.errors import InputError
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.resolved_rate import FollowedTwist, follow_twist, limits_of
 from truewrench.robot.arm import Robot, robot_of
 

@@ -4,10 +4,10 @@ import numpy as np
 import pinocchio as pin
 
 from truewrench.model.arrays import Array
+from truewrench.model.motion.spatial import at_point
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
-from truewrench.motion.spatial import at_point
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.buffered import Buffered
 from truewrench.planning.check import Preview, check_times, place_usage, wrench_usage
 from truewrench.planning.joint_space import ArmOutputs, near_pairs

@@ -8,9 +8,9 @@ import numpy as np
 from truewrench.io.plans import joint_table
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.joint_check import check_joints, quick_usage
 from truewrench.planning.joint_space import arm_outputs, joint_limits, joint_space

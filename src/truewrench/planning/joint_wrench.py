@@ -7,9 +7,9 @@ import numpy as np
 from truewrench.io.plans import joint_table
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.motion.trajectory import SplineTwist, integrate_wrench
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import SplineTwist, integrate_wrench
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.joint_check import check_joints
 from truewrench.planning.joint_space import joint_limits
 from truewrench.planning.limits import Limits

@@ -8,9 +8,9 @@ import numpy as np
 
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import SplineTwist, Trajectory
+from truewrench.model.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import SplineTwist, Trajectory
-from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.period import check_harmonics
 from truewrench.planning.prediction import Prediction, predict
 from truewrench.planning.result import Design, Plan

@@ -27,9 +27,9 @@ from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import BlindTo, Undetermined
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import SplineTwist, Trajectory
+from truewrench.model.motion.trajectory_joint import JointTrajectory
 from truewrench.model.rig import PayloadSpec, Rig, SimulateSpec
-from truewrench.motion.trajectory import SplineTwist, Trajectory
-from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.planning.check import Preview
 
 LONGER = (2, 5)

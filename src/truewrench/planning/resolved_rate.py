@@ -12,9 +12,9 @@ import numpy as np
 
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
+from truewrench.model.motion.spatial import at_point
+from truewrench.model.motion.trajectory import Trajectory
 from truewrench.model.rig import Rig
-from truewrench.motion.spatial import at_point
-from truewrench.motion.trajectory import Trajectory
 from truewrench.robot.arm import Robot, robot_of
 
 _SUBSTEPS = 4  # of the target pose between two commands

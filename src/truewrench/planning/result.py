@@ -13,9 +13,9 @@ from truewrench.io.tables import write_table
 from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES, Verdict
 from truewrench.model.files import write_yaml
+from truewrench.model.motion.trajectory import SplineTwist, Trajectory, excitation_alpha
+from truewrench.model.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import SplineTwist, Trajectory, excitation_alpha
-from truewrench.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.planning.check import Preview
 from truewrench.planning.limits import Usage, violations
 from truewrench.planning.prediction import Prediction, figures

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from truewrench.model.arrays import Array, Integers, Mask
-from truewrench.motion.spatial import cross
-from truewrench.motion.trajectory import Body, motion_of_wrench, rotation_matrix
+from truewrench.model.motion.spatial import cross
+from truewrench.model.motion.trajectory import Body, motion_of_wrench, rotation_matrix
 
 _STEPS_PER_PERIOD = 16  # of the fastest sinusoid, by Runge and Kutta's fourth order
 _FEWEST_STEPS = 120

@@ -7,9 +7,9 @@ import numpy as np
 from truewrench.io.table import ACCELERATION, TWIST
 from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import AXES
+from truewrench.model.motion.trajectory import SplineTwist
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import SplineTwist
 from truewrench.planning.check import check_twist
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.limits import Limits, Usage

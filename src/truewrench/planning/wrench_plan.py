@@ -8,9 +8,9 @@ from scipy.integrate import cumulative_trapezoid
 
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import UnsupportedError
+from truewrench.model.motion.spatial import at_point
+from truewrench.model.motion.trajectory import Body, WrenchSinusoids, integrate_wrench
 from truewrench.model.rig import PlanSpec, Rig
-from truewrench.motion.spatial import at_point
-from truewrench.motion.trajectory import Body, WrenchSinusoids, integrate_wrench
 from truewrench.planning.criterion import Criterion, packed
 from truewrench.planning.limits import Limits
 from truewrench.planning.period import ROWS, plan_rows

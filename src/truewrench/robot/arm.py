@@ -13,10 +13,10 @@ import numpy as np
 
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.motion.spatial import at_point
+from truewrench.model.motion.trajectory import rotation_matrix
 from truewrench.model.rig import Rig
 from truewrench.model.rig.urdf import model_of, nearest
-from truewrench.motion.spatial import at_point
-from truewrench.motion.trajectory import rotation_matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)

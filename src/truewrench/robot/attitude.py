@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import SILENT, segments
+from truewrench.model.motion.spatial import cross_matrix, rotated, turns_between
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import SILENT, segments
-from truewrench.motion.spatial import cross_matrix, rotated, turns_between
 
 _NO_RATE = 1e6  # [rad/s]: tolerance
 _OPPOSITE = 1e-12  # 1 + cosine of two directions that are taken for opposite

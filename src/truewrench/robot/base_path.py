@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import segments
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments
 from truewrench.robot.arm import rotation_of
 
 

@@ -10,8 +10,8 @@ from scipy.interpolate import make_interp_spline
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import segments
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments
 from truewrench.robot.attitude import free_fall
 
 Found = TypeVar("Found")

@@ -6,8 +6,8 @@ import numpy as np
 
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import segments
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments
 from truewrench.robot.arm import robot_of, turning
 
 _POINTS = 4  # of a cubic

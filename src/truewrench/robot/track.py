@@ -17,9 +17,9 @@ from truewrench import _core
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log, Reference, Tracking
+from truewrench.model.motion.joint_spline import JointSpline, fit_joints
+from truewrench.model.motion.smooth import covered, segments
 from truewrench.model.rig import Rig
-from truewrench.motion.joint_spline import JointSpline, fit_joints
-from truewrench.motion.smooth import covered, segments
 from truewrench.robot.arm import Robot, robot_of
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import SensorMotion, chain_of, sensor_motion

@@ -13,9 +13,9 @@ from scipy.integrate import cumulative_trapezoid
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.spatial import cross
+from truewrench.model.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.model.rig import Rig
-from truewrench.motion.spatial import cross
-from truewrench.motion.trajectory import Body, HarmonicTwist, Trajectory, attitude
 from truewrench.simulation.imperfect import FineMotion, Hardware
 from truewrench.simulation.truth import Truth, begin, noise_of, readings, stamps_of, stated, write_run
 

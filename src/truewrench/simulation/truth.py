@@ -13,10 +13,10 @@ from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.files import read_yaml, write_yaml
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import Body
 from truewrench.model.rig import PayloadSpec, Rig
 from truewrench.model.rig.fields import Fields
 from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS, symmetric
-from truewrench.motion.trajectory import Body
 from truewrench.simulation.imperfect import Readout
 
 _PERFECT = Readout()

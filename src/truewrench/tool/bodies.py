@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from truewrench.model.arrays import Array
-from truewrench.motion.spatial import cross, cross_matrix
+from truewrench.model.motion.spatial import cross, cross_matrix
 from truewrench.tool.parameters import COLUMNS, ROWS, channel_turn, symmetric
 
 _THINNEST = 1e-8  # [m^2] of second moments: simulators refuse a body without any

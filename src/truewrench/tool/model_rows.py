@@ -13,8 +13,8 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.model.arrays import Array
+from truewrench.model.motion.spatial import cross, cross_matrix
 from truewrench.model.rig import Rig
-from truewrench.motion.spatial import cross, cross_matrix
 from truewrench.tool.bodies import total_body, weight
 from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, symmetric, tilted
 from truewrench.tool.poses import Move, Poses

@@ -15,9 +15,9 @@ from truewrench.estimation.record import recorded
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.motion.smooth import segments
+from truewrench.model.motion.spatial import cross
 from truewrench.model.rig import Rig
-from truewrench.motion.smooth import segments
-from truewrench.motion.spatial import cross
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model_rows import MotionInformation, about_center
 from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, second_moments, symmetric

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from truewrench.model.arrays import Array
+from truewrench.model.motion.spatial import cross
 from truewrench.model.rig.sections import COLUMNS, ELEMENTS, ROWS, symmetric
-from truewrench.motion.spatial import cross
 
 __all__ = [
     "BELOW",

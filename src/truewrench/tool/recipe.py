@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from truewrench.model.arrays import Array, Integers
+from truewrench.model.motion.spatial import cross
 from truewrench.model.rig import Rig
-from truewrench.motion.spatial import cross
 from truewrench.tool.poses import Poses
 
 

@@ -6,7 +6,7 @@ Their order is one in which a drifting offset cancels.
 import numpy as np
 
 from truewrench.model.arrays import Array, Integers
-from truewrench.motion.spatial import cross
+from truewrench.model.motion.spatial import cross
 
 _ROUNDS = 400  # of repulsion
 _FIRST_STEP = 0.2  # [rad]

@@ -14,10 +14,10 @@ from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.calibration_parts import Verdict
 from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.motion.trajectory import SplineTwist, attitude
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import UNKNOWN
-from truewrench.motion.trajectory import SplineTwist, attitude
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.planning.check import check_twist
 from truewrench.planning.joint_check import check_joints
 from truewrench.planning.joint_space import joint_limits

@@ -20,7 +20,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 
 from truewrench.model.arrays import Array, Integers
-from truewrench.motion.trajectory_joint import JointTrajectory
+from truewrench.model.motion.trajectory_joint import JointTrajectory
 from truewrench.simulation.arm.model import Arm, Reading
 
 _FASTER = 40.0  # velocity loop, in units of the motion's own frequency

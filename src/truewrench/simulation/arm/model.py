@@ -15,7 +15,7 @@ import numpy as np
 
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
-from truewrench.motion.trajectory import Body
+from truewrench.model.motion.trajectory import Body
 
 _PAYLOAD = "truewrench_payload"
 # what MuJoCo measures at the sensor's site, in this order, three numbers each

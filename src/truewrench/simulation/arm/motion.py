@@ -6,8 +6,8 @@ import numpy as np
 
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
+from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory_joint import SplineJoints
 from truewrench.robot.arm import Robot
 from truewrench.simulation.arm.model import Arm, Reading
 

@@ -9,9 +9,9 @@ from truewrench.io.plans import read_joint_plan
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.log import Log
+from truewrench.model.motion.trajectory import Body
+from truewrench.model.motion.trajectory_joint import JointTrajectory
 from truewrench.model.rig import Rig
-from truewrench.motion.trajectory import Body
-from truewrench.motion.trajectory_joint import JointTrajectory
 from truewrench.robot.arm import Robot, robot_of
 from truewrench.robot.track import track
 from truewrench.simulation.arm.drive import Driven, drive, servo_for

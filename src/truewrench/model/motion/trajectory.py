@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import OdeSolution, solve_ivp
 from scipy.interpolate import BSpline, make_interp_spline
 
-from truewrench.motion.spatial import Array, cross, rotated, turns_between
+from truewrench.model.arrays import Array, Integers
+from truewrench.model.motion.spatial import cross, rotated, turns_between
 
 _ATTITUDE_STEP = 2e-3  # [s] at most: to 1e-11 [rad] in a second at 40 rad/s and 10 Hz, by its sixth power
 
@@ -104,7 +105,7 @@ class WrenchSinusoids:
 
     force: Array  # f0 (3,) [N]
     moment: Array  # n0 (3,) [N m]
-    k: NDArray[np.int64]  # three distinct integers
+    k: Integers  # three distinct integers
     tau: float  # period [s]
 
     @classmethod

@@ -3,10 +3,9 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from truewrench.model.arrays import Array
 
 
 def cross(a: Array, b: Array) -> Array:

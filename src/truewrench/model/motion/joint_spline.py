@@ -9,8 +9,8 @@ from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 from scipy.sparse import csr_array, diags_array
 
-from truewrench.motion.spatial import Array
-from truewrench.motion.trajectory_joint import JointCurves
+from truewrench.model.arrays import Array
+from truewrench.model.motion.trajectory_joint import JointCurves
 
 _DEGREE = 5
 _SAMPLES_PER_COEFFICIENT = 3.0

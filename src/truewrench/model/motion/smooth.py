@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_lsq_spline
 
-from truewrench.motion.spatial import Array
+from truewrench.model.arrays import Array, Mask
 
 DEGREE = 5  # of the splines
 
@@ -36,7 +35,7 @@ def segments(time: Array, shortest: float = 0.0) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
-def covered(known: Array, at: Array) -> NDArray[np.bool_]:
+def covered(known: Array, at: Array) -> Mask:
     """Whether times (N,) lie between samples of a stream, and in no gap of it."""
     inside = np.zeros(at.size, dtype=np.bool_)
     for piece in segments(known):

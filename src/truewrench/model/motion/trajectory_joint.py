@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from truewrench.motion.spatial import Array
+from truewrench.model.arrays import Array
 
 
 class JointTrajectory(Protocol):
