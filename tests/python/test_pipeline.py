@@ -339,7 +339,7 @@ def test_an_arm_at_rest_teaches_nothing_and_is_told_so(seed: int) -> None:
     assert np.abs(departure).max() < 0.5 * found.gain_std_normalised.min()
 
 
-@pytest.mark.parametrize("wrong", ["another run", "half a second late"])
+@pytest.mark.parametrize("wrong", ["another run", "three seconds late"])
 def test_a_log_that_does_not_follow_its_motion_is_refused_by_that_name(wrong: str) -> None:
     """And by nothing else: what a gain without a cause looks like is no set-up error."""
     rig = light_rig(seconds=10, rate=100)
@@ -356,7 +356,7 @@ def test_a_log_that_does_not_follow_its_motion_is_refused_by_that_name(wrong: st
     if wrong == "another run":
         log = replace(log, twist=moved(2).twist)
     else:
-        log = replace(log, raw=np.roll(log.raw, 50, axis=0))
+        log = replace(log, raw=np.roll(log.raw, 300, axis=0))
     verdict = calibrate(rig, log).verdict
     assert not verdict.usable
     (reason,) = verdict.reasons

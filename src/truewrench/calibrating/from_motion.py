@@ -23,6 +23,7 @@ from truewrench.estimation.colour import without_filters
 from truewrench.estimation.estimate import Estimate, undisturbed
 from truewrench.estimation.estimator import unsolved
 from truewrench.estimation.evidence import Evidence
+from truewrench.estimation.far_clock import with_clock_set
 from truewrench.estimation.vibration import without_vibrations
 from truewrench.judging import Comparisons, findings, judge, setup_errors
 from truewrench.judging.channels import still_motion
@@ -60,7 +61,9 @@ def calibrate_from_motion(
     online = estimator == "online"
     places = moving_logs(rig, logs)
     logs = [
-        without_filters(rig, without_vibrations(rig, log)) if k in places else log
+        without_filters(rig, without_vibrations(rig, restamped(rig, log, partial(with_clock_set, rig))))
+        if k in places
+        else log
         for k, log in enumerate(logs)
     ]
     moving = [logs[k] for k in places]

@@ -129,6 +129,12 @@ def with_rate(log: Log, rate: float, middle: float | None = None) -> Log:
     if middle is None:
         middle = 0.5 * float(log.time_ns[sensed[0]] + log.time_ns[sensed[-1]])
     stamps = log.time_ns[sensed] - np.rint(rate * (log.time_ns[sensed] - middle)).astype(np.int64)
+    return replace(with_stamps(log, stamps), clock_rate=log.clock_rate + rate)
+
+
+def with_stamps(log: Log, stamps: Integers) -> Log:
+    """The log with the rows that hold samples of the sensor stamped so [ns], at rows of their own."""
+    sensed = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
     union = np.unique(np.concatenate([stamps, log.time_ns]))
     places = np.searchsorted(union, log.time_ns)
 
@@ -149,4 +155,4 @@ def with_rate(log: Log, rate: float, middle: float | None = None) -> Log:
             name: moved(x, places) for name, x in arrays.items() if isinstance(x, np.ndarray)
         }
         changed["tracking"] = replace(log.tracking, **rows)
-    return replace(log, time_ns=union, clock_rate=log.clock_rate + rate, **changed)
+    return replace(log, time_ns=union, **changed)

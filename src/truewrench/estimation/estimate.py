@@ -45,6 +45,12 @@ class Clock:
     gamma: float | None = None  # 1 where gravity is late, too; None where it was held or does not act
     gamma_std: float | None = None  # its 1 sigma
     undone: float = 0.0  # how much later the sensor was than `late` before filters were undone [s]
+    set_back: float = 0.0  # the same of a clock that was set before the estimate [s]
+
+    @property
+    def as_logged(self) -> float:
+        """How late the sensor was [s]."""
+        return self.late + self.undone + self.set_back
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +213,7 @@ class Estimate:
     @property
     def time_offsets(self) -> Array:
         """(L,) t_motion = t_sensor + time_offset [s], as logged, of the first motion stream."""
-        return np.array([-clocks[0].late - clocks[0].undone if clocks else 0.0 for clocks in self.clocks])
+        return np.array([-clocks[0].as_logged if clocks else 0.0 for clocks in self.clocks])
 
     @property
     def time_offsets_std(self) -> Array:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from truewrench import _core
 from truewrench.estimation.accelerometer import at_sensor, noise_at_sensor, told_acceleration
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
+from truewrench.estimation.far_clock import bent
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError
@@ -131,7 +132,7 @@ def _stream(
     out.time_offset_prior = assumptions.time_offset_prior
     out.clock_mean = assumptions.clock_mean
     out.kappa_mean = assumptions.kappa_mean
-    out.half_window = log.half_window(field)
+    out.half_window = float(np.hypot(log.half_window(field), bent(log.clock_set)))
     return out
 
 

@@ -14,6 +14,7 @@ from scipy.special import pdtrc
 from truewrench import _core
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
 from truewrench.estimation.estimate import Clock, Estimate, Slow
+from truewrench.estimation.far_clock import bent
 from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.judging.attribution import Looks, fast_looks, slow_looks
 from truewrench.model.calibration_parts import Assumed
@@ -189,7 +190,7 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
     """
     hz = rig.sensor.lowpass_hz
     for clock in estimate.clocks[k]:
-        s, std, undone = clock.late, clock.std, clock.undone
+        s, std, undone = clock.late + clock.set_back, clock.std, clock.undone
         expected = 0.0 if hz is None else 1.0 / (2.0 * math.pi * hz)
         if not abs(s + undone - expected) > TOLD * std or not math.isfinite(s):
             continue
@@ -216,17 +217,17 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
 
 def _filter(clock: Clock, lowpass_hz: float | None) -> tuple[float, float, bool]:
     """Time constant of a filter that a clock alone does not explain, its sigma, and whether of the motion."""
-    s = clock.late
     if clock.gamma is not None and clock.gamma_std is not None:
-        tau, sigma = (clock.gamma - 1.0) * s, abs(s) * clock.gamma_std
+        tau, sigma = (clock.gamma - 1.0) * clock.late, abs(clock.late) * clock.gamma_std
         if tau > FILTERED * sigma:
             return tau, sigma, True
     if clock.kappa is not None and clock.kappa_std is not None and lowpass_hz is None:
         excess = 2.0 * clock.kappa - 1.0
-        motion = excess > 0.0
-        if abs(excess) > FILTERED * 2.0 * clock.kappa_std and (motion or s > 0.0):
-            tau = abs(s) * math.sqrt(min(abs(excess), 1.0))
-            return tau, abs(s) * clock.kappa_std / math.sqrt(abs(excess)), motion
+        motion, late = excess > 0.0, clock.late + clock.set_back
+        if abs(excess) > FILTERED * 2.0 * clock.kappa_std and (motion or late > 0.0):
+            s = math.hypot(clock.late, bent(clock.set_back))
+            tau = s * math.sqrt(min(abs(excess), 1.0))
+            return tau, s * clock.kappa_std / math.sqrt(abs(excess)), motion
     return 0.0, 0.0, False
 
 

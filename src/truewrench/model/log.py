@@ -129,6 +129,7 @@ class Log:
         vibrations: that have been taken out, likewise.
         calmed: of its fields from which they were, what of the 1 sigma of white noise is left in a sample.
         clock_rate: how much faster than the motion's the sensor's clock ran, undone.
+        clock_set: how much later than the motion's it was, undone [s].
         weight_offset: how much later than the sensor's stamps the motion was taken by which a weight that the
             driver had subtracted was added back [s]; None where none was.
         nan_counts: per column, how many cells held NaN and were left out; columns without any are absent.
@@ -159,6 +160,7 @@ class Log:
     vibrations: tuple[Vibration, ...] = ()
     calmed: Mapping[str, float] = field(default_factory=dict)
     clock_rate: float = 0.0
+    clock_set: float = 0.0
     weight_offset: float | None = None
     nan_counts: Mapping[str, int] = field(default_factory=dict)
     dropped_rows: int = 0
@@ -189,11 +191,14 @@ class Log:
         return min(periods, default=None)
 
     def advance(self, stream: str | None = None) -> float:
-        """How far filters undone advance the sensor against a field of motion, by default the first [s]."""
+        """How far a clock that was set, and filters undone, advance the sensor against a field of motion [s].
+
+        By default against the first that there is.
+        """
         first = ("position", "velocity", "twist", "specific_force")  # the twist of joints is no stream
         of = stream or next((name for name in first if getattr(self, name) is not None), "")
         raw, motion = (self.whitened[x].advance if x in self.whitened else 0.0 for x in ("raw", of))
-        return raw - motion
+        return self.clock_set + raw - motion
 
     def half_window(self, stream: str) -> float:
         """Half of the time [s] for which one sample of a field is read; 0 where the filter was undone."""

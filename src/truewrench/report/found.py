@@ -59,8 +59,8 @@ def _of_log(c: Calibration, estimate: Estimate, k: int) -> Iterator[Row]:
         means = f"{'larger' if noise.factor > 1.0 else 'smaller'} than stated" if off else ""
         yield _row(f"noise, {noise.what}", log, f"{noise.factor:.3g} × stated", "1", means, off=off)
     for clock in estimate.clocks[k]:
-        late = f"{with_uncertainty(1e3 * (clock.late + clock.undone), 1e3 * clock.std)} ms"
-        if clock.std < _HELD and clock.undone == 0.0:
+        late = f"{with_uncertainty(1e3 * clock.as_logged, 1e3 * clock.std)} ms"
+        if clock.std < _HELD and clock.undone == clock.set_back == 0.0:
             late = "as stated"
         stated = f"± {1e3 * clock.stated:.3g} ms"
         yield _row(f"sensor late against {clock.stream}", log, late, stated, _lateness(clock))
@@ -76,6 +76,8 @@ def _of_log(c: Calibration, estimate: Estimate, k: int) -> Iterator[Row]:
 def _lateness(clock: Clock) -> str:
     if clock.undone != 0.0:
         return f"{1e3 * clock.undone:.3g} ms of it of a filter, undone"
+    if clock.set_back != 0.0:
+        return f"{1e3 * clock.set_back:.4g} ms of it undone before the estimate"
     if clock.kappa is None or clock.kappa_std is None:
         return "of what kind the data do not tell" if abs(clock.late) > _SURE * clock.std else ""
     kappa = clock.kappa

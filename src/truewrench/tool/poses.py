@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from truewrench.estimation.colour import without_filters
+from truewrench.estimation.far_clock import with_clock_set
 from truewrench.estimation.vibration import without_vibrations
 from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.errors import InputError
@@ -83,7 +84,7 @@ def split_poses(rig: Rig, logs: Sequence[Log]) -> Split:
     InputError: nothing tells a pose's direction of gravity.
     """
     parts, moves = [], []
-    for k, log in enumerate(together(rig, one) for one in logs):
+    for k, log in enumerate(with_clock_set(rig, together(rig, one)) for one in logs):
         pieces, kept, seconds = _cut(rig, log)
         parts.append(_poses(rig, k, log, pieces))
         white = without_filters(rig, without_vibrations(rig, log)) if kept.size else log
