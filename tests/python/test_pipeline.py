@@ -362,3 +362,17 @@ def test_a_log_that_does_not_follow_its_motion_is_refused_by_that_name(wrong: st
     (reason,) = verdict.reasons
     assert "does not follow its motion" in reason
     assert "largest departure" in reason
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_rails_are_those_of_the_log_as_it_was_read(seed: int) -> None:
+    """Readings in coarse steps, of which a filter is undone for the estimate, look like a rail only then."""
+    rig = light_rig(seconds=10, rate=200)
+    log = simulate(rig, seed=seed).log
+    step = 10.0 * rig.sensor.noise_array
+    coarse = replace(log, raw=np.round(log.raw / step) * step)
+    assert not any(
+        "extreme value" in reason for reason in calibrate(rig, coarse, held_out=False).verdict.reasons
+    )
+    short = replace(log, raw=np.minimum(log.raw, np.quantile(log.raw, 0.97, axis=0)))
+    assert "extreme value" in calibrate(rig, short, held_out=False).verdict.reasons[0]

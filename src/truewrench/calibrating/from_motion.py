@@ -59,7 +59,7 @@ def calibrate_from_motion(
     """The calibration from logs of which at least one moves; arguments as of `calibrate`."""
     clock = [time.perf_counter()]
     online = estimator == "online"
-    places = moving_logs(rig, logs)
+    places, logged = moving_logs(rig, logs), logs
     logs = [
         without_filters(rig, without_vibrations(rig, restamped(rig, log, partial(with_clock_set, rig))))
         if k in places
@@ -97,7 +97,7 @@ def calibrate_from_motion(
     clock.append(time.perf_counter())
     report("judging", None)
     worse = [*scale_unknown(rig, logs), *pooled.worse(rig, logs, held_out)]
-    comparisons = _comparisons(estimate, compared, rig, worse, known, refused)
+    comparisons = replace(_comparisons(estimate, compared, rig, worse, known, refused), logged=tuple(logged))
     judgement = judge(estimate, comparisons, rig, logs)
     assumed = findings(estimate, rig, logs)
     clock.append(time.perf_counter())

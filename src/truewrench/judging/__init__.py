@@ -63,6 +63,9 @@ class Comparisons:
     not_held_out: str = ""
     setup: tuple[Suspicion, ...] = ()  # `setup_errors` of the estimate
     hopeless: tuple[str, ...] = ()  # why nothing was estimated, in words: `joint_faults`, `gross_errors`
+    # as they were read, where the estimate is of logs without filters: an undone filter leaves no rail as it
+    # was, and makes one of coarse readings
+    logged: Sequence[Log] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +90,7 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
     """
     n = rig.sensor.n
     required = rig.required_array
-    faults = channel_faults(rig, logs)
+    faults = channel_faults(rig, comparisons.logged or logs)
     silent = sorted({fault.channel for fault in faults if fault.silent})
     undetermined = _undetermined(estimate, rig, silent)
     reasons = [fault.words for fault in faults]
