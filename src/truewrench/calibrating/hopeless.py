@@ -19,7 +19,7 @@ from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
 from truewrench.robot.arm import robot_of, turning
 from truewrench.robot.joint_faults import gravity_faults, joint_faults
-from truewrench.robot.track import tracked
+from truewrench.robot.track import with_twist
 
 SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator
 LARGEST = 40.0  # of nominal: what is larger is noise to the estimator, and the gain of no sensor
@@ -96,7 +96,7 @@ def _plain(rig: Rig, logs: Sequence[Log]) -> _Plain | None:
     with np.errstate(all="ignore"):  # whatever the cells hold: the estimate tells what is wrong with them
         try:
             # differences of noisy velocities would shrink the gain, which looks like a wrong unit
-            found = least_squares(rig, [_in_common(log) for log in tracked(rig, logs)], "spline")
+            found = least_squares(rig, [_in_common(with_twist(rig, log)) for log in logs], "spline")
         except (InputError, np.linalg.LinAlgError):
             return None
         variance = np.nanvar(np.concatenate([log.raw for log in logs]), axis=0)

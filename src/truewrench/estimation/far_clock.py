@@ -21,7 +21,7 @@ from truewrench.model.motion.smooth import segments, uniform_spline
 from truewrench.model.motion.spatial import cross
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-from truewrench.robot.track import tracked
+from truewrench.robot.track import with_twist
 
 SECONDS, FURTHEST = 8.0, 1.0  # [s] of a log, from its middle, and of s, a quarter of those seconds at most
 LEAST, GRID = 0.03, 0.01  # [s] that an estimate finds by itself, and steps in which s is sought
@@ -93,7 +93,7 @@ def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     """Times (K,) and X (K, 12) at them, by one smooth twist a stretch; None where nothing tells it."""
     imu = rig.motion.source == "imu"
     try:
-        log = tracked(rig, [log])[0]
+        log = with_twist(rig, log)
     except (InputError, np.linalg.LinAlgError):  # the estimate says what is wrong with it
         return None
     linear, turning = log.specific_force if imu else log.twist, log.angular_velocity

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -61,6 +62,7 @@ def fit_joints(
     finest = max(1, int(samples / _SAMPLES_PER_COEFFICIENT) - _DEGREE)
     coarsest = min(finest, max(1, int((end - begin) / 4.0)))
 
+    @cache  # the ladder is climbed twice where noise is larger than stated
     def fit(intervals: int) -> tuple[BSpline, Array, float]:
         return _fit(positions, velocities, sigma_position, sigma_velocity, begin, end, intervals)
 
