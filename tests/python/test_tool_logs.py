@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from scipy.stats import chi2
 from tool_cases import Array, a_rig, apart, as_imu, pose_log, swing_log, tour_log
 
 import truewrench as tw
+from truewrench.correction.contact.apply import apply_contact
+from truewrench.io.tables import write_table
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
@@ -214,3 +217,18 @@ def test_a_log_a_pose_is_one_log_of_poses_where_they_are_of_one_session() -> Non
         assert (np.abs(tool.offset - offset) < 4.0 * tool.offset_std).all()
     alone = tw.identify_tool(tool_rig(a_rig()), single)  # with offsets of their own
     assert alone.mass_std > 5.0 * whole.mass_std
+
+
+def test_poses_without_a_twist_are_told_what_would_do(tmp_path: Path) -> None:
+    """A table of attitudes at rest, as people write them down: nothing moves, but nothing says so."""
+    rig = tool_rig(a_rig())
+    log, _ = pose_log(rig, MASS, CENTER)
+    columns = {"time_ns": log.time_ns, **{f"raw_{i}": log.raw[:, i] for i in range(6)}}
+    assert log.attitude is not None
+    columns |= dict(zip(("qw", "qx", "qy", "qz"), log.attitude.T, strict=True))
+    write_table(tmp_path / "poses.csv", columns)
+    with pytest.raises(tw.InputError, match=r"0 in all of vx \.\.\. wz, if each row is a pose at rest"):
+        tw.read_log(tmp_path / "poses.csv", rig)
+    tool = tw.identify_tool(rig, log)
+    with pytest.raises(tw.InputError, match=r"0 in all of vx \.\.\. wz, if each row is a pose at rest"):
+        apply_contact(tool, tmp_path / "poses.csv", tmp_path / "out.csv")

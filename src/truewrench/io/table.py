@@ -11,6 +11,9 @@ from truewrench.io.cells import Column
 from truewrench.model.errors import InputError
 
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+AT_REST = "0 in all of vx ... wz, if each row is a pose at rest"
+"""What would do where a log has attitudes and no twist."""
+
 ANGULAR_VELOCITY = TWIST[3:]
 ATTITUDE = ("qw", "qx", "qy", "qz")
 ACCELERATION = ("ax", "ay", "az", "alx", "aly", "alz")

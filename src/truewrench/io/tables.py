@@ -21,6 +21,7 @@ from truewrench.io.stamps import with_even_stamps
 from truewrench.io.table import (
     ACCELERATION,
     ANGULAR_VELOCITY,
+    AT_REST,
     ATTITUDE,
     GRAVITY,
     REFERENCE,
@@ -97,13 +98,16 @@ def raw_columns(table: Table, n: int) -> tuple[str, ...]:
     return names
 
 
-def require(table: Table, names: Iterable[str]) -> None:
-    """Check that columns are present; those that are not are named with the nearest one present."""
+def require(table: Table, names: Iterable[str], unless: str = "") -> None:
+    """Check that columns are present; those that are not are named with the nearest one present.
+
+    `unless` says what else would do.
+    """
     missing = [name for name in names if name not in table.names]
     if missing:
         near = {name: difflib.get_close_matches(name, _alike(name, table), 1, 0.0)[0] for name in missing}
         found = ", ".join(f"no column `{name}` (nearest: `{close}`)" for name, close in near.items())
-        raise InputError.at(table.path, "header", found, "every required column")
+        raise InputError.at(table.path, "header", found, f"every required column{unless}")
 
 
 def _alike(name: str, table: Table) -> Sequence[str]:
@@ -229,7 +233,8 @@ def _groups(table: Table, rig: Rig) -> dict[str, tuple[str, ...]]:
         optional |= fall if weighed else {}
     groups |= {group: names for group, names in optional.items() if set(names).intersection(table.names)}
     for names in groups.values():
-        require(table, names)
+        poses = told and names is TWIST and not set(TWIST).intersection(table.names)
+        require(table, names, f"; {AT_REST}" if poses else "")
     return groups
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from truewrench.io.joints import BASE_ATTITUDE, BASE_TWIST, check_attitude, without_attitude
-from truewrench.io.table import ANGULAR_VELOCITY, ATTITUDE, GRAVITY, SPECIFIC_FORCE, TWIST
+from truewrench.io.table import ANGULAR_VELOCITY, AT_REST, ATTITUDE, GRAVITY, SPECIFIC_FORCE, TWIST
 from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
@@ -91,7 +91,9 @@ class MotionColumns:
             raise InputError.at(place, "header", "nothing that tells it", expected)
         missing = [] if names is None else [name for name in needed if name not in names]
         if missing:
-            raise InputError.at(place, "header", f"no column `{missing[0]}`", f"{', '.join(needed)}")
+            poses = told and tuple(missing) == TWIST
+            expected = ", ".join(needed) + (f"; {AT_REST}" if poses else "")
+            raise InputError.at(place, "header", f"no column `{missing[0]}`", expected)
         further = (name for name in optional if name not in needed)
         self.columns = (*needed, *(name for name in further if names is None or name in names))
 
