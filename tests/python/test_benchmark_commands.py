@@ -19,6 +19,7 @@ SMALLEST: dict[str, str] = {
     "coverage.py": "--runs 2",
     "demo_seeds.py": "--seeds 1",
     "efficiency.py": "--seeds 2",
+    "far_clocks.py": "--runs 2",
     "grid.py": "--runs 1 --samples 2000",
     "healthy.py": "--runs 2",
     "imperfect.py": "--runs 2",
