@@ -29,7 +29,7 @@ KNOTS, FEWEST, MOST = 0.1, 100, 1000  # [s] of a spline; rows of motion
 LOOKED_AT = 400  # rows of the sensor: thirteen columns follow none of them
 MISFIT, SHARE = 4.0, 1e-4  # mean square left, over noise's and the raw output's: beyond both it is asked
 BENT = 0.05  # [s] of s by which (10.4) goes on to bend: of 3 Hz; all of it biased kappa by 2 sigma
-BETTER = 10.0  # times less must be left: by noise and disturbances s falls short of it
+BETTER = 10.0  # times less must be left: set in none of 1,360 records on one clock (benchmarks/far_clocks.py)
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
