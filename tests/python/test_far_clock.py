@@ -11,7 +11,7 @@ from tool_cases import a_rig, swing_log
 
 import truewrench as tw
 from truewrench.estimation.clock_rate import with_stamps
-from truewrench.estimation.far_clock import LEAST, with_clock_set
+from truewrench.estimation.far_clock import LEAST, set_within, with_clock_set
 from truewrench.model.log import Log
 from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import Rig
@@ -102,3 +102,17 @@ def test_a_clock_is_set_to_a_sample() -> None:
     both = np.isfinite(found.raw[:, 0]) & np.isfinite(found.twist[:, 0])  # type: ignore[index]
     assert np.count_nonzero(both) == len(log.time_ns) - 13
     assert found.advance() == found.clock_set
+
+
+def test_a_clock_that_was_set_within_a_log_is_named() -> None:
+    """It cannot be undone, but it is no contact; and what moves as it should is not called so."""
+    rig = light_rig(seconds=12, rate=100)
+    log = run_of(rig).log
+    stamps = log.time_ns + np.where(log.time > 6.0, 200_000_000, 0)
+    found = tw.calibrate(rig, with_stamps(log, stamps), held_out=False)
+    assert not found.verdict.usable
+    assert any("clock was set within the log" in r and "200 ms later" in r for r in found.verdict.reasons)
+    pushed = log.raw.copy()
+    pushed[(log.time > 3.0) & (log.time < 9.0), 0] += 30.0
+    for one in (log, replace(log, raw=pushed)):
+        assert set_within(rig, one) == 0.0

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from truewrench import _core
 from truewrench.calibrating.hopeless import hopeless, plain_gain
 from truewrench.calibrating.pooled import Pooled, estimate_pooled, moving_logs
 from truewrench.calibrating.unknown_bodies import (
@@ -23,7 +24,7 @@ from truewrench.estimation.colour import without_filters
 from truewrench.estimation.estimate import Estimate, undisturbed
 from truewrench.estimation.estimator import unsolved
 from truewrench.estimation.evidence import Evidence
-from truewrench.estimation.far_clock import with_clock_set
+from truewrench.estimation.far_clock import set_within, with_clock_set
 from truewrench.estimation.vibration import without_vibrations
 from truewrench.judging import Comparisons, findings, judge, setup_errors
 from truewrench.judging.channels import still_motion
@@ -35,6 +36,7 @@ from truewrench.judging.validation.comparison import (
     compare_in_sample,
     compare_on,
 )
+from truewrench.judging.words import log_name
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration, Verdict
 from truewrench.model.log import Log
@@ -42,6 +44,7 @@ from truewrench.model.rig import Rig
 from truewrench.robot.compensation import restamped, with_weight_on_time
 
 _RATES = 3  # times that clocks are set
+_SHORT = 120.0  # [s] in which 100 ppm are 12 ms, a step of what is asked
 
 Progress = Callable[[str, float | None], None]
 Show = Callable[[Evidence], None]
@@ -97,6 +100,8 @@ def calibrate_from_motion(
     clock.append(time.perf_counter())
     report("judging", None)
     worse = [*scale_unknown(rig, logs), *pooled.worse(rig, logs, held_out)]
+    if estimate.solved and (not estimate.parts_agree or estimate.masked_share() > _core.MOST_LOST):
+        worse += _set_within(rig, logs, places)
     comparisons = replace(_comparisons(estimate, compared, rig, worse, known, refused), logged=tuple(logged))
     judgement = judge(estimate, comparisons, rig, logs)
     assumed = findings(estimate, rig, logs)
@@ -155,6 +160,17 @@ def _compare_on_unseen(
     left_out = {k: found.rows[k].rows[found.rows[k].masked] for k in known}
     whole = [undisturbed(logs[k], left_out[k], found.steps[k]) for k in known]
     return compare_held_out(rig, whole, without_the_part)
+
+
+def _set_within(rig: Rig, logs: Sequence[Log], places: Sequence[int]) -> list[str]:
+    """Logs in which a clock was set, in words; not long ones: where clocks run apart, their ends do."""
+    short = [k for k in places if logs[k].time[-1] < _SHORT]
+    by = {k: later for k in short if (later := set_within(rig, logs[k])) != 0.0}
+    return [
+        f"the sensor's clock was set within {log_name(logs, k)}: at its end it is {1e3 * abs(later):.0f} ms "
+        f"{'later' if later > 0.0 else 'earlier'} than at its beginning; cut the log there"
+        for k, later in by.items()
+    ]
 
 
 def _time_offsets(found: tuple[Sequence[Log], Pooled]) -> tuple[Array, Array]:

@@ -9,7 +9,9 @@ the wrench, and Gauss-Newton with it, to another gain. So s is sought by these l
 the sensor's stamps where it leaves a small share of what s = 0 leaves; what is left of it is estimated.
 """
 
-from dataclasses import replace
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,39 +56,80 @@ def bent(clock_set: float) -> float:
     return min(abs(clock_set), BENT)
 
 
+def set_within(rig: Rig, log: Log) -> float:
+    """How much later the sensor is at the end of a log than at its beginning [s], 0 where that is not told.
+
+    Each end, with the clock of the other, has to leave `BETTER` times what it leaves with its own.
+    """
+    seconds = min(SECONDS, 0.4 * float(log.time[-1])) if len(log.time_ns) else 0.0
+    ends = (log.time <= seconds, log.time >= log.time[-1:] - seconds)
+    with np.errstate(all="ignore"):  # whatever the cells hold
+        found = [one for rows in ends if (one := _Asked.of(rig, rows_of(log, rows))) is not None]
+        if len(found) < len(ends):
+            return 0.0
+        count = min(one.lates.size for one in found)
+        lefts = [one.lefts()[(one.lates.size - count) // 2 :][:count] for one in found]
+    i, j = (int(np.argmin(left)) for left in lefts)
+    inside = all(0 < k < count - 1 for k in (i, j))
+    told = lefts[0][j] > BETTER * lefts[0][i] and lefts[1][i] > BETTER * lefts[1][j]
+    return GRID * (j - i) if inside and told else 0.0
+
+
 def _late(rig: Rig, log: Log) -> float:
     """How late the sensor is [s], 0 where that is not told."""
-    sensed = np.isfinite(log.raw).all(axis=1)
-    if np.count_nonzero(sensed) < FEWEST:
+    asked = _Asked.of(rig, log)
+    if asked is None:
         return 0.0
-    found = _motion(rig, log)
-    if found is None or not np.isfinite(found[1]).all():
+    here = asked.left(0.0)
+    if not here > max(MISFIT, SHARE * float(np.var(asked.raw, axis=0).mean())):
         return 0.0
-    known, X = found
-    X = X / np.abs(X).max(axis=0).clip(1e-12)
-    rows = np.flatnonzero(sensed)
-    furthest = min(FURTHEST, 0.25 * float(log.time[rows[-1]] - log.time[rows[0]]))
-    # the same samples for every s: a contact would stay outside of others
-    rows = rows[(log.time[rows] >= known[0] + furthest) & (log.time[rows] <= known[-1] - furthest)]
-    rows = rows[:: max(1, -(-rows.size // LOOKED_AT))]
-    if rows.size < FEWEST:
-        return 0.0
-    time, raw = log.time[rows], log.raw[rows] / rig.sensor.noise_array
-
-    def left(late: float) -> float:
-        moved = [np.interp(time - late, known, column) for column in X.T]
-        Q = np.linalg.qr(np.column_stack([*moved, np.ones(time.size)]))[0]
-        return float(np.mean((raw - Q @ (Q.T @ raw)) ** 2))
-
-    here = left(0.0)
-    if not here > max(MISFIT, SHARE * float(np.var(raw, axis=0).mean())):
-        return 0.0
-    steps = int(furthest / GRID)
-    lates = GRID * np.arange(-steps, steps + 1)
-    all_left = np.array([left(late) for late in lates])
-    k = int(np.argmin(all_left))
-    told = 0 < k < lates.size - 1 and here > BETTER * all_left[k] and abs(lates[k]) > LEAST
+    lefts, lates = asked.lefts(), asked.lates
+    k = int(np.argmin(lefts))
+    told = 0 < k < lates.size - 1 and here > BETTER * lefts[k] and abs(lates[k]) > LEAST
     return float(lates[k]) if told else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """Samples of the sensor, the same for every s: a contact would stay outside of others."""
+
+    time: Array  # (N,) [s]
+    raw: Array  # (N, n) over the noise
+    known: Array  # (K,) times of the motion [s]
+    X: Array  # (K, 12)
+    lates: Array  # s that are asked [s]
+
+    @classmethod
+    def of(cls, rig: Rig, log: Log) -> _Asked | None:
+        """None where there are too few samples, or nothing tells the motion."""
+        rows = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
+        found = _motion(rig, log) if rows.size >= FEWEST else None
+        if found is None or not np.isfinite(found[1]).all():
+            return None
+        known, X = found
+        furthest = min(FURTHEST, 0.25 * float(log.time[rows[-1]] - log.time[rows[0]]))
+        rows = rows[(log.time[rows] >= known[0] + furthest) & (log.time[rows] <= known[-1] - furthest)]
+        rows = rows[:: max(1, -(-rows.size // LOOKED_AT))]
+        if rows.size < FEWEST:
+            return None
+        steps = int(furthest / GRID)
+        return cls(
+            log.time[rows],
+            log.raw[rows] / rig.sensor.noise_array,
+            known,
+            X / np.abs(X).max(axis=0).clip(1e-12),
+            np.asarray(GRID * np.arange(-steps, steps + 1), np.float64),
+        )
+
+    def left(self, late: float) -> float:
+        """Mean square that X, so much later, and an offset leave."""
+        moved = [np.interp(self.time - late, self.known, column) for column in self.X.T]
+        Q = np.linalg.qr(np.column_stack([*moved, np.ones(self.time.size)]))[0]
+        return float(np.mean((self.raw - Q @ (Q.T @ self.raw)) ** 2))
+
+    def lefts(self) -> Array:
+        """The same of all `lates`."""
+        return np.array([self.left(late) for late in self.lates])
 
 
 def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
