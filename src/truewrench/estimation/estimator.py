@@ -231,7 +231,7 @@ def _clocks(
                 float(std[kappa]) if free else None,
                 None if gravity is None else float(theta[gravity]),
                 None if gravity is None else float(std[gravity]),
-                log.advance(_FIELDS.get(stream, "twist")) - log.clock_set,
+                log.filters_advance(_FIELDS.get(stream, "twist")),
                 log.clock_set,
             )
         )

@@ -195,10 +195,14 @@ class Log:
 
         By default against the first that there is.
         """
+        return self.clock_set + self.filters_advance(stream)
+
+    def filters_advance(self, stream: str | None = None) -> float:
+        """The same of filters undone alone [s]."""
         first = ("position", "velocity", "twist", "specific_force")  # the twist of joints is no stream
         of = stream or next((name for name in first if getattr(self, name) is not None), "")
         raw, motion = (self.whitened[x].advance if x in self.whitened else 0.0 for x in ("raw", of))
-        return self.clock_set + raw - motion
+        return raw - motion
 
     def half_window(self, stream: str) -> float:
         """Half of the time [s] for which one sample of a field is read; 0 where the filter was undone."""
