@@ -14,6 +14,7 @@ namespace truewrench::python {
 
 namespace nb = nanobind;
 using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using Flags = Eigen::Array<bool, Eigen::Dynamic, 1>;
 
 // Read-only, C-contiguous double arrays from NumPy; anything else is converted by the Python side.
 using Array1 = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;

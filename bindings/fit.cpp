@@ -55,6 +55,24 @@ nb::dict rows_of(const Fit& fit, std::size_t l) {
   return out;
 }
 
+// Of given knots, nothing estimated.
+std::shared_ptr<Fit> bare_fit(const Statement& rig, const std::vector<const RecordedLog*>& logs,
+                              const std::vector<double>& h, const std::vector<std::vector<double>>& steps) {
+  const auto shared = std::make_shared<const Statement>(rig);
+  std::vector<LogFit> fits;
+  for (std::size_t l = 0; l < logs.size(); ++l) {
+    LogFit log;
+    int dropped = 0;
+    log.log = logs[l];
+    log.h = h.at(l);
+    log.period = median_period(sensor_times(*logs[l]));
+    for (const Piece& p : pieces_of(*logs[l], std::max(h[l], constants::knot_spacing), dropped))
+      log.stretches.emplace_back(*logs[l], *shared, p.begin, p.end, log.period, h[l]);
+    fits.push_back(std::move(log));
+  }
+  return std::make_shared<Fit>(shared, std::move(fits), steps, 1);
+}
+
 RowMatrix motion_residual(const Fit& fit, std::size_t l, std::size_t stream) {
   const LogFit& log = fit.logs().at(l);
   std::vector<RowMatrix> parts;
@@ -149,10 +167,14 @@ void bind_fit(nb::module_& m) {
       .def("set_discrepancy", [](Fit& f, std::size_t l, std::size_t s,
                                  const RowMatrix& e) { f.logs().at(l).stretches.at(s).e = e; })
       .def("set_mask",
-           [](Fit& f, std::size_t l, const std::vector<bool>& mask) {
-             std::size_t at = 0;
-             for (Stretch& s : f.logs().at(l).stretches)
-               for (char& x : s.raw.masked) x = mask.at(at++) ? 1 : 0;
+           [](Fit& f, std::size_t l, const Flags& mask) {
+             LogFit& log = f.logs().at(l);
+             if (log.whole != nullptr || mask.size() != log.log->time.size())
+               throw nb::value_error(
+                   "set_mask: a flag for every sample of a log that is not gathered is expected");
+             for (Stretch& s : log.stretches)
+               for (std::size_t k = 0; k < s.raw.masked.size(); ++k)
+                 s.raw.masked[k] = mask[static_cast<Eigen::Index>(s.raw.source[k])] ? 1 : 0;
            })
       .def("predict", &Fit::predict)
       .def("reweigh", &Fit::reweigh)
@@ -190,31 +212,34 @@ void bind_fit(nb::module_& m) {
       .def("motion_residual", &motion_residual);
   m.def(
       "make_fit",
-      [](const Statement& rig, std::vector<const RecordedLog*> logs, const std::vector<double>& h,
-         const std::vector<std::vector<double>>& steps, Form form, bool cauchy) {
-        const auto shared = std::make_shared<const Statement>(rig);
-        std::vector<LogFit> fits;
-        for (std::size_t l = 0; l < logs.size(); ++l) {
-          LogFit log;
-          int dropped = 0;
-          log.log = logs[l];
-          log.h = h[l];
-          log.period = median_period(sensor_times(*logs[l]));
-          for (const Piece& p : pieces_of(*logs[l], std::max(h[l], constants::knot_spacing), dropped))
-            log.stretches.emplace_back(*logs[l], *shared, p.begin, p.end, log.period, h[l]);
-          fits.push_back(std::move(log));
-        }
-        auto fit = std::make_shared<Fit>(shared, std::move(fits), steps, 1);
+      [](const Statement& rig, const std::vector<const RecordedLog*>& logs, const std::vector<double>& h,
+         const std::vector<std::vector<double>>& steps, Form form) {
+        auto fit = bare_fit(rig, logs, h, steps);
         for (std::size_t l = 0; l < logs.size(); ++l) {
           fit->logs()[l].sizes.form = form;
           motion_alone(fit->logs()[l], fit->layout(), l);
         }
-        if (form == Form::none) regress(*fit, cauchy);
+        if (form == Form::none) regress(*fit);
         return fit;
       },
       nb::arg("rig"), nb::arg("logs"), nb::arg("h"), nb::arg("steps"), nb::arg("form") = Form::none,
-      nb::arg("cauchy") = true, nb::keep_alive<0, 2>(),
-      "A fit of given knots that stands at START: for tests, stage by stage.");
+      nb::keep_alive<0, 2>(), "A fit of given knots that stands at START: for tests, stage by stage.");
+  m.def(
+      "fit_of_sizes",
+      [](const Statement& rig, const std::vector<const RecordedLog*>& logs, const std::vector<double>& h,
+         const std::vector<Sizes>& sizes) {
+        if (sizes.size() != logs.size())
+          throw nb::value_error("fit_of_sizes: sizes of every log are expected");
+        auto fit = bare_fit(rig, logs, h, std::vector<std::vector<double>>(logs.size()));
+        for (std::size_t l = 0; l < logs.size(); ++l) {
+          fit->logs()[l].sizes = sizes[l];
+          smooth_motion(fit->logs()[l], fit->layout(), l);
+        }
+        return fit;
+      },
+      nb::arg("rig"), nb::arg("logs"), nb::arg("h"), nb::arg("sizes"), nb::keep_alive<0, 2>(),
+      nb::call_guard<nb::gil_scoped_release>(),
+      "A fit of given knots and sizes: its motion that of its own measurements, theta at its prior's mean.");
   nb::class_<Settings>(m, "Settings", "Of the estimator.")
       .def(nb::init<>())
       .def_rw("threads", &Settings::threads)

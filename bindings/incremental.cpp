@@ -34,7 +34,7 @@ struct OnlineEstimate {
   std::vector<Eigen::VectorXd> own;         // by log: theta as its record ended
   std::vector<Eigen::MatrixXd> covariance;  // by log: of it
   std::vector<std::vector<double>> tilts;  // by log: of gravity, as the root frames before its last one ended
-  std::vector<std::vector<bool>> masked;   // by log: rows
+  std::vector<Flags> masked;               // by log: samples
   std::vector<Eigen::VectorXd> history_time;  // by log: [s] ends of blocks
   std::vector<RowMatrix> history_gain;        // (blocks, 6n)
   std::vector<std::int64_t> samples;          // by log: that were used or masked
@@ -181,14 +181,13 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     out.covariance.push_back(online->theta_covariance());
     out.columns.push_back(online->lag().layout().log(0));
     out.samples.push_back(online->samples() - before);
-    std::vector<bool> masked(static_cast<std::size_t>(log.time.size()), false);
+    Flags masked = Flags::Constant(log.time.size(), false);
     Eigen::Index k = 0;
     std::sort(spans.begin(), spans.end(),
               [](const MaskedSpan& a, const MaskedSpan& b) { return a.begin < b.begin; });
     for (const MaskedSpan& s : spans) {
       while (k < log.time.size() && log.time[k] < s.begin - 1e-9) ++k;
-      for (Eigen::Index j = k; j < log.time.size() && log.time[j] <= s.end + 1e-9; ++j)
-        masked[static_cast<std::size_t>(j)] = true;
+      for (Eigen::Index j = k; j < log.time.size() && log.time[j] <= s.end + 1e-9; ++j) masked[j] = true;
     }
     out.masked.push_back(std::move(masked));
   }

@@ -950,7 +950,7 @@ class Fit:
 
     def set_discrepancy(self, arg0: int, arg1: int, arg2: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], /) -> None: ...
 
-    def set_mask(self, arg0: int, arg1: Sequence[bool], /) -> None: ...
+    def set_mask(self, arg0: int, arg1: Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C')], /) -> None: ...
 
     def predict(self) -> None: ...
 
@@ -983,8 +983,13 @@ class Fit:
 
     def motion_residual(self, arg0: int, arg1: int, /) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]: ...
 
-def make_fit(rig: Statement, logs: Sequence[RecordedLog], h: Sequence[float], steps: Sequence[Sequence[float]], form: Form = Form.none, cauchy: bool = True) -> Fit:
+def make_fit(rig: Statement, logs: Sequence[RecordedLog], h: Sequence[float], steps: Sequence[Sequence[float]], form: Form = Form.none) -> Fit:
     """A fit of given knots that stands at START: for tests, stage by stage."""
+
+def fit_of_sizes(rig: Statement, logs: Sequence[RecordedLog], h: Sequence[float], sizes: Sequence[Sizes]) -> Fit:
+    """
+    A fit of given knots and sizes: its motion that of its own measurements, theta at its prior's mean.
+    """
 
 class Settings:
     """Of the estimator."""
@@ -1198,7 +1203,7 @@ class OnlineEstimate:
     def tilts(self) -> list[list[float]]: ...
 
     @property
-    def masked(self) -> list[list[bool]]: ...
+    def masked(self) -> list[Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C')]]: ...
 
     @property
     def history_time(self) -> list[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]: ...

@@ -119,7 +119,7 @@ class Estimator {
                                         settings_.threads);
     for (std::size_t l = 0; l < alone.size(); ++l) pooled->logs()[l].sizes = alone[l]->logs()[0].sizes;
     pooled->robust = true;
-    regress(*pooled, true);
+    regress(*pooled);
     pooled->run(SpacingSearch::clean);
     pooled->release();
     ++out.fits;

@@ -78,7 +78,7 @@ class LagStart {
     const auto prior_of = [&](int i, int k) {
       return k == 6 ? prior[b + i] : gain ? prior[C + 6 * i + k] : 1e-30;
     };
-    if (!regression_.fit(from, rig.noise, prior_of, true)) return;
+    if (!regression_.fit(from, rig.noise, prior_of)) return;
     lag.sizes.raw_factor.setZero();
     for (int i = 0; i < n; ++i) {
       for (int k = 0; k < 6; ++k) lag.theta[C + 6 * i + k] = regression_.found(i, k);

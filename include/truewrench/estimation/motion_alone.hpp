@@ -74,6 +74,7 @@ class MotionAlone {
         Part& part = parts[k];
         if (!solve(part, log, z)) return std::nan("");
         if (iteration == 0) look_from_here(part, k, log, rows);
+        part.H.inverse(part.inverse);
         part.R.inner(part.inverse, trace.data());
         for (int j = 0; j < M; ++j) {
           const int p = smoothness_order(log.source, j);
@@ -106,12 +107,22 @@ class MotionAlone {
         std::copy_n(factor_[i].begin(), z.motion_factor[i].size(), z.motion_factor[i].data());
       for (int j = 0; j < M; ++j) z.q[j] *= std::clamp(q[at(j)] / z.q[j], 1e-3, 1e3);
       if (!last) continue;
-      for (Part& part : parts)
-        for (Eigen::Index k = 0; k < part.R.size; ++k)
-          dense::add(part.x.data() + k * part.R.lanes, 1.0, part.origin.data(), M);
+      for (Part& part : parts) from_origin(part, M);
       return deviance;
     }
     return std::nan("");
+  }
+
+  // The coefficients alone, at sizes that are known; rows as of fit(). False where the rows determine none.
+  template <typename Rows>
+  bool smooth(const RecordedLog& log, const Sizes& z, const Rows& rows) {
+    count_.resize(log.motion.size());
+    for (std::size_t k = 0; k < parts.size(); ++k) {
+      sum(parts[k], k, log, rows);
+      if (!solve(parts[k], log, z)) return false;
+      from_origin(parts[k], log.components());
+    }
+    return true;
   }
 
   // Makes room for a stretch, and R.
@@ -186,7 +197,12 @@ class MotionAlone {
     return standing;
   }
 
-  // x of H = R / q + sum A / factor^2, and the band of H^-1.
+  static void from_origin(Part& part, int components) {
+    for (Eigen::Index k = 0; k < part.R.size; ++k)
+      dense::add(part.x.data() + k * part.R.lanes, 1.0, part.origin.data(), components);
+  }
+
+  // x of H = R / q + sum A / factor^2, H factored.
   static bool solve(Part& part, const RecordedLog& log, const Sizes& z) {
     const int M = log.components(), lanes = part.R.lanes;
     Bands& H = part.H;
@@ -214,7 +230,6 @@ class MotionAlone {
       for (int j = 0; j < lanes; ++j) H.at(k, 0)[j] += 1e-14 * largest[at(j)];
     if (!H.factor()) return false;
     H.solve(part.x);
-    H.inverse(part.inverse);
     return true;
   }
 

@@ -48,14 +48,14 @@ class Regression {
     weight_.push_back(1.0);
   }
 
-  // By one round of plain least squares, or (`cauchy`) up to 15 with weights, until no scale moves by 0.1 %. nominal (n, 6): what the gain departs from; prior(i, k):
-  // variances of gains k < 6 of channel i, and of its offsets. False where they determine nothing.
+  // By up to 15 rounds of weights, until no scale moves by 0.1 %. nominal (n, 6): what the gain departs from; prior(i, k): variances
+  // of gains k < 6 of channel i, and of its offsets. False where they determine nothing.
   template <typename Prior>
-  bool fit(const double* nominal, const Eigen::VectorXd& noise, const Prior& prior, bool cauchy) {
+  bool fit(const double* nominal, const Eigen::VectorXd& noise, const Prior& prior) {
     set_work();
-    for (int round = 0; round < (cauchy ? 15 : 1); ++round) {
+    for (int round = 0; round < 15; ++round) {
       if (!solve(nominal, prior)) return false;
-      if (cauchy && reweigh(noise) < 1e-3) break;
+      if (reweigh(noise) < 1e-3) break;
     }
     return true;
   }
@@ -65,7 +65,7 @@ class Regression {
   double found(int channel, int k) const {
     return found_[static_cast<std::size_t>(channel * unknowns() + k)];
   }
-  // Of the noise of a channel of a log; cauchy alone.
+  // Of the noise of a channel of a log.
   double scale(std::size_t log, int channel) const { return logs_[log].scale[channel]; }
 
  private:

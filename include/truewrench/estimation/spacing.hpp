@@ -238,7 +238,7 @@ class SpacingSearch {
     log.sizes = from.sizes;
     for (std::size_t s = 0; s < from.c.size(); ++s) log.stretches[s].c = from.c[s];
     fit->robust = true;
-    regress(*fit, true);
+    regress(*fit);
     fit->run(i == 0 ? clean : std::function<bool(Fit&)>());
     ++count_;
     return fit->failed ? nullptr : fit;

@@ -9,8 +9,9 @@
 
 namespace truewrench {
 
-// Fit the motion of a log alone; -2 log L (10.7) of it.
-inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
+// The motion of a log from its own measurements: ask(alone, rows) finds it, and is answered back.
+template <typename Ask>
+inline auto motion_by(LogFit& log, const Layout& layout, std::size_t l, const Ask& ask) {
   const RecordedLog& recorded = *log.log;
   const int M = recorded.components();
   MotionAlone alone;
@@ -27,32 +28,45 @@ inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
       }
   }
   const Columns& columns = layout.in_theta(l);
-  const double deviance =
-      alone.fit(recorded, log.h, log.sizes, [&](std::size_t k, std::size_t i, const auto& visit) {
-        const Stretch& s = log.stretches[k];
-        const MotionRows& m = s.motion[i];
-        double size[max_components], value[max_components];
-        for (Eigen::Index row = 0; row < m.rows(); ++row) {
-          double u = 0.0;
-          const Eigen::Index at = s.spline.locate(m.time[row] + layout.mean()[columns.clock[i]], u);
-          for (int j = 0; j < M; ++j) {
-            const bool here = std::isfinite(m.value(row, j));
-            size[j] = here ? m.size[row] : 0.0;
-            value[j] = here ? m.value(row, j) : 0.0;
-          }
-          visit(at, s.spline.basis(u, recorded.motion[i].derivative), size, value);
-        }
-      });
+  const auto out = ask(alone, [&](std::size_t k, std::size_t i, const auto& visit) {
+    const Stretch& s = log.stretches[k];
+    const MotionRows& m = s.motion[i];
+    double size[max_components], value[max_components];
+    for (Eigen::Index row = 0; row < m.rows(); ++row) {
+      double u = 0.0;
+      const Eigen::Index at = s.spline.locate(m.time[row] + layout.mean()[columns.clock[i]], u);
+      for (int j = 0; j < M; ++j) {
+        const bool here = std::isfinite(m.value(row, j));
+        size[j] = here ? m.size[row] : 0.0;
+        value[j] = here ? m.value(row, j) : 0.0;
+      }
+      visit(at, s.spline.basis(u, recorded.motion[i].derivative), size, value);
+    }
+  });
   for (std::size_t k = 0; k < alone.parts.size(); ++k) {
     RowMatrix& c = log.stretches[k].c;
     for (Eigen::Index knot = 0; knot < c.rows(); ++knot)
       std::copy_n(alone.parts[k].coefficients(knot), M, c.data() + knot * M);
   }
-  return deviance;
+  return out;
 }
 
-// Gain and offsets of a fit by the motion as it stands: robust, with the scales of the noise; or plain (`cauchy` false).
-inline void regress(Fit& fit, bool cauchy) {
+// With its q and the factors of its noise; -2 log L (10.7) of the motion.
+inline double motion_alone(LogFit& log, const Layout& layout, std::size_t l) {
+  return motion_by(log, layout, l, [&](MotionAlone& alone, const auto& rows) {
+    return alone.fit(*log.log, log.h, log.sizes, rows);
+  });
+}
+
+// With q and factors as they stand in the log; false where the rows determine no motion.
+inline bool smooth_motion(LogFit& log, const Layout& layout, std::size_t l) {
+  return motion_by(log, layout, l, [&](MotionAlone& alone, const auto& rows) {
+    return alone.smooth(*log.log, log.sizes, rows);
+  });
+}
+
+// Gain and offsets of a fit by the motion as it stands: robust, with the scales of the noise.
+inline void regress(Fit& fit) {
   fit.predict();
   const int n = fit.channels();
   const Statement& rig = fit.rig();
@@ -72,12 +86,11 @@ inline void regress(Fit& fit, bool cauchy) {
   const auto place = [&](int i, int k) {
     return k < 6 ? fit.layout().C + 6 * i + k : places[static_cast<std::size_t>(k - 6)] + i;
   };
-  if (!regression.fit(
-          rig.nominal.data(), rig.noise, [&](int i, int k) { return fit.prior[place(i, k)]; }, cauchy))
+  if (!regression.fit(rig.nominal.data(), rig.noise, [&](int i, int k) { return fit.prior[place(i, k)]; }))
     return;
   for (int i = 0; i < n; ++i)
     for (int k = 0; k < 6 + regression.offsets(); ++k) fit.theta[place(i, k)] = regression.found(i, k);
-  for (std::size_t l = 0; l < fit.logs().size() && cauchy; ++l) {
+  for (std::size_t l = 0; l < fit.logs().size(); ++l) {
     Eigen::VectorXd& factor = fit.logs()[l].sizes.raw_factor;
     factor.setZero();
     for (int i = 0; i < n; ++i) {

@@ -75,15 +75,13 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
     at = [np.array(c.at) for c in found.columns]
     late = [np.asarray(own)[k[c.clock]] for own, k, c in zip(found.own, at, found.columns, strict=True)]
     moved = [_at_clocks(record, s) for record, s in zip(records, late, strict=True)]
-    fit = _core.make_fit(statement, moved, list(found.spacing), [[] for _ in records], cauchy=False)
+    fit = _core.fit_of_sizes(statement, moved, list(found.spacing), list(found.sizes))
     theta = np.array(fit.theta)
     ends = []  # where in theta each log's parameters stand, but for the root frames before its last
     for k, (own, c) in enumerate(zip(found.own, found.columns, strict=True)):
         places = np.array(fit.columns(k).at)
         theta[places] = np.insert(np.asarray(own)[at[k]], max(c.tilt, 0), found.tilts[k])
         ends.append(np.delete(places, max(c.tilt, 0) + np.arange(len(found.tilts[k]))))
-        sizes, found_sizes = fit.sizes(k), found.sizes[k]
-        sizes.raw_factor, sizes.motion_factor = found_sizes.raw_factor, found_sizes.motion_factor
     # C, u and all payloads come first in either theta; of the rest the last log has told what it has
     shared = 7 * n + 10 * len(statement.body_prior)
     here, there = (np.r_[:shared, places[places >= shared]] for places in (ends[-1], at[-1]))
@@ -92,7 +90,7 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
     fit.lagged = theta[: 6 * n].reshape(n, 6)
     fit.predict()
     for k, masked in enumerate(found.masked):
-        fit.set_mask(k, np.array(masked)[np.asarray(fit.rows(k)["source"], np.int64)].tolist())
+        fit.set_mask(k, masked)
     covariance = np.diag(np.asarray(fit.stated))
     for places, own, P in zip(ends, at, found.covariance, strict=True):
         alone = ~np.isin(places, here)  # what such a log left with the others is in theirs
