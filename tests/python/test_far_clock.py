@@ -16,6 +16,7 @@ from truewrench.model.log import Log
 from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.robot.compensation import subtracted
 from truewrench.simulation.free_body import SimulatedRun
 
 ROUNDING = 5e-3  # [s] half a sample, to which a clock is set, of a log of 100 Hz
@@ -33,6 +34,12 @@ def later(log: Log, by: float) -> Log:
     """The sensor stamped so much later [s]."""
     sensed = np.isfinite(log.raw).any(axis=1)
     return with_stamps(log, log.time_ns[sensed] + round(1e9 * by))
+
+
+def without_weight(rig: Rig, log: Log) -> Log:
+    """As a driver hands it on that subtracts what its own tool weighs."""
+    assert log.gravity is not None
+    return replace(log, raw=log.raw - subtracted(rig, log.gravity))
 
 
 @pytest.mark.parametrize("by", [-0.6, -0.08, 0.2])
@@ -64,6 +71,27 @@ def test_so_does_a_tool(source: str) -> None:
     plain, found = (tw.identify_tool(rig, [one]) for one in (log, later(log, 0.15)))
     assert abs(found.mass - plain.mass) < 0.5 * plain.mass_std
     assert found.time_offset == pytest.approx(plain.time_offset - 0.15, abs=5.0 * plain.time_offset_std)
+
+
+@pytest.mark.parametrize("by", [-0.08, 0.6])
+def test_a_weight_that_was_subtracted_stays_with_the_motion(by: float) -> None:
+    """The driver reads g when it reads the sensor; both are stamped late."""
+    bare = light_rig(seconds=12, rate=100).to_mapping() | {"gravity": [3.0, -5.0, 7.0]}
+    body = {"mass": 4.5, "center_of_mass": [0.02, -0.01, 0.1]}
+    rig = Rig.from_mapping(bare | {"sensor": bare["sensor"] | {"compensated": body}})
+    log = without_weight(rig, run_of(Rig.from_mapping(bare)).log)
+    plain, found = (tw.calibrate(rig, one, held_out=False) for one in (log, later(log, by)))
+    assert plain.verdict.usable
+    assert found.verdict.usable
+    assert np.abs((found.gain - plain.gain) / plain.gain_std).max() < 1.0
+    assert -found.time_offset == pytest.approx(by, abs=5.0 * found.time_offset_std)
+
+    of_tool = tool_rig(a_rig(sensor={"compensated": {"mass": 1.2, "center_of_mass": [0.01, -0.02, 0.07]}}))
+    log = swing_log(tool_rig(a_rig()), 1.5, np.array([0.01, -0.02, 0.08]), np.diag([0.01, 0.012, 0.006]))
+    tool = tw.identify_tool(of_tool, [later(without_weight(of_tool, log), by)])
+    assert tool.verdict.usable
+    assert abs(tool.mass - 1.5) < 2.0 * tool.mass_std
+    assert -tool.time_offset == pytest.approx(by, abs=5.0 * tool.time_offset_std)
 
 
 def test_what_is_near_is_left_to_the_estimate() -> None:

@@ -4,9 +4,10 @@ Whatever body the sensor carries and whatever its gain, each channel is linear i
 
     raw(t + s) = X(t) k + b,     X = [vdot + Omega x v - g, Omegadot, Omega_i Omega_j],
 
-s being how late the sensor is. The estimate goes from s = 0 and finds some 30 ms; what is further away turns
-the wrench, and Gauss-Newton with it, to another gain. So s is sought by these least squares, and undone at
-the sensor's stamps where it leaves a small share of what s = 0 leaves; what is left of it is estimated.
+s being how late the sensor is; where a driver has subtracted a weight, g has columns of its own. The estimate
+goes from s = 0 and finds some 30 ms; what is further away turns the wrench, and Gauss-Newton with it, to
+another gain. So s is sought by these least squares, and undone at the sensor's stamps where it leaves a small
+share of what s = 0 leaves; what is left of it is estimated.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from truewrench.model.motion.smooth import segments, uniform_spline
 from truewrench.model.motion.spatial import cross
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
+from truewrench.robot.compensation import weight_added
 from truewrench.robot.track import with_twist
 
 SECONDS, FURTHEST = 8.0, 1.0  # [s] of a log, from its middle, and of s, a quarter of those seconds at most
@@ -96,13 +98,14 @@ class _Asked:
     time: Array  # (N,) [s]
     raw: Array  # (N, n) over the noise
     known: Array  # (K,) times of the motion [s]
-    X: Array  # (K, 12)
+    X: Array  # (K, 12 or 15)
     lates: Array  # s that are asked [s]
 
     @classmethod
     def of(cls, rig: Rig, log: Log) -> _Asked | None:
         """None where there are too few samples, or nothing tells the motion."""
-        rows = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
+        read = log.raw if log.weight_offset is None else log.raw - weight_added(rig, log)
+        rows = np.flatnonzero(np.isfinite(read).all(axis=1))
         found = _motion(rig, log) if rows.size >= FEWEST else None
         if found is None or not np.isfinite(found[1]).all():
             return None
@@ -115,7 +118,7 @@ class _Asked:
         steps = int(furthest / GRID)
         return cls(
             log.time[rows],
-            log.raw[rows] / rig.sensor.noise_array,
+            read[rows] / rig.sensor.noise_array,
             known,
             X / np.abs(X).max(axis=0).clip(1e-12),
             np.asarray(GRID * np.arange(-steps, steps + 1), np.float64),
@@ -133,7 +136,7 @@ class _Asked:
 
 
 def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
-    """Times (K,) and X (K, 12) at them, by one smooth twist a stretch; None where nothing tells it."""
+    """Times (K,) and X (K, 12 or 15) at them, by one smooth twist a stretch; None where nothing tells it."""
     imu = rig.motion.source == "imu"
     try:
         log = with_twist(rig, log)
@@ -142,7 +145,8 @@ def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     linear, turning = log.specific_force if imu else log.twist, log.angular_velocity
     if linear is None or (imu and turning is None) or (not imu and rig.in_gravity and log.gravity is None):
         return None
-    fall = None if imu or not rig.in_gravity else log.gravity
+    subtracted = rig.sensor.subtracted is not None
+    fall = log.gravity if rig.in_gravity and (subtracted or not imu) else None
     motion = np.column_stack([x for x in (linear, turning if imu else None, fall) if x is not None])
     known = np.flatnonzero(np.isfinite(motion).all(axis=1))
     known = known[:: max(1, -(-known.size // MOST))]
@@ -157,9 +161,12 @@ def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
         nu, rate = spline(t), spline(t, nu=1)
         omega = nu[:, 3:]
         force = nu[:, :3] if imu else rate[:, :3] + cross(omega, nu[:, :3])
-        if fall is not None:
-            force = force - fall[rows]
         products = np.column_stack([omega[:, i] * omega[:, j] for i, j in PAIRS])
+        told = [force, rate[:, 3:], products]
+        if fall is not None and subtracted:
+            told.append(fall[rows])
+        elif fall is not None:
+            told[0] = force - fall[rows]
         times.append(t)
-        features.append(np.column_stack([force, rate[:, 3:], products]))
+        features.append(np.column_stack(told))
     return (np.concatenate(times), np.concatenate(features)) if times else None

@@ -82,7 +82,8 @@ def with_weight_on_time(
     found = estimated(logs)
     if rig.sensor.subtracted is None:
         return found
-    at, missed, share, kept = *(np.full(len(logs), x) for x in (0.0, 0.0, 1.0)), found
+    at = np.array([log.weight_offset or 0.0 for log in logs])
+    missed, share, kept = np.zeros_like(at), np.ones_like(at), found
     for turn in range(_ROUNDS):
         told, std = time_offsets(found)
         before, missed = missed, told - at

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from truewrench.estimation.far_clock import with_clock_set
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
@@ -102,7 +103,9 @@ def identify_tool(
     check_logs(rig, records)
     check_session(rig, records, on)
     if rig.sensor.subtracted is not None:
-        records = uncompensated(rig, tracked(rig, records))
+        records = tracked(rig, records)
+        late = [with_clock_set(rig, log).clock_set for log in records]
+        records = uncompensated(rig, records, -np.array(late))
     weighed = [log for log in records if log.reference is not None]
     records = [log for log in records if log.reference is None]
     if not records:
