@@ -121,6 +121,16 @@ def test_a_delay_that_the_gain_imitates_is_not_set() -> None:
     assert with_clock_set(rig, log) is log
 
 
+def test_loggers_started_by_hand_are_seconds_apart() -> None:
+    """And of a motion that repeats itself the nearest of its repetitions is taken."""
+    rig = light_rig(seconds=16, rate=100)
+    rng = np.random.default_rng(0)
+    frequency, phase = rng.integers(1, 5, (6, 6)) / 4.0, rng.uniform(0.0, 2.0 * np.pi, (6, 6))
+    again = HarmonicTwist(rng.uniform(0.2, 0.7, (6, 6)) / np.sqrt(6.0), frequency, phase, 16)
+    for log, by in ((run_of(rig).log, 2.6), (tw.simulate(rig, again, seed=0).log, -1.5)):
+        assert with_clock_set(rig, later(log, by)).clock_set == pytest.approx(by, abs=0.01 + ROUNDING)
+
+
 def test_a_clock_is_set_to_a_sample() -> None:
     """So that rows which held sensor and motion go on to do so."""
     rig = light_rig(seconds=12, rate=100)

@@ -27,23 +27,24 @@ from truewrench.model.split import rows_of
 from truewrench.robot.compensation import weight_added
 from truewrench.robot.track import with_twist
 
-SECONDS, FURTHEST = 8.0, 1.0  # [s] of a log, from its middle, and of s, a quarter of those seconds at most
-LEAST, GRID = 0.03, 0.01  # [s] that an estimate finds by itself, and steps in which s is sought
+# [s] about a log's middle, of s (a quarter of those at most), of the steps in which it is sought; s and steps
+# where more than a share is left, as where a logger was started by hand
+SECONDS, FURTHEST, GRID = 8.0, 1.0, 0.01
+AFAR, COARSE, AMISS = 10.0, 0.02, 5e-3
+LEAST = 0.03  # [s] that an estimate finds by itself
 KNOTS, FEWEST, MOST = 0.1, 100, 1000  # [s] of a spline; rows of motion
 LOOKED_AT = 400  # rows of the sensor: thirteen columns follow none of them
 MISFIT, SHARE = 4.0, 1e-4  # mean square left, over noise's and the raw output's: beyond both it is asked
 BENT = 0.05  # [s] of s by which (10.4) goes on to bend: of 3 Hz; all of it biased kappa by 2 sigma
-BETTER = 10.0  # times less must be left: set in none of 1,360 records on one clock (benchmarks/far_clocks.py)
-
+BETTER = 10.0  # times less must be left: set in none of 1,520 records on one clock (benchmarks/far_clocks.py)
+ALIKE = 2.0  # times as much is left in another valley: tolerance
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def with_clock_set(rig: Rig, log: Log) -> Log:
     """The log with the sensor's stamps as early as they should be, to a sample; itself where they are."""
-    middle = 0.5 * float(log.time[-1]) if len(log.time_ns) else 0.0
-    rows = np.abs(log.time - middle) <= 0.5 * SECONDS
     with np.errstate(all="ignore"):  # whatever the cells hold
-        late = _late(rig, log if rows.all() else rows_of(log, rows))
+        late = _late(rig, log)
     if late == 0.0:
         return log
     sensed = np.flatnonzero(np.isfinite(log.raw).any(axis=1))
@@ -66,7 +67,9 @@ def set_within(rig: Rig, log: Log) -> float:
     seconds = min(SECONDS, 0.4 * float(log.time[-1])) if len(log.time_ns) else 0.0
     ends = (log.time <= seconds, log.time >= log.time[-1:] - seconds)
     with np.errstate(all="ignore"):  # whatever the cells hold
-        found = [one for rows in ends if (one := _Asked.of(rig, rows_of(log, rows))) is not None]
+        found = [
+            one for rows in ends if (one := _Asked.of(rig, rows_of(log, rows), FURTHEST, GRID)) is not None
+        ]
         if len(found) < len(ends):
             return 0.0
         count = min(one.lates.size for one in found)
@@ -79,16 +82,23 @@ def set_within(rig: Rig, log: Log) -> float:
 
 def _late(rig: Rig, log: Log) -> float:
     """How late the sensor is [s], 0 where that is not told."""
-    asked = _Asked.of(rig, log)
+    asked = _Asked.of(rig, _middle(log, SECONDS), FURTHEST, GRID)
     if asked is None:
         return 0.0
-    here = asked.left(0.0)
-    if not here > max(MISFIT, SHARE * float(np.var(asked.raw, axis=0).mean())):
+    here, whole = asked.left(0.0), float(np.var(asked.raw, axis=0).mean())
+    if not here > max(MISFIT, SHARE * whole):
         return 0.0
-    lefts, lates = asked.lefts(), asked.lates
-    k = int(np.argmin(lefts))
-    told = 0 < k < lates.size - 1 and here > BETTER * lefts[k] and abs(lates[k]) > LEAST
-    return float(lates[k]) if told else 0.0
+    found = asked.latest(here)
+    if found == 0.0 and here > AMISS * whole:
+        asked = _Asked.of(rig, _middle(log, SECONDS + 2.0 * AFAR), AFAR, COARSE)
+        found = 0.0 if asked is None else asked.latest(asked.left(0.0))
+    return found
+
+
+def _middle(log: Log, seconds: float) -> Log:
+    """So many seconds of a log."""
+    rows = np.abs(log.time - 0.5 * log.time[-1:]) <= 0.5 * seconds
+    return log if rows.all() else rows_of(log, rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +112,7 @@ class _Asked:
     lates: Array  # s that are asked [s]
 
     @classmethod
-    def of(cls, rig: Rig, log: Log) -> _Asked | None:
+    def of(cls, rig: Rig, log: Log, furthest: float, grid: float) -> _Asked | None:
         """None where there are too few samples, or nothing tells the motion."""
         read = log.raw if log.weight_offset is None else log.raw - weight_added(rig, log)
         rows = np.flatnonzero(np.isfinite(read).all(axis=1))
@@ -110,18 +120,18 @@ class _Asked:
         if found is None or not np.isfinite(found[1]).all():
             return None
         known, X = found
-        furthest = min(FURTHEST, 0.25 * float(log.time[rows[-1]] - log.time[rows[0]]))
+        furthest = min(furthest, 0.25 * float(log.time[rows[-1]] - log.time[rows[0]]))
         rows = rows[(log.time[rows] >= known[0] + furthest) & (log.time[rows] <= known[-1] - furthest)]
         rows = rows[:: max(1, -(-rows.size // LOOKED_AT))]
         if rows.size < FEWEST:
             return None
-        steps = int(furthest / GRID)
+        steps = int(furthest / grid)
         return cls(
             log.time[rows],
             read[rows] / rig.sensor.noise_array,
             known,
             X / np.abs(X).max(axis=0).clip(1e-12),
-            np.asarray(GRID * np.arange(-steps, steps + 1), np.float64),
+            np.asarray(grid * np.arange(-steps, steps + 1), np.float64),
         )
 
     def left(self, late: float) -> float:
@@ -133,6 +143,20 @@ class _Asked:
     def lefts(self) -> Array:
         """The same of all `lates`."""
         return np.array([self.left(late) for late in self.lates])
+
+    def latest(self, here: float) -> float:
+        """How late the sensor is, 0 where that is not told: `here` is left at no delay.
+
+        Of a motion that repeats itself the valley next to none, all being alike.
+        """
+        lefts = self.lefts()
+        lowest = 1 + np.flatnonzero((lefts[1:-1] <= lefts[:-2]) & (lefts[1:-1] <= lefts[2:]))
+        alike = lowest[lefts[lowest] <= ALIKE * lefts.min()]
+        if not alike.size:
+            return 0.0
+        k = alike[np.argmin(np.abs(self.lates[alike]))]
+        told = here > BETTER * lefts[k] and abs(self.lates[k]) > LEAST
+        return float(self.lates[k]) if told else 0.0
 
 
 def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
