@@ -76,6 +76,7 @@ void bind_record(nb::module_& m) {
       .def_rw("own_roots", &RecordedLog::own_roots)
       .def_rw("temperature", &RecordedLog::temperature)
       .def_rw("half_window", &RecordedLog::half_window)
+      .def_rw("clock_set", &RecordedLog::clock_set)
       .def_rw("resolved", &RecordedLog::resolved)
       .def_rw("motion", &RecordedLog::motion)
       .def("__copy__", [](const RecordedLog& log) { return log; })

@@ -60,6 +60,8 @@ TEST(Layout, EveryRootFrameOfALogHasATiltOfItsOwn) {
   EXPECT_EQ(layout.tilt, first + 6);
 }
 
+constexpr double kPi = 3.14159265358979323846;
+
 // By s, kappa and gamma, against differences, where samples are late and means of a time.
 TEST(Gravity, IsLateByItsParameters) {
   const Statement rig = in_gravity();
@@ -76,10 +78,13 @@ TEST(Gravity, IsLateByItsParameters) {
   Vector6 nu, a;
   nu << 0.1, 0.2, 0.3, 0.9, -0.7, 0.4;
   a << 0.3, 0.1, 0.2, -2.0, 1.5, 3.0;
-  const auto felt = [&] { return Gravity(rig, columns, theta.data(), true, half_window).felt(R, nu, a); };
+  const Vector3 jerk(5.0, -9.0, 4.0);
+  const auto felt = [&] {
+    return Gravity(rig, columns, theta.data(), true, half_window, 0.01).felt(R, nu, a, jerk);
+  };
   std::vector<Vector3> by;
-  Gravity(rig, columns, theta.data(), true, half_window)
-      .by_parameters(R, nu.tail<3>(), a.tail<3>(),
+  Gravity(rig, columns, theta.data(), true, half_window, 0.01)
+      .by_parameters(R, nu.tail<3>(), a.tail<3>(), jerk,
                      [&](const double* x) { by.emplace_back(x[0], x[1], x[2]); });
   for (int i = 0; i < 3; ++i) {
     theta[at[i]] = values[i] + step;
@@ -92,8 +97,93 @@ TEST(Gravity, IsLateByItsParameters) {
   theta[at[0]] = 0.0;
   const Vector3 g = R * rig.gravity, omega = nu.tail<3>(), alpha = a.tail<3>();
   const Vector3 second = omega.cross(omega.cross(g)) - alpha.cross(g);
-  EXPECT_LT((felt() - g - 0.2 * half_window * half_window * second).norm(), 1e-12);
+  const Vector3 mean = Gravity(rig, columns, theta.data(), true, half_window, 0.0).felt(R, nu, a, jerk);
+  EXPECT_LT((mean - g - 0.2 * half_window * half_window * second).norm(), 1e-12);
 }
+
+// A sensor that is late by l and filtered by one pole reads E x(t - l - X), X exponential with mean tau.
+struct OnePole {
+  double late, tau;
+
+  double s() const { return late + tau; }
+  double kappa() const { return 0.5 - 0.5 * tau * tau / (s() * s()); }
+  // Of x(t): integral over exp(-y) by steps whose error is of no account.
+  template <typename Value>
+  auto read(const Value& x, double t) const {
+    auto sum = x(t);
+    sum -= x(t);
+    constexpr double step = 2e-3;
+    for (double y = 0.5 * step; y < 30.0; y += step) sum += step * std::exp(-y) * x(t - late - tau * y);
+    return sum;
+  }
+};
+
+class Bends : public testing::TestWithParam<OnePole> {};
+
+// The motion as logged from the motion that the sensor read, of 1 rad/s.
+TEST_P(Bends, AsOnePoleToThirdOrder) {
+  const OnePole& pole = GetParam();
+  const double t = 0.4;
+  const auto x = [](int p) { return [p](double at) { return std::sin(at + 0.5 * kPi * p); }; };
+  const Bending bending(pole.s(), 0.0, pole.kappa() - 0.5);
+  const double late = t + pole.s();
+  const double told =
+      pole.read(x(0), late) + bending.second * pole.read(x(2), late) + bending.third * pole.read(x(3), late);
+  EXPECT_NEAR(told, std::sin(t), 0.4 * std::pow(pole.tau, 4.0) + 1e-6);
+  EXPECT_GT(std::abs(told - bending.third * pole.read(x(3), late) - std::sin(t)),
+            0.05 * std::pow(pole.tau, 3.0));
+}
+
+// Products of two motions, each as the sensor read it.
+TEST_P(Bends, AndProducts) {
+  const OnePole& pole = GetParam();
+  const double t = 0.4;
+  const Bending bending(pole.s(), 0.0, pole.kappa() - 0.5);
+  const auto x = [](int p) { return [p](double at) { return std::sin(at + 0.5 * kPi * p); }; };
+  const auto y = [](int p) {
+    return [p](double at) { return std::pow(0.7, p) * std::cos(0.7 * at + 0.5 * kPi * p); };
+  };
+  const double read = pole.read([&](double at) { return x(0)(at) * y(0)(at); }, t);
+  double rate[2];
+  for (int p : {0, 1})
+    rate[p] = p == 0 ? pole.read(x(1), t) - bending.skewed() * pole.read(x(2), t)
+                     : pole.read(y(1), t) - bending.skewed() * pole.read(y(2), t);
+  const double told = pole.read(x(0), t) * pole.read(y(0), t) + bending.averaged() * rate[0] * rate[1];
+  EXPECT_NEAR(told, read, 4.0 * std::pow(pole.tau, 4.0) + 1e-6);
+}
+
+// Gravity of a body that swings about an axis, its turning as the sensor read it.
+TEST_P(Bends, AndGravity) {
+  const OnePole& pole = GetParam();
+  const Statement rig = in_gravity();
+  RecordedLog log;
+  log.motion.resize(1);
+  log.motion[0].time_offset_prior = 0.01;
+  const Layout layout(rig, {&log}, {});
+  const Columns columns = layout.in_theta(0);
+  Eigen::VectorXd theta = layout.mean();
+  theta[columns.clock[0]] = pole.s();
+  theta[columns.clock[0] + 1] = pole.kappa();
+  theta[columns.gamma] = 1.0;
+  const Vector3 axis = Vector3(1, 2, 3).normalized();
+  const double t = 0.4;
+  const auto R = [&](double at) {
+    return Matrix3(Eigen::AngleAxisd(-0.8 * std::sin(at), axis).toRotationMatrix());
+  };
+  const auto turn = [&](int p) {
+    return 0.8 * pole.read([p](double at) { return std::sin(at + 0.5 * kPi * (p + 1)); }, t);
+  };
+  Vector6 nu = Vector6::Zero(), a = Vector6::Zero();
+  nu.tail<3>() = turn(0) * axis;
+  a.tail<3>() = turn(1) * axis;
+  const Vector3 jerk = turn(2) * axis;
+  const Vector3 read = pole.read([&](double at) { return Vector3(R(at) * rig.gravity); }, t);
+  const Vector3 told = Gravity(rig, columns, theta.data(), true, 0.0, 0.0).felt(R(t), nu, a, jerk);
+  EXPECT_LT((told - read).norm(), rig.gravity.norm() * (4.0 * std::pow(pole.s(), 4.0) + 1e-6));
+}
+
+INSTANTIATE_TEST_SUITE_P(Filters, Bends,
+                         testing::Values(OnePole{0.0, 0.1}, OnePole{0.05, 0.1}, OnePole{0.1, 0.05}));
 
 }  // namespace
 }  // namespace truewrench

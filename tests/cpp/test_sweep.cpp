@@ -101,6 +101,8 @@ void settle(Case& c, Form form) {
   c.theta = c.layout.mean();
   for (Eigen::Index i = 0; i < c.theta.size(); ++i) c.theta[i] += 0.01 * normal(engine);
   c.theta[c.columns().clock[0]] = 0.0;  // what (10.5) leaves out is of first order in it
+  c.theta[c.columns().clock[0] + 1] =
+      0.51;  // below 1/2 the sensor averages products, which steps follow late
   c.lagged = c.rig.nominal;
   for (Eigen::Index i = 0; i < c.stretch.c.size(); ++i) c.stretch.c.data()[i] = 0.3 * normal(engine);
   for (Eigen::Index i = 0; i < c.stretch.e.size(); ++i)

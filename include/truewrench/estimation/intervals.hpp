@@ -137,8 +137,8 @@ class Intervals {
       w[r] = s.now.w(k, r) / scale_[r];
     }
     const Matrix3 R = s.gravity() ? s.rotation_at(k) : Matrix3::Identity();
-    const MotionJacobian j =
-        row_jacobian(body_, s.log().point, scale_, gravity_, R, nu, a, w, known_, X, sums.ldx);
+    const MotionJacobian j = row_jacobian(body_, s.log().point, scale_, gravity_, R, nu, a,
+                                          angular(s.jerk_at(k)), w, known_, X, sums.ldx);
     if (s.log().source != Source::mapped) return by_splines(j, scale_, s.log().source == Source::imu, J);
     const int M = sums.M, columns = sums.orders * M;
     const double* by = s.mapped.jacobian.data() + k * s.mapped.jacobian.cols();  // (12, 3M)

@@ -48,13 +48,14 @@ struct RawRow {
   unsigned cells = 0;  // which of them: bits
   bool masked = false;
   bool gathered = false;                   // one of those that stand for more together
-  std::array<double, 2 * kLocal> basis{};  // B, B'
+  std::array<double, 3 * kLocal> basis{};  // B, B', B''
   Channels value{};
   Matrix3 R = Matrix3::Identity();
   // as predicted
   Channels residual{}, cw{};  // 0 where a cell is missing; C_0 w
   Vector6 nu = Vector6::Zero(), a = Vector6::Zero(), w = Vector6::Zero(),
-          phi = Vector6::Zero();  // w = B phi
+          phi = Vector6::Zero();   // w = B phi
+  Vector6 jerk = Vector6::Zero();  // nuddot of a twist
 
   bool has(int i) const { return (cells >> i & 1U) != 0; }
 };

@@ -47,7 +47,7 @@ inline void Lag::refresh() {
   products_.coordinates(theta.data(), z_.data());
   products_.times(lagged.data(), lagged_.data());
   for (int i = 0; i < 3; ++i) point_[i] = about_.point[i] - products_.centre[i];
-  gravity_ = Gravity(rig_, columns_, theta.data(), felt_, about_.half_window);
+  gravity_ = Gravity(rig_, columns_, theta.data(), felt_, about_.half_window, about_.clock_set);
   sums_.at(products_.D.data(), theta.data() + columns_.u, lagged_.data());
 }
 
@@ -56,6 +56,9 @@ inline void Lag::predict(long g) {
   refresh();
   double xx[2 * kWidth];
   coefficients(g, xx);
+  const int clock = columns_.clock[0];
+  const Bending bending = about_.bending(0, theta[clock], theta[clock + 1]);
+  const double averaged = bending.averaged();
   for (int o = 0; o < kBlock; ++o) {
     Interval& v = interval(kBlock * g + o);
     const double* c = xx + kComponents * o;
@@ -71,7 +74,16 @@ inline void Lag::predict(long g) {
         row.nu[j] = imu && j < 3 ? 0.0 : x[j];
         row.a[j] = imu && j < 3 ? x[j] : x[6 + j];
       }
-      row.phi = wrench_about(products_.body, point_, row.nu, row.a, gravity_.felt(row.R, row.nu, row.a));
+      if (!imu && (felt_ || averaged > 0.0)) {
+        row.jerk.setZero();
+        for (std::size_t l = 0; l < kLocal; ++l)
+          dense::add<6>(row.jerk.data(), row.basis[2 * kLocal + l], c + kComponents * static_cast<int>(l));
+      }
+      row.phi = wrench_about(products_.body, point_, row.nu, row.a,
+                             gravity_.felt(row.R, row.nu, row.a, angular(row.jerk)));
+      if (averaged > 0.0)
+        row.phi += averaged_products(products_.body, point_, imu ? turning(row.a) : row.a, row.jerk, averaged,
+                                     bending.skewed());
       for (int k = 0; k < 6; ++k) row.phi[k] *= scale_[k];
       for (int k = 0; k < 6; ++k) {
         double sum = 0.0;
@@ -168,7 +180,7 @@ inline void Lag::sum_rows(Front& f, const Interval& v, unsigned same, RawSums& o
 inline void Lag::jacobians(const RawRow& row, double* J, double* X) const {
   const bool known = columns_.body < 0;
   const MotionJacobian j = row_jacobian(products_.body, point_, scale_.data(), gravity_, row.R, row.nu, row.a,
-                                        row.phi, known, X, sums_.ldx);
+                                        angular(row.jerk), row.phi, known, X, sums_.ldx);
   // the mass and the lever arm are in D: of the centre the point's motion alone
   for (int r = 0; r < 6 && !known; ++r) std::fill_n(X + r * sums_.ldx, r < 3 ? 1 : 4, 0.0);
   by_splines(j, scale_.data(), about_.source == Source::imu, J);

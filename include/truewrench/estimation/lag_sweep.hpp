@@ -33,27 +33,27 @@ inline void Lag::add_smoothness(double* P, double* N, const double* xx, SizeSums
 
 inline bool Lag::placed(std::size_t i, const MotionRow& row, long g, bool last, const double* xx,
                         Placed& out) const {
-  const double s = theta[columns_.clock[i]], kappa = theta[columns_.clock[i] + 1],
-               x = (row.time + s - origin_) / h_;
-  const double square = s * s + about_.square_window(i), bend = (kappa - 0.5) * square;
+  const double s = theta[columns_.clock[i]], x = (row.time + s - origin_) / h_;
+  const Bending bending = about_.bending(i, s, theta[columns_.clock[i] + 1]);
   const auto interval_of = static_cast<long>(std::floor(x + 1e-9));
   if (interval_of >= kBlock * (g + 1) && !last) return false;
   out.o = static_cast<int>(std::clamp<long>(interval_of - kBlock * g, 0, kBlock - 1));
   const double u = x - static_cast<double>(kBlock * g + out.o);
   const int p = about_.motion[i].derivative;
-  Basis b[4];
-  spline_.bases(u, p, 4, b);
+  Basis b[5];
+  spline_.bases(u, p, 5, b);
+  double by_s[kLocal], by_kappa[kLocal];
+  bending.rows(b, kLocal, out.b.data(), by_s, by_kappa);
   for (std::size_t j = 0; j < kComponents; ++j) {
     out.by_s[j] = out.by_kappa[j] = 0.0;
     out.residual[j] =
         row.value[j] - (columns_.bias[i] >= 0 ? theta[columns_.bias[i] + static_cast<int>(j)] : 0.0);
   }
   for (int l = 0; l < kLocal; ++l) {
-    out.b[l] = b[0][l] + bend * b[2][l];
     const double* c = xx + kComponents * (out.o + l);
     dense::add<6>(out.residual, -out.b[l], c);
-    dense::add<6>(out.by_s, b[1][l] + (kappa - 0.5) * 2.0 * s * b[2][l] + bend * b[3][l], c);
-    dense::add<6>(out.by_kappa, square * b[2][l], c);
+    dense::add<6>(out.by_s, by_s[l], c);
+    dense::add<6>(out.by_kappa, by_kappa[l], c);
   }
   for (std::size_t j = 0; j < kComponents; ++j) out.residual[j] *= row.have[j];
   return true;

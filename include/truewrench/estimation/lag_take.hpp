@@ -61,9 +61,9 @@ void Lag::take(long at, const Ring<RawSample>& samples, long from, long to, cons
   };
   const auto finish = [&](RawRow& row, bool gathered) {
     const double u = (row.time - v.begin) / h_;
-    Basis b[2];
-    spline_.bases(u, 0, 2, b);
-    for (std::size_t p = 0; p < 2; ++p) std::copy_n(b[p].data(), kLocal, row.basis.begin() + kLocal * p);
+    Basis b[3];
+    spline_.bases(u, 0, 3, b);
+    for (std::size_t p = 0; p < 3; ++p) std::copy_n(b[p].data(), kLocal, row.basis.begin() + kLocal * p);
     row.masked = false;
     row.gathered = gathered;
     row.weight = 1.0;

@@ -53,6 +53,7 @@ struct MotionRows {
 // What a prediction leaves behind, a row a sample.
 struct Prediction {
   RowMatrix nu, a, g;  // SI; g: that the sensor feels, (10.5)
+  RowMatrix jerk;      // (K, 6) nuddot, 0 but for a twist
   RowMatrix w;         // (K, 6) fractions of range, with the sign of the rig
   RowMatrix cw;        // (K, n) C_0 w
   RowMatrix residual;  // (K, n), 0 where missing
@@ -181,6 +182,7 @@ class Stretch {
   void evaluate_motion(double late) {
     const Eigen::Index rows = raw.rows();
     for (RowMatrix* m : {&now.nu, &now.a}) m->resize(rows, 6);
+    if (now.jerk.rows() != rows) now.jerk = RowMatrix::Zero(rows, 6);
     if (log_->source == Source::mapped) {
       // theta plays no other part in it
       if (mapped_at_.size() == c.size() && mapped_at_ == c && mapped_late_ == late) return;
@@ -196,7 +198,7 @@ class Stretch {
       mapped_late_ = late;
       return;
     }
-    double x0[max_components], x1[max_components];
+    double x0[max_components], x1[max_components], x2[max_components];
     for (Eigen::Index k = 0; k < rows; ++k) {
       value_at(k, 0, c, x0);
       value_at(k, 1, c, x1);
@@ -206,6 +208,9 @@ class Stretch {
         nu[j] = imu && j < 3 ? 0.0 : x0[j];
         a[j] = imu && j < 3 ? x0[j] : x1[j];
       }
+      if (imu) continue;
+      value_at(k, 2, c, x2);
+      std::copy_n(x2, 6, now.jerk.data() + 6 * k);
     }
   }
 
@@ -235,6 +240,9 @@ class Stretch {
       for (Eigen::Index j = 0; j < columns; ++j) out[j] += basis[l] * x[l * columns + j];
   }
 
+  Vector6 jerk_at(Eigen::Index k) const {
+    return Vector6(Eigen::Map<const Vector6>(now.jerk.data() + 6 * k));
+  }
   Matrix3 rotation_at(Eigen::Index k) const {
     const double* rows = log_->source == Source::mapped
                              ? mapped.R_sensor_root.data() + 9 * k
@@ -257,30 +265,27 @@ class Stretch {
   RowMatrix mapped_at_;             // the coefficients that `mapped` is of
   double mapped_late_ = 0.0;        // and the delay [s]
 
-  // twist = nu(t + s) + (kappa - 1/2) (s^2 + r^2) nuddot + sigma_v eps, r half of what a sample averages           (10.4)
+  // twist = nu(t + s) + (kappa - 1/2) (s^2 + r^2) nuddot + 4/3 (kappa - 1/2)^2 s^3 nudddot + sigma_v eps, r half of what a sample
+  // averages                                                                                                      (10.4)
   void predict_motion(const Columns& columns, const Eigen::VectorXd& theta) {
     for (std::size_t i = 0; i < motion.size(); ++i) {
       MotionRows& m = motion[i];
       const int p = log_->motion[i].derivative;
-      const double s = theta[columns.clock[i]], kappa = theta[columns.clock[i] + 1],
-                   square = s * s + log_->square_window(i), bend = (kappa - 0.5) * square;
+      const double s = theta[columns.clock[i]];
+      const Bending bending = log_->bending(i, s, theta[columns.clock[i] + 1]);
       const int bias = columns.bias[i];
       const Eigen::Index rows = m.rows();
       m.interval.resize(static_cast<std::size_t>(rows));
       m.basis.resize(rows, kLocal);
       for (RowMatrix* x : {&m.by_s, &m.by_kappa, &m.residual}) x->resize(rows, M_);
-      Basis b[4];
+      Basis b[5];
       for (Eigen::Index k = 0; k < rows; ++k) {
         double u = 0.0;
         const Eigen::Index at = spline.locate(m.time[k] + s, u);
         m.interval[static_cast<std::size_t>(k)] = at;
-        spline.bases(u, p, 4, b);
+        spline.bases(u, p, 5, b);
         double *basis = m.basis.data() + k * kLocal, by_s[kLocal], by_kappa[kLocal];
-        for (int l = 0; l < kLocal; ++l) {
-          basis[l] = b[0][l] + bend * b[2][l];
-          by_s[l] = b[1][l] + (kappa - 0.5) * 2.0 * s * b[2][l] + bend * b[3][l];
-          by_kappa[l] = square * b[2][l];
-        }
+        bending.rows(b, kLocal, basis, by_s, by_kappa);
         combine(by_s, at, c, m.by_s.data() + k * M_);
         combine(by_kappa, at, c, m.by_kappa.data() + k * M_);
         double* residual = m.residual.data() + k * M_;
@@ -307,12 +312,19 @@ class Stretch {
     const double *C = theta.data() + columns.C, *b = theta.data() + columns.b,
                  *quadratic = theta.data() + columns.u;
     const Gravity gravity_now = gravity_of(columns, theta);
+    const bool imu = log_->source == Source::imu;
+    const int clock = columns.clock[0];
+    const Bending bending = log_->bending(0, theta[clock], theta[clock + 1]);
+    const double averaged = bending.averaged();
     double d[max_components] = {};
     for (Eigen::Index k = 0; k < rows; ++k) {
       const Eigen::Map<const Vector6> at_nu(now.nu.data() + 6 * k), at_a(now.a.data() + 6 * k);
-      const Vector6 nu = at_nu, a = at_a;
-      const Vector3 g = gravity() ? gravity_now.felt(rotation_at(k), nu, a) : Vector3::Zero();
-      const Vector6 wrench = wrench_about(body, log_->point, nu, a, g);
+      const Vector6 nu = at_nu, a = at_a, jerk = jerk_at(k);
+      const Vector3 g = gravity() ? gravity_now.felt(rotation_at(k), nu, a, angular(jerk)) : Vector3::Zero();
+      Vector6 wrench = wrench_about(body, log_->point, nu, a, g);
+      if (averaged > 0.0)
+        wrench +=
+            averaged_products(body, log_->point, imu ? turning(a) : a, jerk, averaged, bending.skewed());
       double *w = now.w.data() + 6 * k, *cw = now.cw.data() + n_ * k,
              *residual = now.residual.data() + n_ * k;
       for (int j = 0; j < 3; ++j) now.g(k, j) = g[j];
@@ -344,7 +356,7 @@ class Stretch {
     return out;
   }
   Gravity gravity_of(const Columns& columns, const Eigen::VectorXd& theta) const {
-    return {*rig_, of_root(columns), theta.data(), gravity(), log_->half_window};
+    return {*rig_, of_root(columns), theta.data(), gravity(), log_->half_window, log_->clock_set};
   }
   Columns of_root(const Columns& columns) const { return columns.in_root(0.5 * (begin_ + end_)); }
   double warmth(Eigen::Index k) const {

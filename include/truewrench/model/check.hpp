@@ -93,7 +93,7 @@ inline Status check(const Statement& rig, const RecordedLog& log) {
   if (M < 1 || M > max_components || (log.source != Source::mapped && M != 6)) return Status::wrong_size;
   for (const MotionStream& m : log.motion)
     if (const Status status = checked::stream(m, M); status != Status::ok) return status;
-  if (!log.point.allFinite()) return Status::not_finite;
+  if (!log.point.allFinite() || !std::isfinite(log.clock_set)) return Status::not_finite;
   // a table's rounding, and the solver's of principal moments
   return checked::first(
       {check(log.payload, 1e-6), checked::walk(log), checked::prior(log.half_window),

@@ -4,6 +4,8 @@
 
 #include "truewrench/model/parameters.hpp"
 
+#include <array>
+
 namespace truewrench {
 
 // Gravity in the root frame turned by two small angles about axes normal to it, and its derivative by them.
@@ -37,47 +39,47 @@ class Gravity {
  public:
   Gravity() = default;
   // `acts`: it is felt, and tilt and delay have columns. Places in theta by `columns`.
-  // `half_window` [s] is that of the sensor's samples.
-  Gravity(const Statement& rig, const Columns& columns, const double* theta, bool acts, double half_window)
+  // `half_window` and `clock_set` [s] are those of the log.
+  Gravity(const Statement& rig, const Columns& columns, const double* theta, bool acts, double half_window,
+          double clock_set)
       : acts_(acts), late_(acts && columns.gamma >= 0), root_(rig.gravity) {
     if (!acts) return;
     root_ = tilted(rig.gravity, Eigen::Vector2d(theta[columns.tilt], theta[columns.tilt + 1]), by_tilt_);
     if (!late_) return;
     s_ = theta[columns.clock[0]];
-    kappa_ = theta[columns.clock[0] + 1];
+    late_by_ = s_ + clock_set;
+    off_ = theta[columns.clock[0] + 1] - 0.5;
     gamma_ = theta[columns.gamma];
-    square_ = gamma_ * s_ * s_ + half_window * half_window;
+    square_window_ = half_window * half_window;
   }
 
   bool acts() const { return acts_; }
 
-  // g+ = g + gamma [ s Omega x g + s^2/2 (Omega x (Omega x g) + Omegadot x g) ]
-  //        + (kappa - 1/2) (gamma s^2 + r^2) (Omegadot x g - Omega x (Omega x g)), r that of the sensor             (10.5)
-  Vector3 felt(const Matrix3& R_sensor_root, const Vector6& nu, const Vector6& a) const {
+  // g+ = g + gamma [ s Omega x g + (s^2 - e) Omegadot x g + e Omega x (Omega x g) + ... ] + (kappa - 1/2) r^2 (Omegadot x g - Omega x
+  // (Omega x g)), e = s^2 / 2 - (kappa - 1/2) s^2, r that of the sensor; third order: series()                        (10.5)
+  Vector3 felt(const Matrix3& R_sensor_root, const Vector6& nu, const Vector6& a, const Vector3& jerk) const {
     if (!acts_) return Vector3::Zero();
     const Vector3 g = in_sensor(R_sensor_root);
-    return late_ && (gamma_ != 0.0 || square_ != 0.0) ? retarded(g, angular(nu), angular(a)) : g;
+    return late_ ? retarded(g, angular(nu), angular(a), jerk) : g;
   }
 
-  // Calls put(d g+) for s, kappa and gamma of (10.5), where they have columns, and for both tilts.
+  // Calls put(d g+) for s, kappa and gamma of (10.5), where they have columns, and for both tilts. jerk: Omegaddot.
   template <typename Put>
   void by_parameters(const Matrix3& R_sensor_root, const Vector3& omega, const Vector3& alpha,
-                     const Put& put) const {
+                     const Vector3& jerk, const Put& put) const {
     if (late_) {
-      const Vector3 g = in_sensor(R_sensor_root), first = cross(omega, g), turn = cross(omega, first),
-                    spin = cross(alpha, g);
+      const auto x = products(in_sensor(R_sensor_root), omega, alpha, jerk);
       double by[3][3];
-      for (int i = 0; i < 3; ++i) {
-        const double second = (1.0 - kappa_) * turn[i] + kappa_ * spin[i];
-        by[0][i] = gamma_ * (first[i] + 2.0 * s_ * second);
-        by[1][i] = square_ * (spin[i] - turn[i]);
-        by[2][i] = s_ * first[i] + s_ * s_ * second;
+      for (std::size_t i = 0; i < 3; ++i) {
+        by[0][i] = gamma_ * sum(series_by_s(), x, i);
+        by[1][i] = gamma_ * sum(series_by_kappa(), x, i) + square_window_ * (x[1][i] - x[2][i]);
+        by[2][i] = sum(series(), x, i);
       }
-      for (const auto& x : by) put(x);
+      for (const auto& d : by) put(d);
     }
     for (int c = 0; c < 2; ++c) {
       const Vector3 x = product(R_sensor_root, Vector3(by_tilt_(0, c), by_tilt_(1, c), by_tilt_(2, c)));
-      put(retarded(x, omega, alpha).data());
+      put(retarded(x, omega, alpha, jerk).data());
     }
   }
 
@@ -90,14 +92,49 @@ class Gravity {
   bool acts_ = false, late_ = false;
   Vector3 root_ = Vector3::Zero();
   Eigen::Matrix<double, 3, 2> by_tilt_ = Eigen::Matrix<double, 3, 2>::Zero();
-  double s_ = 0.0, kappa_ = 0.5, gamma_ = 0.0, square_ = 0.0;
+  double s_ = 0.0, late_by_ = 0.0, off_ = 0.0, gamma_ = 0.0, square_window_ = 0.0;
 
-  Vector3 retarded(const Vector3& g, const Vector3& omega, const Vector3& alpha) const {
-    const Vector3 first = cross(omega, g), turn = cross(omega, first), spin = cross(alpha, g);
+  // Of products(). With D = e^{s d} [1 + second d^2 + third d^3] of (10.4), g+ = D^-1 g; dg = - Omega x g, and the Omega of g is D Omega:
+  // second = (kappa - 1/2) S^2, third = 4/3 (kappa - 1/2)^2 S^3, S late in all; e = s^2 / 2 - second of d^2, c of d^3.
+  using Series = std::array<double, 7>;
+  static Series of(double first, double spin, double e, double se, double jerk, double c) {
+    return {first, spin, e, jerk - c, se + 2.0 * c, se + c, -c};
+  }
+  Series series() const {
+    const Bending by(late_by_, 0.0, off_);
+    const double e = 0.5 * s_ * s_ - by.second, c = s_ * (by.second - s_ * s_ / 6.0) - by.third;
+    return of(s_, s_ * s_ - e, e, s_ * e, 2.0 * s_ * by.second, c);
+  }
+  Series series_by_s() const {
+    const Bending by(late_by_, 0.0, off_);
+    const double e = 0.5 * s_ * s_ - by.second, e_by = s_ - by.second_by_s,
+                 c_by = by.second + s_ * (by.second_by_s - 0.5 * s_) - by.third_by_s;
+    return of(1.0, 2.0 * s_ - e_by, e_by, e + s_ * e_by, 2.0 * (by.second + s_ * by.second_by_s), c_by);
+  }
+  Series series_by_kappa() const {
+    const Bending by(late_by_, 0.0, off_);
+    const double square = by.second_by_kappa;
+    return of(0.0, square, -square, -s_ * square, 2.0 * s_ * square, s_ * square - by.third_by_kappa);
+  }
+
+  static std::array<Vector3, 7> products(const Vector3& g, const Vector3& omega, const Vector3& alpha,
+                                         const Vector3& jerk) {
+    const Vector3 first = cross(omega, g), spin = cross(alpha, g), turn = cross(omega, first);
+    return {first, spin, turn, cross(jerk, g), cross(alpha, first), cross(omega, spin), cross(omega, turn)};
+  }
+  static double sum(const Series& series, const std::array<Vector3, 7>& x, std::size_t i) {
+    double out = 0.0;
+    for (std::size_t k = 0; k < x.size(); ++k) out += series[k] * x[k][static_cast<Eigen::Index>(i)];
+    return out;
+  }
+
+  Vector3 retarded(const Vector3& g, const Vector3& omega, const Vector3& alpha, const Vector3& jerk) const {
+    const auto x = products(g, omega, alpha, jerk);
+    const Series by = series();
     Vector3 out;
     for (int i = 0; i < 3; ++i)
-      out[i] = g[i] + gamma_ * (s_ * first[i] + 0.5 * s_ * s_ * (turn[i] + spin[i])) +
-               (kappa_ - 0.5) * square_ * (spin[i] - turn[i]);
+      out[i] = g[i] + gamma_ * sum(by, x, static_cast<std::size_t>(i)) +
+               off_ * square_window_ * (x[1][i] - x[2][i]);
     return out;
   }
 };
@@ -106,7 +143,8 @@ class Gravity {
 // ten parameters of the body, unless it is `known`, and those of gravity; returned by twist, acceleration and gravity.
 inline MotionJacobian row_jacobian(const Payload& body, const Vector3& point, const double* scale,
                                    const Gravity& gravity, const Matrix3& R_sensor_root, const Vector6& nu,
-                                   const Vector6& a, const Vector6& w, bool known, double* X, int ldx) {
+                                   const Vector6& a, const Vector3& jerk, const Vector6& w, bool known,
+                                   double* X, int ldx) {
   MotionJacobian j = motion_jacobian(body, point, nu);
   int at = 0;
   if (!known) {
@@ -115,7 +153,7 @@ inline MotionJacobian row_jacobian(const Payload& body, const Vector3& point, co
       for (int r = 0; r < 6; ++r) X[r * ldx + at] = scale[r] * by_body(r, at);
   }
   if (!gravity.acts()) return j;
-  gravity.by_parameters(R_sensor_root, angular(nu), angular(a), [&](const double* by) {
+  gravity.by_parameters(R_sensor_root, angular(nu), angular(a), jerk, [&](const double* by) {
     for (int r = 0; r < 6; ++r)
       X[r * ldx + at] = scale[r] * (j.g(r, 0) * by[0] + j.g(r, 1) * by[1] + j.g(r, 2) * by[2]);
     ++at;

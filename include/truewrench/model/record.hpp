@@ -8,6 +8,8 @@
 
 #include <Eigen/Core>
 
+#include <algorithm>
+#include <cmath>
 #include <functional>
 #include <vector>
 
@@ -42,6 +44,38 @@ struct MotionStream {
   RowMatrix remainder;   // (K, M) their sum of squares about it
 };
 
+// Filters in (10.4), twist(t) = [1 + second d^2 + third d^3] nu(t + s), exact to third order for a clock and one pole, of the sensor
+// (kappa below 1/2) or of the velocities (above); and its derivatives by s and kappa.
+struct Bending {
+  double pole;  // [s] time constant
+  double second, third, second_by_s, third_by_s, second_by_kappa, third_by_kappa;
+
+  // [s] late in all; [s^2] r^2, of what samples are means of; kappa - 1/2.
+  Bending(double late, double square_window, double off)
+      : pole(std::sqrt(2.0 * std::abs(off)) * std::abs(late)),
+        second(off * (late * late + square_window)),
+        third(-std::copysign(pole * pole * pole / 3.0, off)),
+        second_by_s(2.0 * off * late),
+        third_by_s(-pole * second_by_s),
+        second_by_kappa(late * late + square_window),
+        third_by_kappa(-pole * late * late) {}
+
+  // Of what a filter of the sensor averages over: variance [s^2], and how late the products of its pole are [s].
+  double averaged() const { return std::max(0.0, -2.0 * second); }
+  double skewed() const { return second < 0.0 ? pole : 0.0; }
+
+  // Rows of nu(t + s) and its four derivatives to those of the twist, by the motion, by s and by kappa.
+  template <typename Basis>
+  void rows(const Basis* b, int knots, double* by_motion, double* by_s, double* by_kappa) const {
+    for (int l = 0; l < knots; ++l) {
+      const auto at = static_cast<std::size_t>(l);
+      by_motion[l] = b[0][at] + second * b[2][at] + third * b[3][at];
+      by_s[l] = b[1][at] + second_by_s * b[2][at] + (second + third_by_s) * b[3][at] + third * b[4][at];
+      by_kappa[l] = second_by_kappa * b[2][at] + third_by_kappa * b[3][at];
+    }
+  }
+};
+
 // What generalised positions and their derivatives mean for the sensor: a row a time.
 struct MappedMotion {
   RowMatrix nu, a;          // (K, 6)
@@ -70,6 +104,7 @@ struct RecordedLog {
   // this log alone, anew from each of these times on, where stretches begin and end; empty: the root frame that logs share
   std::vector<double> own_roots;
   double half_window = 0.0;  // [s] as of a stream, of the sensor's samples
+  double clock_set = 0.0;    // [s] how much later the sensor was, undone at its stamps; (10.4) bends by it on
   bool resolved =
       false;  // a low-pass of motion and sensor alike has left nothing that a knot a sample does not follow
   std::vector<MotionStream> motion;
@@ -81,10 +116,10 @@ struct RecordedLog {
   std::vector<Eigen::Index> spikes;  // samples of the log that no row holds
 
   int components() const { return motion.empty() ? 0 : static_cast<int>(motion.front().value.cols()); }
-  // Of what the sensor's samples and a stream's average, r^2 of (10.4) [s^2].
-  double square_window(std::size_t stream) const {
+  // Of a stream, by its s and kappa.
+  Bending bending(std::size_t stream, double s, double kappa) const {
     const double of_stream = motion[stream].half_window;
-    return half_window * half_window + of_stream * of_stream;
+    return {s + clock_set, half_window * half_window + of_stream * of_stream, kappa - 0.5};
   }
 };
 

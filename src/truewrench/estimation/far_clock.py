@@ -55,8 +55,8 @@ def with_clock_set(rig: Rig, log: Log) -> Log:
 
 
 def bent(clock_set: float) -> float:
-    """Whose square kappa of (10.4) multiplies beside that of what is left of s [s]."""
-    return min(abs(clock_set), BENT)
+    """By which (10.4) bends beside what is left of s [s]."""
+    return float(np.clip(clock_set, -BENT, BENT))
 
 
 def set_within(rig: Rig, log: Log) -> float:

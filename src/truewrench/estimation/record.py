@@ -102,7 +102,7 @@ def recorded(
         known = base.covers(log.time)
         _leave_out(notes, log, known, "base_*", "the motion of the base is not known then")
         out.set_chain(chain, None if base.rests else base.carried, rig.in_gravity)
-    out.time, out.half_window = log.time, log.half_window("raw")
+    out.time, out.half_window, out.clock_set = log.time, log.half_window("raw"), bent(log.clock_set)
     out.resolved = any(shakes.shown and shakes.open for shakes in log.vibrations)
     out.raw = np.where(known[:, None], log.raw / assumptions.channel_scale, np.nan)
     warm = temperature_at(log, log.time_ns) if assumptions.slope_prior > 0.0 else None
@@ -132,7 +132,7 @@ def _stream(
     out.time_offset_prior = assumptions.time_offset_prior
     out.clock_mean = assumptions.clock_mean
     out.kappa_mean = assumptions.kappa_mean
-    out.half_window = float(np.hypot(log.half_window(field), bent(log.clock_set)))
+    out.half_window = log.half_window(field)
     return out
 
 

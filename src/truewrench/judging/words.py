@@ -225,7 +225,7 @@ def _filter(clock: Clock, lowpass_hz: float | None) -> tuple[float, float, bool]
         excess = 2.0 * clock.kappa - 1.0
         motion, late = excess > 0.0, clock.late + clock.set_back
         if abs(excess) > FILTERED * 2.0 * clock.kappa_std and (motion or late > 0.0):
-            s = math.hypot(clock.late, bent(clock.set_back))
+            s = abs(clock.late + bent(clock.set_back))
             tau = s * math.sqrt(min(abs(excess), 1.0))
             return tau, s * clock.kappa_std / math.sqrt(abs(excess)), motion
     return 0.0, 0.0, False
