@@ -179,7 +179,7 @@ class Stretch {
 
   // The twist and its derivative at the raw samples alone; `late` [s]: of what carries the arm, which has the stamps of the
   // motion and not the sensor's.
-  void evaluate_motion(double late) {
+  void evaluate_motion(double late, bool jerk) {
     const Eigen::Index rows = raw.rows();
     for (RowMatrix* m : {&now.nu, &now.a}) m->resize(rows, 6);
     if (now.jerk.rows() != rows) now.jerk = RowMatrix::Zero(rows, 6);
@@ -208,7 +208,7 @@ class Stretch {
         nu[j] = imu && j < 3 ? 0.0 : x0[j];
         a[j] = imu && j < 3 ? x0[j] : x1[j];
       }
-      if (imu) continue;
+      if (imu || !jerk) continue;
       value_at(k, 2, c, x2);
       std::copy_n(x2, 6, now.jerk.data() + 6 * k);
     }
@@ -265,8 +265,8 @@ class Stretch {
   RowMatrix mapped_at_;             // the coefficients that `mapped` is of
   double mapped_late_ = 0.0;        // and the delay [s]
 
-  // twist = nu(t + s) + (kappa - 1/2) (s^2 + r^2) nuddot + 4/3 (kappa - 1/2)^2 s^3 nudddot + sigma_v eps, r half of what a sample
-  // averages                                                                                                      (10.4)
+  // twist = nu(t + s) + (kappa - 1/2) (s^2 + r^2) nuddot + sigma_v eps, r half of what a sample averages; third order: Bending
+  //                                                                                                               (10.4)
   void predict_motion(const Columns& columns, const Eigen::VectorXd& theta) {
     for (std::size_t i = 0; i < motion.size(); ++i) {
       MotionRows& m = motion[i];
@@ -302,7 +302,11 @@ class Stretch {
   // raw = C w + b + u (C_0 w)^2 + ramps + sum a 1[t >= t_j] + d + slope dT                                         (10.3)
   void predict_raw(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
                    bool discrepancy) {
-    evaluate_motion(log_->carried ? theta[columns.clock[0]] : 0.0);
+    const bool imu = log_->source == Source::imu;
+    const int clock = columns.clock[0];
+    const Bending bending = log_->bending(0, theta[clock], theta[clock + 1]);
+    const double averaged = bending.averaged();
+    evaluate_motion(log_->carried ? theta[clock] : 0.0, gravity() || averaged > 0.0);
     const Eigen::Index rows = raw.rows();
     now.g.resize(rows, 3);
     now.w.resize(rows, 6);
@@ -312,10 +316,6 @@ class Stretch {
     const double *C = theta.data() + columns.C, *b = theta.data() + columns.b,
                  *quadratic = theta.data() + columns.u;
     const Gravity gravity_now = gravity_of(columns, theta);
-    const bool imu = log_->source == Source::imu;
-    const int clock = columns.clock[0];
-    const Bending bending = log_->bending(0, theta[clock], theta[clock + 1]);
-    const double averaged = bending.averaged();
     double d[max_components] = {};
     for (Eigen::Index k = 0; k < rows; ++k) {
       const Eigen::Map<const Vector6> at_nu(now.nu.data() + 6 * k), at_a(now.a.data() + 6 * k);

@@ -46,21 +46,22 @@ class Gravity {
     if (!acts) return;
     root_ = tilted(rig.gravity, Eigen::Vector2d(theta[columns.tilt], theta[columns.tilt + 1]), by_tilt_);
     if (!late_) return;
-    s_ = theta[columns.clock[0]];
-    late_by_ = s_ + clock_set;
+    const double s = theta[columns.clock[0]];
     off_ = theta[columns.clock[0] + 1] - 0.5;
     gamma_ = theta[columns.gamma];
     square_window_ = half_window * half_window;
+    set_series(s, Bending(s + clock_set, 0.0, off_));
   }
 
   bool acts() const { return acts_; }
 
-  // g+ = g + gamma [ s Omega x g + (s^2 - e) Omegadot x g + e Omega x (Omega x g) + ... ] + (kappa - 1/2) r^2 (Omegadot x g - Omega x
-  // (Omega x g)), e = s^2 / 2 - (kappa - 1/2) s^2, r that of the sensor; third order: series()                        (10.5)
+  // g+ = g + gamma [ s Omega x g + s^2/2 (Omega x (Omega x g) + Omegadot x g) ]
+  //        + (kappa - 1/2) (gamma s^2 + r^2) (Omegadot x g - Omega x (Omega x g)), r that of the sensor             (10.5)
+  // and the third order of both, set_series().
   Vector3 felt(const Matrix3& R_sensor_root, const Vector6& nu, const Vector6& a, const Vector3& jerk) const {
     if (!acts_) return Vector3::Zero();
     const Vector3 g = in_sensor(R_sensor_root);
-    return late_ ? retarded(g, angular(nu), angular(a), jerk) : g;
+    return late_ && (gamma_ != 0.0 || square_window_ != 0.0) ? retarded(g, angular(nu), angular(a), jerk) : g;
   }
 
   // Calls put(d g+) for s, kappa and gamma of (10.5), where they have columns, and for both tilts. jerk: Omegaddot.
@@ -71,9 +72,9 @@ class Gravity {
       const auto x = products(in_sensor(R_sensor_root), omega, alpha, jerk);
       double by[3][3];
       for (std::size_t i = 0; i < 3; ++i) {
-        by[0][i] = gamma_ * sum(series_by_s(), x, i);
-        by[1][i] = gamma_ * sum(series_by_kappa(), x, i) + square_window_ * (x[1][i] - x[2][i]);
-        by[2][i] = sum(series(), x, i);
+        by[0][i] = gamma_ * sum(by_s_, x, i);
+        by[1][i] = gamma_ * sum(by_kappa_, x, i) + square_window_ * (x[1][i] - x[2][i]);
+        by[2][i] = sum(series_, x, i);
       }
       for (const auto& d : by) put(d);
     }
@@ -84,7 +85,7 @@ class Gravity {
   }
 
   // d g+ = - gamma s [g x] dOmega, to first order in s.
-  double lag() const { return gamma_ * s_; }
+  double lag() const { return gamma_ * series_[0]; }
   // Without (10.5).
   Vector3 in_sensor(const Matrix3& R_sensor_root) const { return product(R_sensor_root, root_); }
 
@@ -92,29 +93,21 @@ class Gravity {
   bool acts_ = false, late_ = false;
   Vector3 root_ = Vector3::Zero();
   Eigen::Matrix<double, 3, 2> by_tilt_ = Eigen::Matrix<double, 3, 2>::Zero();
-  double s_ = 0.0, late_by_ = 0.0, off_ = 0.0, gamma_ = 0.0, square_window_ = 0.0;
+  double off_ = 0.0, gamma_ = 0.0, square_window_ = 0.0;
 
-  // Of products(). With D = e^{s d} [1 + second d^2 + third d^3] of (10.4), g+ = D^-1 g; dg = - Omega x g, and the Omega of g is D Omega:
-  // second = (kappa - 1/2) S^2, third = 4/3 (kappa - 1/2)^2 S^3, S late in all; e = s^2 / 2 - second of d^2, c of d^3.
+  // Of products(). With D = e^{s d} [1 + second d^2 + third d^3] of (10.4), g+ = D^-1 g; dg = - Omega x g, and the Omega of g is D Omega;
+  // e = s^2 / 2 - second of d^2, c = s (second - s^2 / 6) - third of d^3.
   using Series = std::array<double, 7>;
+  Series series_{}, by_s_{}, by_kappa_{};
   static Series of(double first, double spin, double e, double se, double jerk, double c) {
     return {first, spin, e, jerk - c, se + 2.0 * c, se + c, -c};
   }
-  Series series() const {
-    const Bending by(late_by_, 0.0, off_);
-    const double e = 0.5 * s_ * s_ - by.second, c = s_ * (by.second - s_ * s_ / 6.0) - by.third;
-    return of(s_, s_ * s_ - e, e, s_ * e, 2.0 * s_ * by.second, c);
-  }
-  Series series_by_s() const {
-    const Bending by(late_by_, 0.0, off_);
-    const double e = 0.5 * s_ * s_ - by.second, e_by = s_ - by.second_by_s,
-                 c_by = by.second + s_ * (by.second_by_s - 0.5 * s_) - by.third_by_s;
-    return of(1.0, 2.0 * s_ - e_by, e_by, e + s_ * e_by, 2.0 * (by.second + s_ * by.second_by_s), c_by);
-  }
-  Series series_by_kappa() const {
-    const Bending by(late_by_, 0.0, off_);
-    const double square = by.second_by_kappa;
-    return of(0.0, square, -square, -s_ * square, 2.0 * s_ * square, s_ * square - by.third_by_kappa);
+  void set_series(double s, const Bending& by) {
+    const double e = 0.5 * s * s - by.second, e_by = s - by.second_by_s, square = by.second_by_kappa;
+    series_ = of(s, s * s - e, e, s * e, 2.0 * s * by.second, s * (by.second - s * s / 6.0) - by.third);
+    by_s_ = of(1.0, 2.0 * s - e_by, e_by, e + s * e_by, 2.0 * (by.second + s * by.second_by_s),
+               by.second + s * (by.second_by_s - 0.5 * s) - by.third_by_s);
+    by_kappa_ = of(0.0, square, -square, -s * square, 2.0 * s * square, s * square - by.third_by_kappa);
   }
 
   static std::array<Vector3, 7> products(const Vector3& g, const Vector3& omega, const Vector3& alpha,
@@ -130,10 +123,9 @@ class Gravity {
 
   Vector3 retarded(const Vector3& g, const Vector3& omega, const Vector3& alpha, const Vector3& jerk) const {
     const auto x = products(g, omega, alpha, jerk);
-    const Series by = series();
     Vector3 out;
     for (int i = 0; i < 3; ++i)
-      out[i] = g[i] + gamma_ * sum(by, x, static_cast<std::size_t>(i)) +
+      out[i] = g[i] + gamma_ * sum(series_, x, static_cast<std::size_t>(i)) +
                off_ * square_window_ * (x[1][i] - x[2][i]);
     return out;
   }
