@@ -50,7 +50,7 @@ class Gravity {
     off_ = theta[columns.clock[0] + 1] - 0.5;
     gamma_ = theta[columns.gamma];
     square_window_ = half_window * half_window;
-    set_series(s, Bending(s + clock_set, 0.0, off_));
+    set_series(s, s + clock_set, Bending(s + clock_set, square_window_, off_));
   }
 
   bool acts() const { return acts_; }
@@ -102,11 +102,12 @@ class Gravity {
   static Series of(double first, double spin, double e, double se, double jerk, double c) {
     return {first, spin, e, jerk - c, se + 2.0 * c, se + c, -c};
   }
-  void set_series(double s, const Bending& by) {
-    const double e = 0.5 * s * s - by.second, e_by = s - by.second_by_s, square = by.second_by_kappa;
-    series_ = of(s, s * s - e, e, s * e, 2.0 * s * by.second, s * (by.second - s * s / 6.0) - by.third);
-    by_s_ = of(1.0, 2.0 * s - e_by, e_by, e + s * e_by, 2.0 * (by.second + s * by.second_by_s),
-               by.second + s * (by.second_by_s - 0.5 * s) - by.third_by_s);
+  void set_series(double s, double late, const Bending& by) {
+    const double square = late * late, second = off_ * square;  // r^2 apart, gamma does not count it
+    const double e = 0.5 * s * s - second, e_by = s - by.second_by_s;
+    series_ = of(s, s * s - e, e, s * e, 2.0 * s * second, s * (second - s * s / 6.0) - by.third);
+    by_s_ = of(1.0, 2.0 * s - e_by, e_by, e + s * e_by, 2.0 * (second + s * by.second_by_s),
+               second + s * (by.second_by_s - 0.5 * s) - by.third_by_s);
     by_kappa_ = of(0.0, square, -square, -s * square, 2.0 * s * square, s * square - by.third_by_kappa);
   }
 

@@ -50,15 +50,16 @@ struct Bending {
   double pole;  // [s] time constant
   double second, third, second_by_s, third_by_s, second_by_kappa, third_by_kappa;
 
-  // [s] late in all; [s^2] r^2, of what samples are means of; kappa - 1/2.
+  // [s] late in all; [s^2] r^2, of what samples are means of; kappa - 1/2. A pole is as late as it averages: what is averaged
+  // beyond that is to both sides.
   Bending(double late, double square_window, double off)
-      : pole(std::sqrt(2.0 * std::abs(off)) * std::abs(late)),
+      : pole(std::min(std::sqrt(2.0 * std::abs(off) * (late * late + square_window)), std::abs(late))),
         second(off * (late * late + square_window)),
         third(-std::copysign(pole * pole * pole / 3.0, off)),
         second_by_s(2.0 * off * late),
-        third_by_s(-pole * second_by_s),
+        third_by_s(pole < std::abs(late) ? -pole * second_by_s : -std::copysign(1.0, off) * late * pole),
         second_by_kappa(late * late + square_window),
-        third_by_kappa(-pole * late * late) {}
+        third_by_kappa(pole < std::abs(late) ? -pole * second_by_kappa : 0.0) {}
 
   // Of what a filter of the sensor averages over: variance [s^2], and how late the products of its pole are [s].
   double averaged() const { return std::max(0.0, -2.0 * second); }
