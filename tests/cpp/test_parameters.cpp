@@ -4,6 +4,10 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
+#include <cmath>
+#include <vector>
+
 namespace truewrench {
 namespace {
 
@@ -62,42 +66,56 @@ TEST(Layout, EveryRootFrameOfALogHasATiltOfItsOwn) {
 
 constexpr double kPi = 3.14159265358979323846;
 
+// theta of a log in gravity, and where s, kappa and gamma stand in it.
+struct Late {
+  Statement rig = in_gravity();
+  Columns columns;
+  Eigen::VectorXd theta;
+  std::array<int, 3> at{};
+
+  explicit Late(const std::array<double, 3>& values) {
+    RecordedLog log;
+    log.motion.resize(1);
+    log.motion[0].time_offset_prior = 0.01;
+    const Layout layout(rig, {&log}, {});
+    columns = layout.in_theta(0);
+    theta = layout.mean();
+    at = {columns.clock[0], columns.clock[0] + 1, columns.gamma};
+    for (std::size_t i = 0; i < 3; ++i) theta[at[i]] = values[i];
+  }
+  Gravity gravity(double half_window, double clock_set) const {
+    return {rig, columns, theta.data(), true, half_window, clock_set};
+  }
+};
+
 // By s, kappa and gamma, against differences, where samples are late and means of a time.
 TEST(Gravity, IsLateByItsParameters) {
-  const Statement rig = in_gravity();
-  RecordedLog log;
-  log.motion.resize(1);
-  log.motion[0].time_offset_prior = 0.01;
-  const Layout layout(rig, {&log}, {});
-  const Columns columns = layout.in_theta(0);
-  Eigen::VectorXd theta = layout.mean();
-  const int at[3] = {columns.clock[0], columns.clock[0] + 1, columns.gamma};
-  const double values[3] = {0.02, 0.3, 0.8}, half_window = 0.04, step = 1e-4;
-  for (int i = 0; i < 3; ++i) theta[at[i]] = values[i];
+  const std::array<double, 3> values{0.02, 0.3, 0.8};
+  const double half_window = 0.04, step = 1e-4;
+  Late late(values);
   const Matrix3 R = Eigen::AngleAxisd(0.7, Vector3(1, 2, 3).normalized()).toRotationMatrix();
   Vector6 nu, a;
   nu << 0.1, 0.2, 0.3, 0.9, -0.7, 0.4;
   a << 0.3, 0.1, 0.2, -2.0, 1.5, 3.0;
   const Vector3 jerk(5.0, -9.0, 4.0);
-  const auto felt = [&] {
-    return Gravity(rig, columns, theta.data(), true, half_window, 0.01).felt(R, nu, a, jerk);
-  };
+  const auto felt = [&] { return late.gravity(half_window, 0.01).felt(R, nu, a, jerk); };
   std::vector<Vector3> by;
-  Gravity(rig, columns, theta.data(), true, half_window, 0.01)
-      .by_parameters(R, nu.tail<3>(), a.tail<3>(), jerk,
-                     [&](const double* x) { by.emplace_back(x[0], x[1], x[2]); });
-  for (int i = 0; i < 3; ++i) {
-    theta[at[i]] = values[i] + step;
+  late.gravity(half_window, 0.01).by_parameters(R, nu.tail<3>(), a.tail<3>(), jerk, [&](const double* x) {
+    by.emplace_back(x[0], x[1], x[2]);
+  });
+  for (std::size_t i = 0; i < 3; ++i) {
+    double& x = late.theta[late.at[i]];
+    x = values[i] + step;
     const Vector3 plus = felt();
-    theta[at[i]] = values[i] - step;
-    EXPECT_LT((by[static_cast<std::size_t>(i)] - (plus - felt()) / (2.0 * step)).norm(), 1e-6) << i;
-    theta[at[i]] = values[i];
+    x = values[i] - step;
+    EXPECT_LT((by[i] - (plus - felt()) / (2.0 * step)).norm(), 1e-6) << i;
+    x = values[i];
   }
   // a mean without a delay adds the second derivative of g
-  theta[at[0]] = 0.0;
-  const Vector3 g = R * rig.gravity, omega = nu.tail<3>(), alpha = a.tail<3>();
+  late.theta[late.at[0]] = 0.0;
+  const Vector3 g = R * late.rig.gravity, omega = nu.tail<3>(), alpha = a.tail<3>();
   const Vector3 second = omega.cross(omega.cross(g)) - alpha.cross(g);
-  const Vector3 mean = Gravity(rig, columns, theta.data(), true, half_window, 0.0).felt(R, nu, a, jerk);
+  const Vector3 mean = late.gravity(half_window, 0.0).felt(R, nu, a, jerk);
   EXPECT_LT((mean - g - 0.2 * half_window * half_window * second).norm(), 1e-12);
 }
 
@@ -155,16 +173,7 @@ TEST_P(Bends, AndProducts) {
 // Gravity of a body that swings about an axis, its turning as the sensor read it.
 TEST_P(Bends, AndGravity) {
   const OnePole& pole = GetParam();
-  const Statement rig = in_gravity();
-  RecordedLog log;
-  log.motion.resize(1);
-  log.motion[0].time_offset_prior = 0.01;
-  const Layout layout(rig, {&log}, {});
-  const Columns columns = layout.in_theta(0);
-  Eigen::VectorXd theta = layout.mean();
-  theta[columns.clock[0]] = pole.s();
-  theta[columns.clock[0] + 1] = pole.kappa();
-  theta[columns.gamma] = 1.0;
+  const Late late({pole.s(), pole.kappa(), 1.0});
   const Vector3 axis = Vector3(1, 2, 3).normalized();
   const double t = 0.4;
   const auto R = [&](double at) {
@@ -177,9 +186,9 @@ TEST_P(Bends, AndGravity) {
   nu.tail<3>() = turn(0) * axis;
   a.tail<3>() = turn(1) * axis;
   const Vector3 jerk = turn(2) * axis;
-  const Vector3 read = pole.read([&](double at) { return Vector3(R(at) * rig.gravity); }, t);
-  const Vector3 told = Gravity(rig, columns, theta.data(), true, 0.0, 0.0).felt(R(t), nu, a, jerk);
-  EXPECT_LT((told - read).norm(), rig.gravity.norm() * (4.0 * std::pow(pole.s(), 4.0) + 1e-6));
+  const Vector3 read = pole.read([&](double at) { return Vector3(R(at) * late.rig.gravity); }, t);
+  const Vector3 told = late.gravity(0.0, 0.0).felt(R(t), nu, a, jerk);
+  EXPECT_LT((told - read).norm(), late.rig.gravity.norm() * (4.0 * std::pow(pole.s(), 4.0) + 1e-6));
 }
 
 INSTANTIATE_TEST_SUITE_P(Filters, Bends,
