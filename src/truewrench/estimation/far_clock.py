@@ -160,7 +160,7 @@ class _Asked:
 
 
 def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
-    """Times (K,) and X (K, 12 or 15) at them, by one smooth twist a stretch; None where nothing tells it."""
+    """Times (K,) and X (K, 12 or 15) at them, of the longest stretch; None where nothing tells it."""
     imu = rig.motion.source == "imu"
     try:
         log = with_twist(rig, log)
@@ -174,23 +174,21 @@ def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     motion = np.column_stack([x for x in (linear, turning if imu else None, fall) if x is not None])
     known = np.flatnonzero(np.isfinite(motion).all(axis=1))
     known = known[:: max(1, -(-known.size // MOST))]
-    times, features = [], []
-    for piece in segments(log.time[known]):
-        rows = known[piece]
-        if rows.size < FEWEST:
-            continue
-        t = log.time[rows]
-        intervals = max(1, round(min((t[-1] - t[0]) / KNOTS, rows.size / 3.0)))
-        spline = uniform_spline(t, motion[rows, :6], intervals)
-        nu, rate = spline(t), spline(t, nu=1)
-        omega = nu[:, 3:]
-        force = nu[:, :3] if imu else rate[:, :3] + cross(omega, nu[:, :3])
-        products = np.column_stack([omega[:, i] * omega[:, j] for i, j in PAIRS])
-        told = [force, rate[:, 3:], products]
-        if fall is not None and subtracted:
-            told.append(fall[rows])
-        elif fall is not None:
-            told[0] = force - fall[rows]
-        times.append(t)
-        features.append(np.column_stack(told))
-    return (np.concatenate(times), np.concatenate(features)) if times else None
+    rows = max(
+        (known[piece] for piece in segments(log.time[known])), key=len
+    )  # across a gap nothing is known
+    if len(rows) < FEWEST:
+        return None
+    t = log.time[rows]
+    intervals = max(1, round(min((t[-1] - t[0]) / KNOTS, rows.size / 3.0)))
+    spline = uniform_spline(t, motion[rows, :6], intervals)
+    nu, rate = spline(t), spline(t, nu=1)
+    omega = nu[:, 3:]
+    force = nu[:, :3] if imu else rate[:, :3] + cross(omega, nu[:, :3])
+    products = np.column_stack([omega[:, i] * omega[:, j] for i, j in PAIRS])
+    told = [force, rate[:, 3:], products]
+    if fall is not None and subtracted:
+        told.append(fall[rows])
+    elif fall is not None:
+        told[0] = force - fall[rows]
+    return t, np.column_stack(told)
