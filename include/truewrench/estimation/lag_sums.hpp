@@ -58,7 +58,6 @@ inline void Lag::predict(long g) {
   coefficients(g, xx);
   const int clock = columns_.clock[0];
   const Bending bending = about_.bending(0, theta[clock], theta[clock + 1]);
-  const double averaged = bending.averaged();
   for (int o = 0; o < kBlock; ++o) {
     Interval& v = interval(kBlock * g + o);
     const double* c = xx + kComponents * o;
@@ -74,16 +73,13 @@ inline void Lag::predict(long g) {
         row.nu[j] = imu && j < 3 ? 0.0 : x[j];
         row.a[j] = imu && j < 3 ? x[j] : x[6 + j];
       }
-      if (!imu && (felt_ || averaged > 0.0)) {
+      if (!imu && (felt_ || bending.averaged() > 0.0)) {
         row.jerk.setZero();
         for (std::size_t l = 0; l < kLocal; ++l)
           dense::add<6>(row.jerk.data(), row.basis[2 * kLocal + l], c + kComponents * static_cast<int>(l));
       }
-      row.phi = wrench_about(products_.body, point_, row.nu, row.a,
-                             gravity_.felt(row.R, row.nu, row.a, angular(row.jerk)));
-      if (averaged > 0.0)
-        row.phi += averaged_products(products_.body, point_, imu ? turning(row.a) : row.a, row.jerk, averaged,
-                                     bending.skewed());
+      const Vector3 felt = gravity_.felt(row.R, row.nu, row.a, angular(row.jerk));
+      row.phi = wrench_read(products_.body, point_, row.nu, row.a, row.jerk, felt, bending, imu);
       for (int k = 0; k < 6; ++k) row.phi[k] *= scale_[k];
       for (int k = 0; k < 6; ++k) {
         double sum = 0.0;

@@ -305,8 +305,7 @@ class Stretch {
     const bool imu = log_->source == Source::imu;
     const int clock = columns.clock[0];
     const Bending bending = log_->bending(0, theta[clock], theta[clock + 1]);
-    const double averaged = bending.averaged();
-    evaluate_motion(log_->carried ? theta[clock] : 0.0, gravity() || averaged > 0.0);
+    evaluate_motion(log_->carried ? theta[clock] : 0.0, gravity() || bending.averaged() > 0.0);
     const Eigen::Index rows = raw.rows();
     now.g.resize(rows, 3);
     now.w.resize(rows, 6);
@@ -321,10 +320,7 @@ class Stretch {
       const Eigen::Map<const Vector6> at_nu(now.nu.data() + 6 * k), at_a(now.a.data() + 6 * k);
       const Vector6 nu = at_nu, a = at_a, jerk = jerk_at(k);
       const Vector3 g = gravity() ? gravity_now.felt(rotation_at(k), nu, a, angular(jerk)) : Vector3::Zero();
-      Vector6 wrench = wrench_about(body, log_->point, nu, a, g);
-      if (averaged > 0.0)
-        wrench +=
-            averaged_products(body, log_->point, imu ? turning(a) : a, jerk, averaged, bending.skewed());
+      const Vector6 wrench = wrench_read(body, log_->point, nu, a, jerk, g, bending, imu);
       double *w = now.w.data() + 6 * k, *cw = now.cw.data() + n_ * k,
              *residual = now.residual.data() + n_ * k;
       for (int j = 0; j < 3; ++j) now.g(k, j) = g[j];

@@ -50,9 +50,6 @@ inline Vector3 cross(const Vector3& a, const Vector3& b) {
 }
 inline Vector3 linear(const Vector6& x) { return {x[0], x[1], x[2]}; }
 inline Vector3 angular(const Vector6& x) { return {x[3], x[4], x[5]}; }
-inline Vector6 turning(const Vector6& x) {
-  return {0.0, 0.0, 0.0, x[3], x[4], x[5]};
-}  // without what is linear
 
 // By twist, acceleration and gravity.
 struct MotionJacobian {
@@ -76,17 +73,6 @@ inline Vector6 wrench_about(const Payload& p, const Vector3& point, const Vector
     w[i] = -f[i];
     w[3 + i] = -(moment[i] + rate[i] + gyro[i]);
   }
-  return w;
-}
-
-// What the mean of a product of motions is beside the product of means: by the product of their rates, `late` [s] earlier, and the
-// variance [s^2] of what a sensor averages over.
-inline Vector6 averaged_products(const Payload& p, const Vector3& point, const Vector6& rate,
-                                 const Vector6& jerk, double variance, double late) {
-  Vector6 then;
-  for (int j = 0; j < 6; ++j) then[j] = rate[j] - late * jerk[j];
-  Vector6 w = wrench_about(p, point, then, Vector6::Zero(), Vector3::Zero());
-  for (int j = 0; j < 6; ++j) w[j] *= variance;
   return w;
 }
 

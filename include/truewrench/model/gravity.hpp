@@ -132,6 +132,20 @@ class Gravity {
   }
 };
 
+// w of (10.3), of a motion as the sensor read it: what the mean of a product of motions is beside the product of means is the product
+// of their rates, as late as the pole's products are, by the variance of what the sensor averages over (10.4).
+inline Vector6 wrench_read(const Payload& p, const Vector3& point, const Vector6& nu, const Vector6& a,
+                           const Vector6& jerk, const Vector3& g, const Bending& bending, bool imu) {
+  Vector6 w = wrench_about(p, point, nu, a, g);
+  const double averaged = bending.averaged(), late = bending.skewed();
+  if (averaged == 0.0) return w;
+  Vector6 rate;
+  for (int j = 0; j < 6; ++j) rate[j] = imu && j < 3 ? 0.0 : a[j] - late * jerk[j];
+  const Vector6 products = wrench_about(p, point, rate, Vector6::Zero(), Vector3::Zero());
+  for (int j = 0; j < 6; ++j) w[j] += averaged * products[j];
+  return w;
+}
+
 // What d w is at one row: w (SI) and its motion; `scale` (6): fractions of range, with the sign of the rig. To X (6, ldx) by the
 // ten parameters of the body, unless it is `known`, and those of gravity; returned by twist, acceleration and gravity.
 inline MotionJacobian row_jacobian(const Payload& body, const Vector3& point, const double* scale,

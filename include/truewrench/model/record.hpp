@@ -47,18 +47,19 @@ struct MotionStream {
 // Filters in (10.4), twist(t) = [1 + second d^2 + third d^3] nu(t + s), exact to third order for a clock and one pole, of the sensor
 // (kappa below 1/2) or of the velocities (above); and its derivatives by s and kappa.
 struct Bending {
-  double pole;  // [s] time constant
-  double second, third, second_by_s, third_by_s, second_by_kappa, third_by_kappa;
+  double second_by_kappa;  // S^2 + r^2
+  double pole;             // [s] time constant
+  double second, third, second_by_s, third_by_s, third_by_kappa;
 
   // [s] late in all; [s^2] r^2, of what samples are means of; kappa - 1/2. A pole is as late as it averages: what is averaged
   // beyond that is to both sides.
   Bending(double late, double square_window, double off)
-      : pole(std::min(std::sqrt(2.0 * std::abs(off) * (late * late + square_window)), std::abs(late))),
-        second(off * (late * late + square_window)),
+      : second_by_kappa(late * late + square_window),
+        pole(std::min(std::sqrt(2.0 * std::abs(off) * second_by_kappa), std::abs(late))),
+        second(off * second_by_kappa),
         third(-std::copysign(pole * pole * pole / 3.0, off)),
         second_by_s(2.0 * off * late),
         third_by_s(pole < std::abs(late) ? -pole * second_by_s : -std::copysign(1.0, off) * late * pole),
-        second_by_kappa(late * late + square_window),
         third_by_kappa(pole < std::abs(late) ? -pole * second_by_kappa : 0.0) {}
 
   // Of what a filter of the sensor averages over: variance [s^2], and how late the products of its pole are [s].

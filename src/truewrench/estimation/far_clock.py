@@ -174,9 +174,8 @@ def _motion(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     motion = np.column_stack([x for x in (linear, turning if imu else None, fall) if x is not None])
     known = np.flatnonzero(np.isfinite(motion).all(axis=1))
     known = known[:: max(1, -(-known.size // MOST))]
-    rows = max(
-        (known[piece] for piece in segments(log.time[known])), key=len
-    )  # across a gap nothing is known
+    # across a gap nothing is known
+    rows = max((known[piece] for piece in segments(log.time[known])), key=len)
     if len(rows) < FEWEST:
         return None
     t = log.time[rows]
