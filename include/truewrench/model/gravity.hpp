@@ -71,7 +71,7 @@ class Gravity {
     if (late_) {
       const auto x = products(in_sensor(R_sensor_root), omega, alpha, jerk);
       double by[3][3];
-      for (std::size_t i = 0; i < 3; ++i) {
+      for (int i = 0; i < 3; ++i) {
         by[0][i] = gamma_ * sum(by_s_, x, i);
         by[1][i] = gamma_ * sum(by_kappa_, x, i) + square_window_ * (x[1][i] - x[2][i]);
         by[2][i] = sum(series_, x, i);
@@ -116,9 +116,9 @@ class Gravity {
     const Vector3 first = cross(omega, g), spin = cross(alpha, g), turn = cross(omega, first);
     return {first, spin, turn, cross(jerk, g), cross(alpha, first), cross(omega, spin), cross(omega, turn)};
   }
-  static double sum(const Series& series, const std::array<Vector3, 7>& x, std::size_t i) {
+  static double sum(const Series& series, const std::array<Vector3, 7>& x, int i) {
     double out = 0.0;
-    for (std::size_t k = 0; k < x.size(); ++k) out += series[k] * x[k][static_cast<Eigen::Index>(i)];
+    for (std::size_t k = 0; k < x.size(); ++k) out += series[k] * x[k][i];
     return out;
   }
 
@@ -126,8 +126,7 @@ class Gravity {
     const auto x = products(g, omega, alpha, jerk);
     Vector3 out;
     for (int i = 0; i < 3; ++i)
-      out[i] = g[i] + gamma_ * sum(series_, x, static_cast<std::size_t>(i)) +
-               off_ * square_window_ * (x[1][i] - x[2][i]);
+      out[i] = g[i] + gamma_ * sum(series_, x, i) + off_ * square_window_ * (x[1][i] - x[2][i]);
     return out;
   }
 };
