@@ -135,6 +135,7 @@ void bind_fit(nb::module_& m) {
       .def_ro("moved", &PoseShare::moved);
   nb::class_<Fit>(m, "Fit", "One fit of the model to one or several logs.")
       .def_rw("theta", &Fit::theta)
+      .def_ro("failed", &Fit::failed)
       .def_rw("prior", &Fit::prior)
       .def_rw("lagged", &Fit::lagged)
       .def_prop_ro("deviance", &Fit::deviance)
@@ -233,7 +234,7 @@ void bind_fit(nb::module_& m) {
         auto fit = bare_fit(rig, logs, h, std::vector<std::vector<double>>(logs.size()));
         for (std::size_t l = 0; l < logs.size(); ++l) {
           fit->logs()[l].sizes = sizes[l];
-          smooth_motion(fit->logs()[l], fit->layout(), l);
+          if (!smooth_motion(fit->logs()[l], fit->layout(), l)) fit->failed = true;
         }
         return fit;
       },

@@ -78,9 +78,11 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate& out,
     online.clear_masked();
     if (online.blocks() == blocks || !online.ready()) return;
     blocks = online.blocks();
-    time.push_back(t);
     const auto C = online.gain();
-    gain.emplace_back(Eigen::Map<const Eigen::VectorXd>(C.data(), C.size()));
+    const Eigen::Map<const Eigen::VectorXd> now(C.data(), C.size());
+    if (!gain.empty() && gain.back() == now) return;
+    time.push_back(t);
+    gain.emplace_back(now);
   };
   for (;;) {
     double next = k < log.time.size() ? log.time[k] : 1e300;

@@ -902,6 +902,9 @@ class Fit:
     def theta(self, arg: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], /) -> None: ...
 
     @property
+    def failed(self) -> bool: ...
+
+    @property
     def prior(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
     @prior.setter

@@ -71,6 +71,73 @@ TEST(Incremental, EndsWhereTheWholeRecordDoes) {
   EXPECT_LT(std::sqrt(apart), 0.1);
 }
 
+// Blocks that come are eliminated at a theta that is known: the coefficients are those that belong to it where H_xt is carried along.
+TEST(Incremental, KnowsThetaAsOneWhoFindsIt) {
+  LoopCase loop(3);
+  constexpr double h = 0.05;
+  constexpr long blocks = 6;
+  Lag known(loop.rig, loop.about, blocks + 1, 64);
+  Ring<RawSample> raw;
+  Ring<MotionSample> motion;
+  raw.reserve(1000);
+  motion.reserve(1000);
+  loop.run(kBlock * blocks * h, [&](bool sensor, double t, const Vector6& value) {
+    if (sensor) {
+      RawSample& s = raw.push();
+      s = RawSample();
+      s.time = t;
+      std::copy_n(value.data(), 6, s.value.begin());
+    } else {
+      MotionSample& s = motion.push();
+      s.time = t;
+      std::copy_n(value.data(), 6, s.value.begin());
+    }
+    return Status::ok;
+  });
+  known.place(0.0, h);
+  long raw_at = 0, motion_at = 0;
+  for (long at = 0; at < kBlock * blocks; ++at) {
+    const long raw_from = raw_at, motion_from = motion_at;
+    const double end = h * static_cast<double>(at + 1);
+    while (raw_at < raw.end() && raw[raw_at].time < end) ++raw_at;
+    while (motion_at < motion.end() && motion[motion_at].time < end) ++motion_at;
+    known.take(at, raw, raw_from, raw_at, [](double, double) {});
+    known.take(0, motion, motion_from, motion_at);
+  }
+  known.theta += 0.01 * oracle::normal_matrix(loop.random, known.parameters(), 1);
+  Lag found = known;
+  Front front = found.make_front(), moving = known.make_moving();
+  for (long g = 0; g < blocks; ++g) {
+    const bool last = g + 1 == blocks;
+    known.expect(moving, g, last);
+    known.predict(g);
+    known.reweigh(g);
+    for (const long b : {g, g + 1}) found.block(b).x = known.block(b).x;
+    found.predict(g);
+    found.reweigh(g);
+    ASSERT_TRUE(known.join(moving, g));
+    ASSERT_TRUE(found.eliminate(front, g, last));
+    known.grow();
+    found.grow();
+  }
+  Eigen::MatrixXd Z = Eigen::MatrixXd::Zero(found.parameters() + 1, found.parameters() + 1);
+  ASSERT_TRUE(known.terminal(moving));
+  ASSERT_TRUE(std::isfinite(found.terminal(front, Z)));
+  known.back(0);
+  found.back(0);
+  for (long g = 0; g <= blocks; ++g)
+    EXPECT_LT((known.block(g).x - found.block(g).x).norm(), 1e-7 * (1.0 + found.block(g).x.norm()));
+  // and of the front that is carried along: its upper triangle, the information vector after it
+  Front carried = known.make_moving();
+  found.know_theta(front, carried);
+  const std::size_t ld = carried.panel.size() / kWidth;
+  for (std::size_t i = 0; i < kWidth; ++i)
+    for (std::size_t j = i; j < ld; ++j) {
+      const double expected = moving.panel[i * ld + j];
+      EXPECT_NEAR(carried.panel[i * ld + j], expected, 1e-7 * (1.0 + std::abs(expected)));
+    }
+}
+
 TEST(Incremental, SaysWhatItDoesNotTake) {
   LoopCase loop(0);
   Incremental online(loop.rig, loop.about, settings);

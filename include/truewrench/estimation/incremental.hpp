@@ -8,13 +8,13 @@
 //     online.finish();
 //
 // The first lag is fitted like a record: h by (10.7), START, ROBUST (10.2, 10.3). From there a completed block of five knots is
-// eliminated once as it comes, and once a lag the last two lags are linearised anew at theta as it stands: the older one, its mask
-// set, leaves for good, the newer stays with robust weights. What left is a Gaussian on (next block, theta), and running sums give
-// sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit. It decides forward
-// only.
+// eliminated as it comes, theta known. When two lags are full they are linearised anew and theta follows; what has 20 knots after
+// it, its mask set, leaves for good, the rest stays with robust weights. What left is a Gaussian on (next block, theta), and
+// running sums give sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit.
+// It decides forward only.
 //
-// A push takes microseconds, one that completes a block some tens, once a lag some hundreds; the push that completes the first lag
-// fits it: tens of milliseconds at 100 Hz, 0.2 s at 1 kHz, so that a hard loop hands its samples to another thread.
+// A push takes microseconds, one that completes a block some tens, once in two lags two milliseconds; the push that completes the
+// first lag fits it in ten to twenty, so that a hard loop hands its samples to another thread.
 #pragma once
 
 #include "truewrench/estimation/delay.hpp"
@@ -25,6 +25,7 @@
 #include "truewrench/estimation/score.hpp"
 
 #include <cstdint>
+#include <span>
 
 namespace truewrench {
 
@@ -95,7 +96,7 @@ class Incremental {
   Status next_log(const RecordedLog& about);
 
   // ---------------------------------------------------------------- results,
-  // after every completed block
+  // of the first lag, and whenever blocks left since
   bool ready() const { return ready_; }
   std::int64_t blocks() const { return blocks_; }    // completed
   std::int64_t samples() const { return samples_; }  // that left the lag
@@ -230,7 +231,7 @@ class Incremental {
   double consistent_ = 1.0;  // of sigma under robust weights
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
 
-  Front past_, present_;
+  Front past_, present_, moving_;  // what left the lag; with what is in it; that, theta known
   // information (nt + 1, nt + 1), lower triangle, the information vector in the last row. Of the coordinates:
   // of all, of what left, at the last part; of theta: of all, at the beginning of the log
   Eigen::MatrixXd Z_, Zp_, Zl_, S_, base_;
@@ -261,6 +262,12 @@ class Incremental {
   Channels size10_{};                       // delta^2 of the logs before, times their samples
   double size10_samples_ = 0.0, log_samples_ = 0.0;
 
+  // [s] of what leaves, that the mask looks beyond
+  static constexpr double kAhead = 2.0 * constants::mask_shortest + constants::gather_window;
+  // Blocks that stay when the others leave: 20 knots, beyond which nothing moves a coefficient by 1e-5.
+  long staying() const {
+    return std::min<long>(lag_blocks(h_), std::max(4L, std::lround(std::ceil(kAhead / (kBlock * h_)))));
+  }
   int lag_blocks(double h) const { return static_cast<int>(settings_.blocks_of_lag(h)); }
   static Status worse(Status a, Status b) { return a != Status::ok ? a : b; }
   static bool readable(double time, const double* value, int count) {
@@ -345,7 +352,13 @@ class Incremental {
   void take_block(long g, bool all);
   Status arrive(bool last) noexcept;
   bool sweep(long leaving, bool last);
-  bool run(int most, bool last);
+  bool run(int least, int most, double tolerance, bool last);
+  void predict() {
+    for (long g = lag_.first(); g < lag_.end(); ++g) lag_.predict(g);
+  }
+  void weigh() {
+    for (long g = lag_.first(); g < lag_.end(); ++g) lag_.reweigh(g);
+  }
   bool surprised();
   Status hop() noexcept;
   void abandon(Status status) noexcept;
@@ -361,7 +374,7 @@ class Incremental {
   double objective(bool last) const;
   double likelihood(bool last) const;
 
-  // theta: incremental_theta.hpp
+  // theta: incremental_solve.hpp, incremental_theta.hpp
   void resize_theta();
   void begin_log();
   // Whether a place of theta is of the root frame that the log has alone; whether it is the log's own.
@@ -372,8 +385,14 @@ class Incremental {
   bool own(int i) const {
     return i >= lag_.columns().b + (lag_.rig().pool_offsets ? lag_.channels() : 0) || in_root(i);
   }
-  bool factor(bool all, int columns);
+  static constexpr int kMostLoose = 2 * kMostStreams + 1;
+  struct Loose {
+    double variance, departure;
+  };
+  int lay_out(bool all, int columns);
   bool invert(bool all);
+  bool look(std::span<const int> places, std::array<Loose, kMostLoose>& out);
+  bool hold_rules();
   void gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S);
   bool solve(bool judge);
   void add_delays(DelaySums& sums, long block) const noexcept;
@@ -387,5 +406,6 @@ class Incremental {
 }  // namespace truewrench
 
 #include "truewrench/estimation/incremental_blocks.hpp"
+#include "truewrench/estimation/incremental_solve.hpp"
 #include "truewrench/estimation/incremental_start.hpp"
 #include "truewrench/estimation/incremental_theta.hpp"

@@ -64,7 +64,7 @@ inline void Incremental::abandon(Status status) noexcept {
 }
 
 // A block has come: its motion as expected, weights against its own scale,
-// eliminated behind the others; theta from all.
+// eliminated behind the others, theta as it stands.
 inline Status Incremental::arrive(bool last) noexcept {
   Status status = Status::ok;
   if (lag_.end() - lag_.first() >= 2 * lag_blocks(h_)) status = hop();
@@ -76,7 +76,7 @@ inline Status Incremental::arrive(bool last) noexcept {
   take_block(g, last);
   raw_.drop_before(raw_at_);
   for (std::size_t i = 0; i < lag_.streams(); ++i) motion_[i].drop_before(motion_at_[i]);
-  lag_.expect(present_, g, last);
+  lag_.expect(moving_, g, last);
   lag_.predict(g);
   // before its motion is known, chi^2 is that of the expectation: the weights
   // compare the samples of the block with each other
@@ -101,14 +101,10 @@ inline Status Incremental::arrive(bool last) noexcept {
     arrival_ += 0.1 * (std::min(level, 4.0 * arrival_) - arrival_);
   }
   lag_.reweigh(g, scale);
-  const bool ok = lag_.eliminate(present_, g, last);
+  const bool ok = lag_.join(moving_, g);
   lag_.grow();
   ++blocks_;
-  if (!ok) return status_ = Status::not_factorizable;
-  logdet_x_ = lag_.terminal(present_, Z_);
-  if (!std::isfinite(logdet_x_) || !solve(false)) return status_ = Status::not_factorizable;
-  lag_.back(std::max(lag_.first(), g - 3));
-  return status;
+  return ok ? status : status_ = Status::not_factorizable;
 }
 
 // Eliminate the blocks of the lag as predicted and weighted; the first `leaving` for good.
@@ -126,18 +122,13 @@ inline bool Incremental::sweep(long leaving, bool last) {
   return std::isfinite(logdet_x_ = lag_.terminal(present_, Z_));
 }
 
-// Gauss-Newton and (10.6) on all blocks of the lag, robust weights, as Fit::run() does.
-inline bool Incremental::run(int most, bool last) {
+// Gauss-Newton and (10.6) on all blocks of the lag, robust weights, as Fit::run() does: at least so many steps and at most, or until
+// theta moves by less than `tolerance` of its sigma.
+inline bool Incremental::run(int least, int most, double tolerance, bool last) {
   const int nt = lag_.parameters();
   if (first_log_ && left_.knots == 0.0)
     std::copy_n(lag_.theta.data() + lag_.columns().C, 6 * lag_.channels(), lag_.lagged.data());
   const long first = lag_.first(), end = lag_.end();
-  const auto predict = [&] {
-    for (long g = first; g < end; ++g) lag_.predict(g);
-  };
-  const auto weigh = [&] {
-    for (long g = first; g < end; ++g) lag_.reweigh(g);
-  };
   const auto coefficients = [&](std::vector<double>& to) {
     for (long g = first; g <= end; ++g)
       std::copy_n(lag_.block(g).x.data(), kWidth, to.data() + kWidth * (g - first));
@@ -178,12 +169,8 @@ inline bool Incremental::run(int most, bool last) {
     sums += left_;
     const double sized = resize(sums);
     weigh();
-    if (iteration > 2 && move < constants::move && sized < constants::move) break;
+    if (iteration >= least && move < tolerance && sized < tolerance) break;
   }
-  if (!sweep(0, last) || !solve(true)) return false;
-  lag_.back(first);
-  predict();
-  weigh();
   return true;
 }
 
@@ -208,24 +195,24 @@ inline bool Incremental::surprised() {
   return false;
 }
 
-// Two lags are full: linearise all of them at what is known now; the older one leaves.
+// Two lags are full: linearise all of them at what is known now; what has 20 knots after it leaves.
 inline Status Incremental::hop() noexcept {
-  const long first = lag_.first(), leaving = lag_blocks(h_);
+  const long first = lag_.first(), leaving = lag_.end() - first - staying();
+  if (!lag_.terminal(moving_)) return status_ = Status::not_factorizable;
   lag_.back(first);
   int steps = hops_ == 0 ? 6 : hops_ == 1 ? 1 : 0;
   if (surprised()) {  // from START's q again: small q hold the motion, and it is taken for noise
     lag_.sizes.q = lag_.sizes.q.cwiseMax(constants::smoothness_start);
     steps = 6;
   }
-  if (steps > 0 && !run(steps, false)) return status_ = Status::not_factorizable;
-  for (long g = first; g < lag_.end(); ++g) {
-    lag_.predict(g);
-    lag_.reweigh(g);
-  }
+  if (steps > 0 && !run(1, steps, constants::robust_move, false)) return status_ = Status::not_factorizable;
+  predict();
+  weigh();
   set_mask(leaving);
   if (!sweep(leaving, false) || !solve(true)) return status_ = Status::not_factorizable;
   lag_.back(first);
   depart(leaving);
+  lag_.know_theta(present_, moving_);
   return Status::ok;
 }
 
@@ -233,7 +220,7 @@ inline Status Incremental::hop() noexcept {
 inline void Incremental::depart(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
   invert(false);
-  const bool young = hops_ < 4,
+  const bool young = hops_ < 2,
              traced = young || hops_ % 4 == 0;  // later the traces' share of the rows hardly changes
   SizeSums gone;
   if (traced) lag_.traces(first);
@@ -298,7 +285,7 @@ inline void Incremental::count(long from, long to) {
 // widened by 20 ms each side, as far as it has not left.
 inline void Incremental::set_mask(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
-  const double ahead = lag_.start_of(stay) + 2.0 * constants::mask_shortest + constants::gather_window;
+  const double ahead = lag_.start_of(stay) + kAhead;
   entries_.clear();
   for (long g = first; g < lag_.end() && lag_.start_of(g) <= ahead; ++g)
     for (long i = kBlock * g; i < kBlock * (g + 1); ++i) {
@@ -369,8 +356,9 @@ inline Status Incremental::close() noexcept {
     status = arrive(true);
   if (standing_ && status == Status::ok) {
     const long first = lag_.first(), leaving = lag_.end() - first;
-    lag_.back(first);
-    if (!run(3, true)) status = Status::not_factorizable;
+    const bool fits = lag_.terminal(moving_);
+    if (fits) lag_.back(first);
+    if (!fits || !run(1, 3, constants::move, true)) status = Status::not_factorizable;
     set_mask(leaving);
     if (status == Status::ok && sweep(leaving, true) && solve(true)) {
       lag_.back(first);

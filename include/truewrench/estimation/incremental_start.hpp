@@ -45,7 +45,12 @@ inline double Incremental::fit_first(double origin, double h, bool partial) {
   } else {
     lag_.sizes = kept_.sizes;
   }
-  if (!run(constants::most_iterations, partial)) return std::nan("");
+  if (!run(3, constants::most_iterations, constants::robust_move, partial) || !sweep(0, partial) ||
+      !solve(true))
+    return std::nan("");
+  lag_.back(lag_.first());
+  predict();
+  weigh();
   return likelihood(partial);
 }
 
@@ -156,6 +161,7 @@ inline Status Incremental::start(bool partial) noexcept {
     return status_ = Status::not_factorizable;
   }
   chosen_ = true;
+  lag_.know_theta(present_, moving_);
   raw_.drop_before(raw_at_);
   for (std::size_t i = 0; i < lag_.streams(); ++i) motion_[i].drop_before(motion_at_[i]);
   blocks_ += lag_.end();

@@ -1,5 +1,4 @@
-// theta and its covariance from the information as it stands; the rules of (10.1); sizes by (10.6); what a
-// log leaves to the next. Included by incremental.hpp.
+// Sizes by (10.6), the covariance of theta and of C, what a log leaves to the next. Included by incremental.hpp.
 #pragma once
 
 #include "truewrench/estimation/incremental.hpp"
@@ -10,112 +9,13 @@ inline void Incremental::resize_theta() {
   const int nt = lag_.parameters();
   const auto size = static_cast<std::size_t>(nt);
   past_ = present_ = lag_.make_front();
+  moving_ = lag_.make_moving();
   S_ = Z_ = Zp_ = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
   P_ = covariance_ = Eigen::MatrixXd::Zero(nt, nt);
   column_ = theta0_ = theta1_ = Eigen::VectorXd::Zero(nt);
   work_.assign(size * static_cast<std::size_t>(2 * dense::padded(nt + 1)) + 8, 0.0);
   use_.reserve(size);
   active_.assign(size, 1);
-}
-
-// S + Pi^-1 of the active parameters, or of all, into work_ with room for
-// columns after it, and R^T R of it with R^-T of those: of 1 the information
-// vector with the prior's, what is held at its mean; of more the unit matrix.
-inline bool Incremental::factor(bool all, int columns) {
-  const Eigen::MatrixXd& S = S_;
-  const int nt = lag_.parameters();
-  const Eigen::VectorXd& mean = lag_.layout().mean();
-  use_.clear();
-  for (int i = 0; i < nt; ++i)
-    if (all || active_[static_cast<std::size_t>(i)] != 0) use_.push_back(i);
-  const int k = static_cast<int>(use_.size()), half = dense::padded(k), ld = half + dense::padded(columns);
-  std::fill_n(work_.begin(), k * ld, 0.0);
-  for (int i = 0; i < k; ++i) {
-    const int a = use_[static_cast<std::size_t>(i)];
-    double* row = work_.data() + i * ld;
-    for (int j = i; j < k; ++j) row[j] = S(use_[static_cast<std::size_t>(j)], a);
-    row[i] += 1.0 / prior_[a];
-    if (columns > 1) {
-      row[half + i] = 1.0;
-      continue;
-    }
-    row[half] = S(nt, a) + mean[a] / prior_[a];
-    for (int h = 0; h < nt && !all; ++h)
-      if (active_[static_cast<std::size_t>(h)] == 0) row[half] -= S(std::max(a, h), std::min(a, h)) * mean[h];
-  }
-  logdet_s_ = 0.0;
-  return dense::factor(work_.data(), ld, k, logdet_s_);
-}
-
-// P_ = (S + Pi^-1)^-1 over the active parameters, or over all.
-inline bool Incremental::invert(bool all) {
-  const int nt = lag_.parameters();
-  if (!factor(all, nt)) return false;
-  const int k = static_cast<int>(use_.size()), half = dense::padded(k), columns = dense::padded(nt),
-            ld = half + columns;
-  dense::solve_upper(work_.data(), ld, k, work_.data() + half, ld, columns);
-  std::fill_n(P_.data(), nt * nt, 0.0);
-  for (int i = 0; i < k; ++i)
-    for (int j = i; j < k; ++j) {
-      const int a = use_[static_cast<std::size_t>(i)], b = use_[static_cast<std::size_t>(j)];
-      P_(a, b) = P_(b, a) = work_[static_cast<std::size_t>(i * ld + half + j)];
-    }
-  return true;
-}
-
-// Information on theta of the coordinates' and of the logs with another body: all, or one part.
-inline void Incremental::gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S) {
-  lag_.pull(Z, S);
-  for (Eigen::Index i = 0; i < S.size(); ++i) S.data()[i] += others_[of].data()[i];
-}
-
-// theta by the information Z_ and the prior; `judge`: the rules for s, kappa
-// and gamma, and Gauss-Newton on the coordinates.
-inline bool Incremental::solve(bool judge) {
-  const int nt = lag_.parameters();
-  const Eigen::VectorXd& mean = lag_.layout().mean();
-  if (judge) {  // a log that told the gain tells the delays of those after it
-    delays_ = past_delays_;
-    for (long g = lag_.first(); g < lag_.end(); ++g) add_delays(delays_, g);
-    imitated_ = !told_ && lag_.streams() > 0 &&
-                delays_.imitated(lag_.theta.data() + lag_.columns().C, lag_.channels(),
-                                 [this](int i) { return lag_.noise(i); });
-  }
-  for (int round = 0; round < (judge ? 2 : 1); ++round) {
-    gather(Z_, 0, S_);
-    if (judge) {
-      if (!invert(true)) return false;
-      for (std::size_t i = 0; i < lag_.streams(); ++i) {
-        const int at = lag_.columns().clock[i];
-        double s = 0.0;
-        for (int j = 0; j < nt; ++j) s += P_(at, j) * (S_(nt, j) + mean[j] / prior_[j]);
-        column_[at] = clock_variance(stated_[at], prior_[at], P_(at, at), s - mean[at], imitated_);
-      }
-      for (std::size_t i = 0; i < lag_.streams(); ++i)
-        prior_[lag_.columns().clock[i]] = column_[lag_.columns().clock[i]];
-      // kappa and gamma are held unless the data's own variance is below 1/16
-      if (!invert(true)) return false;
-      std::fill(active_.begin(), active_.end(), char{1});
-      const auto hold = [&](int at) {
-        if (at < 0 || std::max(1.0 / P_(at, at) - 1.0 / prior_[at], 0.0) > told(constants::filter_prior))
-          return;
-        active_[static_cast<std::size_t>(at)] = 0;
-      };
-      for (std::size_t i = 0; i < lag_.streams(); ++i) hold(lag_.columns().clock[i] + 1);
-      hold(lag_.columns().gamma);
-      if (imitated_)
-        active_[static_cast<std::size_t>(lag_.columns().clock[0])] = 0;  // of the log's first stream
-    }
-    if (!factor(false, 1)) return false;
-    const int k = static_cast<int>(use_.size()), half = dense::padded(k), ld = half + 8;
-    dense::solve_upper(work_.data(), ld, k, work_.data() + half, ld, 8);
-    for (int i = 0; i < k; ++i)
-      if (!std::isfinite(work_[static_cast<std::size_t>(i * ld + half)])) return false;
-    lag_.theta = mean;
-    for (int i = 0; i < k; ++i)
-      lag_.theta[use_[static_cast<std::size_t>(i)]] = work_[static_cast<std::size_t>(i * ld + half)];
-  }
-  return true;
 }
 
 // (10.6) once from sums and P_, theta's share of the raw rows by S_; the largest relative move.

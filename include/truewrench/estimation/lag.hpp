@@ -73,6 +73,7 @@ class Lag {
   struct Block {
     std::vector<double> panel;  // R of the pivot, R^-T of the next block's
                                 // columns, R^-T [H_xt, information vector]
+    bool alone = false;         // H_xt is not in it: theta known
     BlockVector x = BlockVector::Zero();
     SizeSums sums;
   };
@@ -98,6 +99,12 @@ class Lag {
     Front f;
     f.panel.assign(static_cast<std::size_t>(kWidth * shape_.ld + 8), 0.0);
     f.T.assign(static_cast<std::size_t>((nt_ + 1) * shape_.ldt + 8), 0.0);
+    return f;
+  }
+  // Of the motion, theta known: of an information vector alone.
+  Front make_moving() const {
+    Front f;
+    f.panel.assign(static_cast<std::size_t>(kWidth * alone_.ld), 0.0);
     return f;
   }
   // theta's information alone: S (nt + 1, nt + 1), lower triangle, the information vector in its last row.
@@ -192,9 +199,15 @@ class Lag {
     return sum;
   }
 
+  // What a front knows of its block, theta as it stands.
+  void know_theta(const Front& f, Front& moving);
   // Coefficients of a block and the next from what a front knows of the first,
-  // and the block's motion, theta as it stands.
-  void expect(const Front& f, long g, bool last);
+  // and the block's motion, theta known.
+  void expect(Front& moving, long g, bool last);
+  // The rows of a block whose motion was expected, as predicted and weighted, theta known, and eliminate it. False where it cannot
+  // be factored; so terminal(), after which back() may be called.
+  bool join(Front& moving, long g);
+  bool terminal(const Front& moving);
   // Linearise a block as predicted and weighted and eliminate it; `last`: with
   // all motion rows that remain. False where it cannot be factored.
   bool eliminate(Front& f, long g, bool last);
@@ -223,10 +236,11 @@ class Lag {
   RecordedLog about_;
   Layout layout_;
   Columns columns_;
-  Shape shape_;
-  int n_ = 6, nt_ = 0;
+  Shape shape_, alone_{kComponents, 0};  // with theta; the motion alone, theta known
+  int n_ = 6, nt_ = 0, rows_ = 0;
+  bool felt_ = false;        // gravity
+  bool last_alone_ = false;  // last_ is of a motion, theta known
   std::size_t streams_ = 0;
-  bool felt_ = false;  // gravity
   Products products_;
   RowSums sums_;
   RawSums spare_;
@@ -244,7 +258,8 @@ class Lag {
   Vector3 point_ = Vector3::Zero();  // the twist's, seen from the centre
   std::vector<double> z_, lagged_;   // coordinates; C_0 by phi
 
-  std::vector<double> last_, T_, full_, here_, next_, inverse_, V_;  // work space
+  std::array<const RawRow*, kMostRows> row_{};                              // those of one sum, rows_ of them
+  std::vector<double> last_, work_, T_, full_, here_, next_, inverse_, V_;  // work space
 
   template <typename Samples, typename Cells>
   std::pair<unsigned, long> most_cells(const Samples& samples, long from, long to, const Cells& cells);
@@ -268,9 +283,11 @@ class Lag {
     std::copy_n(block(g + 1).x.data(), kWidth, xx + kWidth);
   }
 
-  void add_smoothness(double* P, double* N, const double* xx, SizeSums* sums) const;
+  void add_smoothness(const Shape& shape, double* P, double* N, const double* xx, SizeSums* sums) const;
   void add_motion(Front& f, double* P, double* N, long g, bool last, const double* xx, SizeSums& sums);
-  void add_raw(Front& f, Interval& v, const Places& at, SizeSums& sums);
+  template <typename Sum>
+  void each_cells(Interval& v, const Sum& sum);
+  bool gather_rows(const Interval& v, unsigned same, RawSums& out);
   void sum_rows(Front& f, const Interval& v, unsigned same, RawSums& out, const Places& at, SizeSums& sums);
   void turn(Front& f, double* panel, const double* x, double sign);
 };

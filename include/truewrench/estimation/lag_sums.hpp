@@ -28,6 +28,7 @@ inline void Lag::resize_work() {
   };
   for (Block& b : blocks_) assign(b.panel, kWidth * shape_.ld);
   assign(last_, kWidth * shape_.ld);
+  assign(work_, 2 * kWidth * alone_.ld);
   assign(T_, (nt_ + 1) * shape_.ldt);
   sums_.setup(columns_, kComponents, 2, felt_);
   sums_.reserve(kMostRows);
@@ -35,7 +36,7 @@ inline void Lag::resize_work() {
   for (Interval& v : intervals_) sums_.reserve(v.sums);
   assign(lagged_, 6 * n_);
   assign(z_, nt_);
-  assign(full_, (nt_ + 1) * nt_);
+  assign(full_, nt_ * dense::padded(nt_ + 1));
   for (auto* v : {&here_, &next_, &inverse_}) assign(*v, kWidth * kTheta);
   assign(V_, 2 * kWidth * kPadded);
   for (int r = 0; r < 6; ++r) scale_[r] = rig_.sign / rig_.range[r];
@@ -102,8 +103,9 @@ inline void Lag::predict(long g) {
   }
 }
 
-// Rows of (10.3) of one interval, those with the same cells together.
-inline void Lag::add_raw(Front& f, Interval& v, const Places& at, SizeSums& sums) {
+// Rows of (10.3) of one interval, those with the same cells together: sum(interval, cells, sums).
+template <typename Sum>
+void Lag::each_cells(Interval& v, const Sum& sum) {
   std::fill(v.sums.v.begin(), v.sums.v.end(), 0.0);
   unsigned done[kMostRows];
   int masks = 0, most = 0, largest = 0;
@@ -122,34 +124,43 @@ inline void Lag::add_raw(Front& f, Interval& v, const Places& at, SizeSums& sums
     done[masks++] = row.cells;
   }
   for (int m = 0; m < masks; ++m)  // the traces know the largest of them
-    sum_rows(f, v, done[m], m == largest ? v.sums : spare_, at, sums);
+    sum(v, done[m], m == largest ? v.sums : spare_);
 }
 
-// Those with the cells `same`.
-inline void Lag::sum_rows(Front& f, const Interval& v, unsigned same, RawSums& out, const Places& at,
-                          SizeSums& sums) {
-  const RawRow* rows[kMostRows];
-  int count = 0;
-  double total = 0.0, of_gathered = 0.0, gathered = 0.0;
+// Those with the cells `same`, to row_, and their Jacobians; false where none counts.
+inline bool Lag::gather_rows(const Interval& v, unsigned same, RawSums& out) {
+  rows_ = 0;
+  double total = 0.0;
   for (int r = 0; r < v.rows; ++r) {
     const RawRow& row = v.row[static_cast<std::size_t>(r)];
     if (row.masked || row.cells != same) continue;
-    jacobians(row, sums_.J(count), sums_.X(count));
+    jacobians(row, sums_.J(rows_), sums_.X(rows_));
     total += row.weight * row.size;
-    rows[count++] = &row;
-    if (!row.gathered) continue;
-    of_gathered += row.weight * row.size;
-    gathered += row.size;
+    row_[static_cast<std::size_t>(rows_++)] = &row;
   }
-  if (!(total > 0.0)) return;
+  if (!(total > 0.0)) return false;
   Channels information{};
   for (int i = 0; i < n_; ++i)
     if ((same >> i & 1U) != 0) information[static_cast<std::size_t>(i)] = 1.0 / (noise(i) * noise(i));
-  sums_.average(0, count, [&](int r) { return rows[r]->weight * rows[r]->size; });
+  sums_.average(0, rows_, [&](int r) {
+    const RawRow& row = *row_[static_cast<std::size_t>(r)];
+    return row.weight * row.size;
+  });
   sums_.begin(out, 0, information.data());
-  for (int r = 0; r < count; ++r) {
-    const RawRow& row = *rows[r];
+  return true;
+}
+
+inline void Lag::sum_rows(Front& f, const Interval& v, unsigned same, RawSums& out, const Places& at,
+                          SizeSums& sums) {
+  if (!gather_rows(v, same, out)) return;
+  double of_gathered = 0.0, gathered = 0.0;
+  for (int r = 0; r < rows_; ++r) {
+    const RawRow& row = *row_[static_cast<std::size_t>(r)];
     const double weight = row.weight * row.size;
+    if (row.gathered) {
+      of_gathered += weight;
+      gathered += row.size;
+    }
     sums_.add(out, weight, row.basis.data(), row.phi.data(), row.cw.data(), row.residual.data(),
               &row.temperature);
     for (int i = 0; i < n_; ++i) {

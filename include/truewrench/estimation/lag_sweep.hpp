@@ -6,12 +6,13 @@
 namespace truewrench {
 
 // (10.1): c^T R c / q, and its gradient at xx where there is one.
-inline void Lag::add_smoothness(double* P, double* N, const double* xx, SizeSums* sums) const {
+inline void Lag::add_smoothness(const Shape& shape, double* P, double* N, const double* xx,
+                                SizeSums* sums) const {
   for (int j = 0; j < kComponents; ++j) {
     const Gram R = smoothness(j);
     const double v = 1.0 / sizes.q[j];
     for (int o = 0; o < kBlock; ++o) {
-      const Places at = shape_.places(o, P, N);
+      const Places at = shape.places(o, P, N);
       double pull[kLocal] = {}, energy = 0.0;
       if (xx != nullptr) {
         const double *x = xx + kComponents * o + j,
@@ -22,8 +23,8 @@ inline void Lag::add_smoothness(double* P, double* N, const double* xx, SizeSums
       }
       if (sums != nullptr) sums->energy[static_cast<std::size_t>(j)] += energy;
       for (int k = 0; k < kLocal; ++k) {
-        double* row = at.row[k] + j * shape_.ld;
-        row[kTheta + nt_] -= v * pull[k];
+        double* row = at.row[k] + j * shape.ld;
+        if (xx != nullptr) row[kTheta + nt_] -= v * pull[k];
         for (int l = k; l < kLocal; ++l) row[at.column[k][l] + j] += v * R(k, l);
       }
     }
@@ -124,31 +125,18 @@ inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
   double Hx[kWidth] = {};
   for (int i = 0; i < kWidth; ++i) {
     const double* row = panel + i * shape_.ld;
-    double sum = row[i] * x[i];
-    for (int j = i + 1; j < kWidth; ++j) {
-      sum += row[j] * x[j];
-      Hx[j] += row[j] * x[i];
-    }
-    for (int k = 0; k < nt_; ++k) sum += row[kTheta + k] * t[k];
-    Hx[i] += sum;
-  }
-  for (int k = 0; k < nt_; ++k) {  // a row of T: what the diagonal and the columns after it see, and
-                                   // what they give back
-    const double* row = f.T.data() + k * shape_.ldt;
-    double sum = row[k] * t[k];
-    for (int l = k + 1; l < nt_; ++l) sum += row[l] * t[l];
-    f.T[shape_.tt(k, nt_)] += sign * sum;
+    Hx[i] += dense::dot(row + i, x + i, kWidth - i) + dense::dot(row + kTheta, t, nt_);
+    dense::add(Hx + i + 1, x[i], row + i + 1, kWidth - i - 1);
   }
   double* column = T_.data();
   std::fill_n(column, nt_, 0.0);
-  for (int k = 0; k < nt_; ++k) {
+  for (int k = 0; k < nt_; ++k) {  // a row of T: what the diagonal and the columns after it see, and
+                                   // what they give back
     const double* row = f.T.data() + k * shape_.ldt;
-    for (int l = k + 1; l < nt_; ++l) column[l] += row[l] * t[k];
+    f.T[shape_.tt(k, nt_)] += sign * dense::dot(row + k, t + k, nt_ - k);
+    dense::add(column + k + 1, t[k], row + k + 1, nt_ - k - 1);
   }
-  for (int i = 0; i < kWidth; ++i) {
-    const double* row = panel + i * shape_.ld + kTheta;
-    for (int k = 0; k < nt_; ++k) column[k] += row[k] * x[i];
-  }
+  for (int i = 0; i < kWidth; ++i) dense::add(column, x[i], panel + i * shape_.ld + kTheta, nt_);
   for (int k = 0; k < nt_; ++k) f.T[shape_.tt(k, nt_)] += sign * column[k];
   for (int i = 0; i < kWidth; ++i) panel[i * shape_.ld + kTheta + nt_] += sign * Hx[i];
 }
@@ -180,6 +168,7 @@ inline SizeSums Lag::departures(const Front& f) {
 inline bool Lag::eliminate(Front& f, long g, bool last) {
   refresh();
   Block& B = block(g);
+  B.alone = false;
   double xx[2 * kWidth];
   coefficients(g, xx);
   double *P = B.panel.data(), *N = f.panel.data();
@@ -189,19 +178,22 @@ inline bool Lag::eliminate(Front& f, long g, bool last) {
        -1.0);  // to the gradient at the coefficients and theta as they stand
 
   B.sums = SizeSums();
-  add_smoothness(P, N, xx, &B.sums);
+  add_smoothness(shape_, P, N, xx, &B.sums);
   add_motion(f, P, N, g, last, xx, B.sums);
-  for (int o = 0; o < kBlock; ++o) add_raw(f, interval(kBlock * g + o), shape_.places(o, P, N), B.sums);
+  for (int o = 0; o < kBlock; ++o) {
+    const Places at = shape_.places(o, P, N);
+    each_cells(interval(kBlock * g + o), [&](const Interval& v, unsigned same, RawSums& out) {
+      sum_rows(f, v, same, out, at, B.sums);
+    });
+  }
 
   if (!shape_.eliminate(P, N, f.T.data(), f.logdet)) return false;
   // and back to absolute coordinates: R^-T of [H, H of the next block, H_xt] [x; x of the next; theta]
   for (int i = 0; i < kWidth; ++i) {
     double* row = P + i * shape_.ld;
-    double sum = 0.0;
-    for (int j = i; j < kWidth; ++j) sum += row[j] * xx[j];
-    for (int j = 0; j < kWidth; ++j) sum += row[kPadded + j] * xx[kWidth + j];
-    for (int k = 0; k < nt_; ++k) sum += row[kTheta + k] * z_[static_cast<std::size_t>(k)];
-    row[kTheta + nt_] += sum;
+    row[kTheta + nt_] += dense::dot(row + i, xx + i, kWidth - i) +
+                         dense::dot(row + kPadded, xx + kWidth, kWidth) +
+                         dense::dot(row + kTheta, z_.data(), nt_);
   }
   turn(f, N, xx + kWidth, 1.0);
   return true;
@@ -210,6 +202,7 @@ inline bool Lag::eliminate(Front& f, long g, bool last) {
 inline double Lag::terminal(const Front& f, Eigen::MatrixXd& S) {
   std::copy(f.panel.begin(), f.panel.end(), last_.begin());
   std::copy(f.T.begin(), f.T.end(), T_.begin());
+  last_alone_ = false;
   double logdet = f.logdet;
   if (!shape_.eliminate(last_.data(), nullptr, T_.data(), logdet)) return std::nan("");
   for (int i = 0; i <= nt_; ++i)
@@ -218,84 +211,115 @@ inline double Lag::terminal(const Front& f, Eigen::MatrixXd& S) {
   return logdet;
 }
 
+inline bool Lag::terminal(const Front& moving) {
+  std::copy(moving.panel.begin(), moving.panel.end(), last_.begin());
+  double logdet = 0.0;
+  last_alone_ = true;
+  return dense::factor(last_.data(), alone_.ld, kWidth, logdet);
+}
+
 inline void Lag::back(long from) {
   refresh();
   double x[2 * kWidth] = {};  // of a block and the next
   for (long g = end_; g >= from; --g) {
+    const Shape& shape = (g == end_ ? last_alone_ : block(g).alone) ? alone_ : shape_;
     const double* P = g == end_ ? last_.data() : block(g).panel.data();
     std::copy_n(x, kWidth, x + kWidth);
     for (int i = kWidth - 1; i >= 0; --i) {
-      const double* row = P + i * shape_.ld;
-      double sum = row[kTheta + nt_];
-      for (int k = 0; k < nt_; ++k) sum -= row[kTheta + k] * z_[static_cast<std::size_t>(k)];
-      if (g < end_)
-        for (int j = 0; j < kWidth; ++j) sum -= row[kPadded + j] * x[kWidth + j];
-      for (int j = i + 1; j < kWidth; ++j) sum -= row[j] * x[j];
+      const double* row = P + i * shape.ld;
+      double sum = row[kTheta + shape.nt] - dense::dot(row + kTheta, z_.data(), shape.nt) -
+                   dense::dot(row + i + 1, x + i + 1, kWidth - i - 1);
+      if (g < end_) sum -= dense::dot(row + kPadded, x + kWidth, kWidth);
       x[i] = sum / row[i];
     }
     std::copy_n(x, kWidth, block(g).x.data());
   }
 }
 
-inline void Lag::expect(const Front& f, long g, bool last) {
+inline void Lag::know_theta(const Front& f, Front& moving) {
   refresh();
-  // [motion alone, theta as it stands] in the places of a panel: two blocks and one column
-  double *P = block(g).panel.data(), *N = last_.data();
-  std::copy_n(f.panel.data(), kWidth * shape_.ld, P);
-  std::fill_n(N, kWidth * shape_.ld, 0.0);
+  std::fill(moving.panel.begin(), moving.panel.end(), 0.0);
   for (int i = 0; i < kWidth; ++i) {
-    double* row = P + i * shape_.ld + kTheta;
-    double sum = row[nt_];
-    for (int k = 0; k < nt_; ++k) sum -= row[k] * z_[static_cast<std::size_t>(k)];
-    std::fill_n(row, nt_, 0.0);
-    row[nt_] = sum;
+    const double* row = f.panel.data() + i * shape_.ld;
+    double* to = moving.panel.data() + i * alone_.ld;
+    std::copy(row + i, row + kWidth, to + i);
+    to[kTheta] = row[kTheta + nt_] - dense::dot(row + kTheta, z_.data(), nt_);
   }
-  add_smoothness(P, N, nullptr, nullptr);
+  moving.next = f.next;
+}
+
+inline void Lag::expect(Front& moving, long g, bool last) {
+  Block& B = block(g);
+  B.alone = true;
+  double *P = B.panel.data(), *N = moving.panel.data();
+  std::copy(moving.panel.begin(), moving.panel.end(), P);
+  std::fill(moving.panel.begin(), moving.panel.end(), 0.0);
+  add_smoothness(alone_, P, N, nullptr, nullptr);
   const double none[2 * kWidth] = {};
   for (std::size_t i = 0; i < streams_; ++i) {
     Placed row_at;
-    for (long r = f.next[i]; r < motion_[i].end(); ++r) {
+    for (long& r = moving.next[i]; r < motion_[i].end(); ++r) {
       const MotionRow& row = motion_[i][r];
       if (!placed(i, row, g, last, none, row_at)) break;  // the residual of nothing: the value
-      const Places at = shape_.places(row_at.o, P, N);
+      const Places at = alone_.places(row_at.o, P, N);
       for (int j = 0; j < kComponents; ++j) {
         const double v =
             row.have[static_cast<std::size_t>(j)] * row.size / (motion_noise(i, j) * motion_noise(i, j));
         for (int k = 0; k < kLocal; ++k) {
-          double* to = at.row[k] + j * shape_.ld;
-          to[kTheta + nt_] += v * row_at.b[k] * row_at.residual[j];
+          double* to = at.row[k] + j * alone_.ld;
+          to[kTheta] += v * row_at.b[k] * row_at.residual[j];
           for (int l = k; l < kLocal; ++l) to[at.column[k][l] + j] += v * row_at.b[k] * row_at.b[l];
         }
       }
     }
   }
-  // the columns that hold something: [own, next block's] and the one after theta
-  double logdet = 0.0;
-  for (int i = 0; i < kWidth; ++i) P[i * shape_.ld + kTheta] = P[i * shape_.ld + kTheta + nt_];
-  if (!dense::factor(P, shape_.ld, kWidth, logdet)) return;
-  for (int i = 0; i < kWidth; ++i) {
-    double* row = N + i * shape_.ld;
-    for (int k = 0; k < kWidth; ++k) {
-      const double* R = P + k * shape_.ld;
-      const double y = R[kPadded + i];
-      for (int j = i; j < kWidth; ++j) row[j] -= y * R[kPadded + j];
-      row[kTheta + nt_] -= y * R[kTheta];
-    }
-    row[kTheta] = row[kTheta + nt_];
-  }
-  if (!dense::factor(N, shape_.ld, kWidth, logdet)) return;
+  double *own = work_.data(), *next = own + kWidth * alone_.ld, square[8] = {}, logdet = 0.0;
+  std::copy_n(P, kWidth * alone_.ld, own);
+  std::copy_n(N, kWidth * alone_.ld, next);
+  if (!alone_.eliminate(own, next, square, logdet) || !dense::factor(next, alone_.ld, kWidth, logdet)) return;
   double x[2 * kWidth] = {};
   for (const bool second : {true, false})
     for (int i = kWidth - 1; i >= 0; --i) {
-      const double* row = (second ? N : P) + i * shape_.ld;
-      double *to = second ? x + kWidth : x, sum = row[kTheta];
-      for (int j = i + 1; j < kWidth; ++j) sum -= row[j] * to[j];
-      if (!second)
-        for (int j = 0; j < kWidth; ++j) sum -= row[kPadded + j] * x[kWidth + j];
+      const double* row = (second ? next : own) + i * alone_.ld;
+      double* to = second ? x + kWidth : x;
+      double sum = row[kTheta] - dense::dot(row + i + 1, to + i + 1, kWidth - i - 1);
+      if (!second) sum -= dense::dot(row + kPadded, x + kWidth, kWidth);
       to[i] = sum / row[i];
     }
-  std::copy_n(x, kWidth, block(g).x.data());
+  std::copy_n(x, kWidth, B.x.data());
   std::copy_n(x + kWidth, kWidth, block(g + 1).x.data());
+}
+
+inline bool Lag::join(Front& moving, long g) {
+  double *P = block(g).panel.data(), *N = moving.panel.data(), xx[2 * kWidth], square[8] = {}, logdet = 0.0;
+  coefficients(g, xx);
+  // the gradient at what was expected: of the sensor's rows alone
+  for (int i = 0; i < kWidth; ++i) P[i * alone_.ld + kTheta] = N[i * alone_.ld + kTheta] = 0.0;
+  for (int o = 0; o < kBlock; ++o) {
+    const Places at = alone_.places(o, P, N);
+    each_cells(interval(kBlock * g + o), [&](const Interval& v, unsigned same, RawSums& out) {
+      if (!gather_rows(v, same, out)) return;
+      for (int r = 0; r < rows_; ++r) {
+        const RawRow& row = *row_[static_cast<std::size_t>(r)];
+        sums_.add_motion(out, row.weight * row.size, row.basis.data(), row.cw.data(), row.residual.data());
+      }
+      sums_.finish_alone(out);
+      sums_.add_band<kComponents>(out, at);
+      sums_.add_gradient(at, 0);
+    });
+  }
+  if (!alone_.eliminate(P, N, square, logdet)) return false;
+  // and back to absolute coordinates
+  double Hx[kWidth] = {};
+  for (int i = 0; i < kWidth; ++i) {
+    double* row = P + i * alone_.ld;
+    row[kTheta] += dense::dot(row + i, xx + i, kWidth - i) + dense::dot(row + kPadded, xx + kWidth, kWidth);
+    const double *of = N + i * alone_.ld, *x = xx + kWidth;
+    Hx[i] += dense::dot(of + i, x + i, kWidth - i);
+    dense::add(Hx + i + 1, x[i], of + i + 1, kWidth - i - 1);
+  }
+  for (int i = 0; i < kWidth; ++i) N[i * alone_.ld + kTheta] += Hx[i];
+  return true;
 }
 
 // By selected inversion: S_gh = - G S_hh, S_gg = R^-1 R^-T - S_gh G^T, h the
@@ -374,16 +398,12 @@ inline double Lag::objective(const Front& f, long g) const {
   const double *x = block(g).x.data(), *t = z_.data();
   for (int i = 0; i < kWidth; ++i) {
     const double* row = f.panel.data() + i * shape_.ld;
-    double y = row[i] * x[i];
-    for (int j = i + 1; j < kWidth; ++j) y += 2.0 * row[j] * x[j];
-    for (int k = 0; k < nt_; ++k) y += 2.0 * row[kTheta + k] * t[k];
-    sum += x[i] * (y - 2.0 * row[kTheta + nt_]);
+    sum += x[i] * (row[i] * x[i] + 2.0 * (dense::dot(row + i + 1, x + i + 1, kWidth - i - 1) +
+                                          dense::dot(row + kTheta, t, nt_) - row[kTheta + nt_]));
   }
   for (int k = 0; k < nt_; ++k) {
     const double* row = f.T.data() + k * shape_.ldt;
-    double y = row[k] * t[k] - 2.0 * row[nt_];
-    for (int l = k + 1; l < nt_; ++l) y += 2.0 * row[l] * t[l];
-    sum += t[k] * y;
+    sum += t[k] * (row[k] * t[k] + 2.0 * (dense::dot(row + k + 1, t + k + 1, nt_ - k - 1) - row[nt_]));
   }
   return sum;
 }

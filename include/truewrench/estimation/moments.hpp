@@ -104,28 +104,14 @@ class MomentSums {
       k.p1 = ee * (k.p1 + x * k.p0);
       k.p0 *= ee;
       const double alpha = k.p0 + k.p1, beta = k.p1 + k.p2;
-      for (std::size_t i = 0; i < z_.size(); ++i) {
-        // (A Z)_k = c (a + b), a and b the sums of e^-x and x e^-x over the rows before
-        k.b[i] = e * (k.b[i] + x * k.a[i]);
-        k.a[i] *= e;
-        k.d[i] = e * (k.d[i] + x * k.c[i]);
-        k.c[i] *= e;
-        f_[i] = c * (k.a[i] + k.b[i]);
-        q_[i] = c * (k.c[i] + k.d[i]) + 0.5 * c2 * (alpha + beta) * z_[i];
-        e_[i] = f_[i] + c2 * z_[i];
-        f_[i] += 0.5 * c2 * z_[i];
-      }
+      k.move(x, e, c, c2, 0.5 * c2 * (alpha + beta), z_.data(), f_.data(), q_.data(), e_.data());
       add(k.KZ, f_, z_, 1.0, squares_ ? d_ : known);
       if (squares_) {
         add(k.KKZ, e_, e_, 0.5, known);
         add(k.KKZ, q_, z_, 1.0, known);
       }
       k.squares += c2 * c2 + 2.0 * c2 * (k.p0 + 2.0 * k.p1 + k.p2);
-      for (std::size_t i = 0; i < z_.size(); ++i) {  // what later rows meet
-        k.a[i] += c * z_[i];
-        k.c[i] += c * (e_[i] + alpha * z_[i]);
-        k.d[i] += c * beta * z_[i];
-      }
+      k.meet(c, alpha, beta, z_.data(), e_.data());
       k.p0 += c2;
     }
   }
@@ -221,6 +207,37 @@ class MomentSums {
     Products KZ, KKZ;
     std::vector<double> a, b, c, d;  // A Z; A applied to (A + D) Z, and A A^T Z
     double p0 = 0.0, p1 = 0.0, p2 = 0.0, squares = 0.0;
+
+    // To the next row, x = dt / tau later: (A Z)_k = c (a + b), a and b the sums of e^-x and x e^-x over the rows before.
+    void move(double x, double decay, double root, double size, double own, const double* __restrict z,
+              double* __restrict f, double* __restrict q, double* __restrict e) {
+      double* __restrict a_ = a.data();
+      double* __restrict b_ = b.data();
+      double* __restrict c_ = c.data();
+      double* __restrict d_ = d.data();
+      for (std::size_t i = 0, n = a.size(); i < n; ++i) {
+        b_[i] = decay * (b_[i] + x * a_[i]);
+        a_[i] *= decay;
+        d_[i] = decay * (d_[i] + x * c_[i]);
+        c_[i] *= decay;
+        const double before = root * (a_[i] + b_[i]);
+        q[i] = root * (c_[i] + d_[i]) + own * z[i];
+        e[i] = before + size * z[i];
+        f[i] = before + 0.5 * size * z[i];
+      }
+    }
+    // What later rows meet.
+    void meet(double root, double alpha, double beta, const double* __restrict z,
+              const double* __restrict e) {
+      double* __restrict a_ = a.data();
+      double* __restrict c_ = c.data();
+      double* __restrict d_ = d.data();
+      for (std::size_t i = 0, n = a.size(); i < n; ++i) {
+        a_[i] += root * z[i];
+        c_[i] += root * (e[i] + alpha * z[i]);
+        d_[i] += root * beta * z[i];
+      }
+    }
   };
   int n_, d_;
   bool squares_, started_ = false;
@@ -236,9 +253,10 @@ class MomentSums {
     for (std::size_t k = 0; k < 7; ++k) {
       const double x = scale * a[k], y = scale * b[k];
       double* row = to.rows.data() + k * a.size();
+      const double *u = a.data(), *v = b.data();
       for (int l = 0; l < columns; l += 4)
-        *reinterpret_cast<dense::Lane*>(row + l) += x * *reinterpret_cast<const dense::Lane*>(b.data() + l) +
-                                                    y * *reinterpret_cast<const dense::Lane*>(a.data() + l);
+        *reinterpret_cast<dense::Lane*>(row + l) += x * *reinterpret_cast<const dense::Lane*>(v + l) +
+                                                    y * *reinterpret_cast<const dense::Lane*>(u + l);
     }
     for (std::size_t i = 0, n = static_cast<std::size_t>(n_); i < n; ++i) {
       const std::size_t c = shared + i, r = c + n;

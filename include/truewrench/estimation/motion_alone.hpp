@@ -172,6 +172,8 @@ class MotionAlone {
     for (int j = 0; j < M; ++j) standing -= part.spline.smoothness_logdet(smoothness_order(log.source, j));
     for (std::size_t i = 0; i < log.motion.size(); ++i) {
       const MotionStream& stream = log.motion[i];
+      Values information{};
+      for (int j = 0; j < M; ++j) information[at(j)] = 1.0 / (stream.sigma[j] * stream.sigma[j]);
       rows(k, i, [&](Eigen::Index interval, const Basis& basis, const double* size, const double* value) {
         const double whole = sum_of(basis);  // 1, or 0 of a derivative
         Values v{}, y{};
@@ -180,13 +182,13 @@ class MotionAlone {
             part.origin[at(j)] = value[j];
             part.begun[at(j)] = true;
           }
-          v[at(j)] = size[j] / (stream.sigma[j] * stream.sigma[j]);
+          v[at(j)] = size[j] * information[at(j)];
           y[at(j)] = v[at(j)] * (value[j] - whole * part.origin[at(j)]);
         }
         for (int l = 0; l < kLocal; ++l) {
-          dense::add(part.b[i].data() + (interval + l) * lanes, basis[l], y.data(), M);
+          dense::add_some(part.b[i].data() + (interval + l) * lanes, basis[l], y.data(), M);
           for (int g = l; g < kLocal; ++g)
-            dense::add(part.A[i].at(interval + l, g - l), basis[l] * basis[g], v.data(), M);
+            dense::add_some(part.A[i].at(interval + l, g - l), basis[l] * basis[g], v.data(), M);
         }
       });
       for (int j = 0; j < M; ++j) {
@@ -244,13 +246,13 @@ class MotionAlone {
         Values e{}, y{};
         for (int j = 0; j < M; ++j) e[at(j)] = value[j] - whole * part.origin[at(j)];
         for (int l = 0; l < kLocal; ++l)
-          dense::add(e.data(), -basis[l], part.first.data() + (interval + l) * lanes, M);
+          dense::add_some(e.data(), -basis[l], part.first.data() + (interval + l) * lanes, M);
         for (int j = 0; j < M; ++j) {
           y[at(j)] = size[j] / (sigma[j] * sigma[j]) * e[at(j)];
           part.squares[i][at(j)] += y[at(j)] * e[at(j)];
         }
         for (int l = 0; l < kLocal; ++l)
-          dense::add(part.apart[i].data() + (interval + l) * lanes, basis[l], y.data(), M);
+          dense::add_some(part.apart[i].data() + (interval + l) * lanes, basis[l], y.data(), M);
       });
     }
   }

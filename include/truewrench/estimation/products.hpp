@@ -10,6 +10,7 @@
 // move while data hardly tell, squared); in D 0.95 ... 1.04, 0.08 sigma apart, NEES 0.99.
 #pragma once
 
+#include "truewrench/math/dense.hpp"
 #include "truewrench/model/parameters.hpp"
 
 #include <array>
@@ -67,29 +68,27 @@ class Products {
   }
 
   // Information on theta, to first order at it, from that on the coordinates: both (nt + 1, nt + 1), lower
-  // triangles, the information vector in the last row; full (nt + 1, nt): work space.
+  // triangles, the information vector in the last row; full (nt, padded(nt + 1)): work space.
   void pull(const Eigen::MatrixXd& from, const double* theta, const double* z, Eigen::MatrixXd& to,
             std::vector<double>& full) const {
-    const int ld = nt_ + 1;
+    const int ld = dense::padded(nt_ + 1);
     full.resize(static_cast<std::size_t>(ld * nt_));
-    for (int j = 0; j < nt_; ++j)
-      for (int i = j; i < nt_; ++i)
-        full[static_cast<std::size_t>(j * ld + i)] = full[static_cast<std::size_t>(i * ld + j)] = from(i, j);
-    // the gradient at z, in the row after
+    const auto column = [&](int j) { return full.data() + j * ld; };
     for (int j = 0; j < nt_; ++j) {
-      double sum = from(nt_, j);
-      const double* column = full.data() + j * ld;
-      for (int i = 0; i < nt_; ++i) sum -= column[i] * z[i];
-      full[static_cast<std::size_t>(j * ld + nt_)] = sum;
+      for (int i = 0; i < j; ++i) column(j)[i] = column(i)[j];
+      std::copy_n(from.data() + j * (nt_ + 1) + j, nt_ + 1 - j, column(j) + j);
+      std::fill(column(j) + nt_ + 1, column(j) + ld, 0.0);
     }
-    columns(theta, full.data(), nt_ + 1, ld, 1);  // S G, and G^T of the gradient
-    columns(theta, full.data(), nt_, 1, ld);      // G^T S G
+    for (int j = 0; j < nt_; ++j) column(j)[nt_] -= dense::dot(column(j), z, nt_);  // the gradient at z
+    columns(theta, full.data(), ld);  // S G, and of the gradient
     for (int j = 0; j < nt_; ++j) {
-      const double* column = full.data() + j * ld;
-      double sum = column[nt_];
-      for (int i = 0; i < nt_; ++i) sum += column[i] * theta[i];
-      for (int i = j; i < nt_; ++i) to(i, j) = column[i];
-      to(nt_, j) = sum;
+      to(nt_, j) = column(j)[nt_];
+      for (int i = 0; i < j; ++i) std::swap(column(j)[i], column(i)[j]);
+    }
+    columns(theta, full.data(), ld);  // G^T S G
+    for (int j = 0; j < nt_; ++j) {
+      to(nt_, j) += dense::dot(column(j), theta, nt_);
+      std::copy(column(j) + j, column(j) + nt_, to.data() + j * (nt_ + 1) + j);
     }
   }
 
@@ -108,41 +107,43 @@ class Products {
     return m(row[k], column[k]);
   }
 
-  // X <- X G, G the derivative of the coordinates by theta: X(r, c) = x[c by_column + r by_row], `rows` rows.
-  void columns(const double* theta, double* x, int rows, int by_column, int by_row) const {
+  // X <- X G, G the derivative of the coordinates by theta; X (ld, nt), column by column, four rows at a time.
+  void columns(const double* theta, double* x, int ld) const {
+    using dense::Lane;
     const double* C = theta + C_;
-    for (int r = 0; r < rows; ++r) {
-      const auto at = [&](int c) -> double& { return x[c * by_column + r * by_row]; };
-      double by[kBodyParameters] = {};  // of the body, through D and through its own coordinates
+    for (int r = 0; r < ld; r += 4) {
+      const auto at = [&](int c) -> Lane& { return *reinterpret_cast<Lane*>(x + c * ld + r); };
+      Lane by[kBodyParameters] = {};  // of the body, through D and through its own coordinates
       for (int i = 0; i < n_; ++i) {
-        double d[6], c[6];
+        const double* D_row = D.data() + 6 * i;
+        Lane d[6], f[3];  // f: what the lever arm sees: of C's moments, by forces
         for (int k = 0; k < 6; ++k) d[k] = at(C_ + 6 * i + k);
-        for (int k = 0; k < 6; ++k) {
-          c[k] = 0.0;
-          for (int j = 0; j < 6; ++j) c[k] += d[j] * B[k][j];
-        }
-        double f[3];  // what the lever arm sees: of C's moments, by forces
-        for (int j = 0; j < 3; ++j) f[j] = mu_ * d[j] * range_[j];
+        for (int j = 0; j < 3; ++j) f[j] = mu_ * range_[j] * d[j];
         double m[3];
         for (int k = 0; k < 3; ++k) m[k] = C[6 * i + 3 + k] / range_[3 + k];
         for (int k = 0; k < 3; ++k) {
-          by[0] += d[k] * D[static_cast<std::size_t>(6 * i + k)];
-          by[4] += trace_ > 0.0 ? d[3 + k] * C[6 * i + 3 + k] / trace_ : 0.0;
+          by[0] += D_row[k] * d[k];
+          if (trace_ > 0.0) by[4] += C[6 * i + 3 + k] / trace_ * d[3 + k];
         }
         // sum of m_a [e_k]_ab f_b = e_k . (f x m)
-        by[1] += f[1] * m[2] - f[2] * m[1];
-        by[2] += f[2] * m[0] - f[0] * m[2];
-        by[3] += f[0] * m[1] - f[1] * m[0];
-        for (int k = 0; k < 6; ++k) at(C_ + 6 * i + k) = c[k];
+        by[1] += m[2] * f[1] - m[1] * f[2];
+        by[2] += m[0] * f[2] - m[2] * f[0];
+        by[3] += m[1] * f[0] - m[0] * f[1];
+        for (int k = 0; k < 6; ++k) {
+          Lane c = {};
+          for (int j = 0; j < 6; ++j) c += B[k][j] * d[j];
+          at(C_ + 6 * i + k) = c;
+        }
       }
       by[5] = by[6] = by[4];
-      double along = 0.0;  // of iota in I / iota
-      for (int k = 0; k < 6; ++k) along += at(body_ + 4 + k) * element(body.inertia, k);
+      Lane along = {};  // of iota in I / iota
+      for (int k = 0; k < 6; ++k) along += element(body.inertia, k) * at(body_ + 4 + k);
       at(body_) = by[0];
       for (int k = 0; k < 3; ++k) at(body_ + 1 + k) += by[1 + k];
-      for (int k = 0; k < 6; ++k)
-        at(body_ + 4 + k) =
-            at(body_ + 4 + k) / iota_ + by[4 + k] - (k < 3 && trace_ > 0.0 ? along / (iota_ * trace_) : 0.0);
+      for (int k = 0; k < 6; ++k) {
+        at(body_ + 4 + k) = at(body_ + 4 + k) / iota_ + by[4 + k];
+        if (k < 3 && trace_ > 0.0) at(body_ + 4 + k) -= along / (iota_ * trace_);
+      }
     }
   }
 };

@@ -160,7 +160,7 @@ class RowSums {
   // (nf - 7).
   void add(RawSums& out, double weight, const double* basis, const double* w, const double* cw,
            const double* residual, const double* further) {
-    const int OM = orders * M, r = out.samples;
+    const int r = out.samples;
     const double *own = J(first_ + r), *X_row = X(first_ + r), *v = out.v.data();
     double *phi = phi_.data() + r * ld, *left_row = weights_.data() + r * ldw_,
            *vr = left_row + kLocal * orders + nf + n;  // less what they weigh
@@ -169,25 +169,17 @@ class RowSums {
     phi[6] = 1.0;
     std::copy_n(further, nf - 7, phi + 7);
     for (int c = 0; c < 6; ++c) std::copy_n(X_row + c * ldx, nd, phi + nf + n + c * nd);
-    // the exact gradient: J^T V^-1 r
-    double y[6] = {}, z[3 * max_components];
     for (int i = 0; i < n; ++i) {
       phi[nf + i] = cw[i] * cw[i];
-      const double x = weight * v[i] * residual[i];
-      vr[i] = -x;
-      dense::add<6>(y, x, C_ + 6 * i);
-      dense::add<6>(y, 2.0 * u_[i] * cw[i] * x, lagged_ + 6 * i);
+      vr[i] = -weight * v[i] * residual[i];
     }
-    std::fill_n(z, OM, 0.0);
-    for (int c = 0; c < 6; ++c) {
-      dense::add(by_dense_.data(), y[c], X_row + c * ldx, nd);
-      dense::add(z, y[c], own + c * OM, OM);
-    }
+    double y[6] = {};
+    pull(own, vr, basis, cw, y);
+    for (int c = 0; c < 6; ++c) dense::add(by_dense_.data(), y[c], X_row + c * ldx, nd);
     for (int p = 0; p < orders; ++p)
       for (int l = 0; l < kLocal; ++l) {
         const double b = basis[kLocal * p + l];
         left_row[kLocal * p + l] = -weight * b;
-        dense::add(gx.data() + l * M, b, z + p * M, M);
         if (p == 0) dense::add(gd.data() + l * n, -b, vr, n);
       }
     for (int x = 0; x < nf + n; ++x) left_row[kLocal * orders + x] = -weight * phi[x];
@@ -225,6 +217,20 @@ class RowSums {
     std::copy_n(G.data() + (kLocal * orders + 6) * ld, features, out.phi.begin());  // of the feature 1
   }
 
+  // Of the motion alone: in place of add(), with finish_alone().
+  void add_motion(RawSums& out, double weight, const double* basis, const double* cw,
+                  const double* residual) {
+    double vr[max_components], y[6] = {};
+    for (int i = 0; i < n; ++i) vr[i] = -weight * out.v[static_cast<std::size_t>(i)] * residual[i];
+    pull(J(first_ + out.samples), vr, basis, cw, y);
+    add_bases(out, weight, basis, cw);
+  }
+  void add_gradient(const Places& at, int gradient) const {
+    for (int l = 0; l < kLocal; ++l)
+      for (int j = 0; j < M; ++j)
+        at.row[l][j * at.ld + at.theta + gradient] += gx[static_cast<std::size_t>(l * M + j)];
+  }
+
   // What H_xx is made of, and nothing else: in place of add() and finish().
   void add_bases(RawSums& out, double weight, const double* basis, const double* cw) {
     out.weight += weight;
@@ -252,16 +258,13 @@ class RowSums {
   template <int fixed>
   void add_band(const RawSums& sums, const Places& at) {
     const int m = fixed > 0 ? fixed : M, OM = orders * m;
-    std::fill(T_.begin(), T_.end(), 0.0);
+    std::fill(T_.begin(), T_.end(), 0.0);  // (orders M, orders M) J^T V^-1 J
     for (int i = 0; i < n; ++i)
-      for (int p = 0; p < orders; ++p)
+      for (int j = 0; j < OM; ++j) {
+        const double x = sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + j)];
         for (int q = 0; q < orders; ++q)
-          for (int j = 0; j < m; ++j) {
-            const double x =
-                sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + p * m + j)];
-            dense::add<fixed>(T_.data() + ((p * orders + q) * m + j) * m, x, sums.J.data() + i * OM + q * m,
-                              m);
-          }
+          dense::add<fixed>(T_.data() + j * OM + q * m, x, sums.J.data() + i * OM + q * m, m);
+      }
     for (int k = 0; k < kLocal; ++k)
       for (int l = k; l < kLocal; ++l) {
         double x[9];
@@ -272,18 +275,21 @@ class RowSums {
           }
         for (int j = 0; j < m; ++j) {
           double* row = at.row[k] + j * at.ld + at.column[k][l];
-          const double* T = T_.data() + j * m;
+          const double* T = T_.data() + j * OM;
           if (fixed == 6 && orders == 2) {
             dense::Lane a = *reinterpret_cast<const dense::Lane*>(row);
             dense::Half b = *reinterpret_cast<const dense::Half*>(row + 4);
             for (int pq = 0; pq < 4; ++pq) {
-              a += x[pq] * *reinterpret_cast<const dense::Lane*>(T + pq * m * m);
-              b += x[pq] * *reinterpret_cast<const dense::Half*>(T + pq * m * m + 4);
+              const double* of = T + (pq >> 1) * m * OM + (pq & 1) * m;
+              a += x[pq] * *reinterpret_cast<const dense::Lane*>(of);
+              b += x[pq] * *reinterpret_cast<const dense::Half*>(of + 4);
             }
             *reinterpret_cast<dense::Lane*>(row) = a;
             *reinterpret_cast<dense::Half*>(row + 4) = b;
           } else {
-            for (int pq = 0; pq < orders * orders; ++pq) dense::add<fixed>(row, x[pq], T + pq * m * m, m);
+            for (int p = 0; p < orders; ++p)
+              for (int q = 0; q < orders; ++q)
+                dense::add<fixed>(row, x[p * orders + q], T + p * m * OM + q * m, m);
           }
         }
       }
@@ -299,25 +305,40 @@ class RowSums {
             sums.v[static_cast<std::size_t>(i)] * sums.J[static_cast<std::size_t>(i * OM + j)];
     for (int l = 0; l < kLocal; ++l) {
       double* to = at.row[l] + at.theta;
+      const double* g[3] = {};
       for (int p = 0; p < orders; ++p) {
-        const double* g = G.data() + (kLocal * p + l) * ld;
-        dense::subtract(cross_.data(), ldx, left.data() + p * m, 1, OM, g + nf + n, nd, m, ldx, 6,
+        g[p] = G.data() + (kLocal * p + l) * ld;
+        dense::subtract(cross_.data(), ldx, left.data() + p * m, 1, OM, g[p] + nf + n, nd, m, ldx, 6,
                         p == 0 ? dense::Mode::fresh : dense::Mode::add);
-        for (int j = 0; j < m; ++j) {
-          double* row = to + j * at.ld;
-          const double* a = VJ_.data() + (p * m + j) * n;
-          for (int i = 0; i < n; ++i) dense::add<6>(row + C_at_ + 6 * i, a[i], g);
-          for (int x = 6; x < nf; ++x) dense::add(row + feature[static_cast<std::size_t>(x)], g[x], a, n);
-          dense::add(row + u_at_, a, g + nf, n);
-        }
       }
       for (int j = 0; j < m; ++j) {
         double* row = to + j * at.ld;
-        for (int y = 0; y < nd; ++y)
-          row[dense_columns[static_cast<std::size_t>(y)]] -= cross_[static_cast<std::size_t>(j * ldx + y)];
-        row[gradient] += gx[static_cast<std::size_t>(l * m + j)];
+        for (int i = 0; i < n; ++i) {
+          dense::Lane* first = reinterpret_cast<dense::Lane*>(row + C_at_ + 6 * i);
+          dense::Half* last = reinterpret_cast<dense::Half*>(row + C_at_ + 6 * i + 4);
+          dense::Lane x = *first;
+          dense::Half y = *last;
+          for (int p = 0; p < orders; ++p) {
+            const double a = VJ_[static_cast<std::size_t>((p * m + j) * n + i)];
+            x += a * *reinterpret_cast<const dense::Lane*>(g[p]);
+            y += a * *reinterpret_cast<const dense::Half*>(g[p] + 4);
+          }
+          *first = x;
+          *last = y;
+        }
+        for (int p = 0; p < orders; ++p) {
+          const double* a = VJ_.data() + (p * m + j) * n;
+          for (int x = 6; x < nf; ++x)
+            dense::add_some(row + feature[static_cast<std::size_t>(x)], g[p][x], a, n);
+          dense::add(row + u_at_, a, g[p] + nf, n);
+        }
       }
+      for (int j = 0; j < m; ++j)
+        for (int y = 0; y < nd; ++y)
+          to[j * at.ld + dense_columns[static_cast<std::size_t>(y)]] -=
+              cross_[static_cast<std::size_t>(j * ldx + y)];
     }
+    add_gradient(at, gradient);
   }
 
   // H_tt of the last sum and theta's gradient: to T, laid out by `shape`.
@@ -398,6 +419,22 @@ class RowSums {
   int C_at_ = 0, u_at_ = 0, ldw_ = 0, first_ = 0;
   const double *C_ = nullptr, *u_ = nullptr, *lagged_ = nullptr;
   double cw_[max_components] = {};  // sum of weighted C_0 w
+
+  // The exact gradient J^T V^-1 r of a row, less V^-1 r given: by the motion to gx, by w to y (6).
+  void pull(const double* own, const double* vr, const double* basis, const double* cw, double* y) {
+    const int OM = orders * M;
+    double z[3 * max_components];
+    for (int i = 0; i < n; ++i) {
+      dense::add<6>(y, -vr[i], C_ + 6 * i);
+      dense::add<6>(y, -2.0 * u_[i] * cw[i] * vr[i], lagged_ + 6 * i);
+    }
+    std::fill_n(z, OM, 0.0);
+    for (int c = 0; c < 6; ++c) dense::add(z, y[c], own + c * OM, OM);
+    for (int p = 0; p < orders; ++p)
+      for (int l = 0; l < kLocal; ++l)
+        dense::add_some(gx.data() + l * M, basis[kLocal * p + l], z + p * M, M);
+  }
+
   // of all rows: J, X, Q X, phi, and the weighted left sides of G
   std::vector<double> jacobian_, X_, q_, phi_, weights_;
   // (6, orders M); d raw / d w (n, 6); theta's gradient by the dense parameters

@@ -28,6 +28,14 @@ inline void add(double* __restrict y, double x, const double* __restrict v, int 
   }
 }
 
+// y += x v of n values, mostly six.
+inline void add_some(double* __restrict y, double x, const double* __restrict v, int n) {
+  if (n == 6)
+    add<6>(y, x, v);
+  else
+    add(y, x, v, n);
+}
+
 // y += u v, element by element.
 inline void add(double* __restrict y, const double* __restrict u, const double* __restrict v, int n) {
   for (int i = 0; i < n; ++i) y[i] += u[i] * v[i];
@@ -157,15 +165,17 @@ inline void solve_transposed(const double* r, std::ptrdiff_t ldr, int rows, doub
             ldr, Mode::forward);
 }
 
-// Of vectors of a multiple of 8.
 inline double dot(const double* a, const double* b, int n) {
   Lane x = {}, y = {};
-  for (int i = 0; i < n; i += 8) {
+  int i = 0;
+  for (; i + 8 <= n; i += 8) {
     x += *reinterpret_cast<const Lane*>(a + i) * *reinterpret_cast<const Lane*>(b + i);
     y += *reinterpret_cast<const Lane*>(a + i + 4) * *reinterpret_cast<const Lane*>(b + i + 4);
   }
   x += y;
-  return (x[0] + x[1]) + (x[2] + x[3]);
+  double sum = (x[0] + x[1]) + (x[2] + x[3]);
+  for (; i < n; ++i) sum += a[i] * b[i];
+  return sum;
 }
 
 // The inverse of a symmetric positive definite matrix, and its log det; false where it is not.

@@ -60,10 +60,11 @@ class Nodes {
   std::array<double, kNodes> time{}, weight{};
 
   // Orthonormal polynomials at `count` times (Stieltjes), nodes and weights
-  // from their three-term recurrence. Those of the same times stand: samples are mostly even.
+  // from their three-term recurrence. Those of the same times, but for when they begin, stand: samples are mostly even.
   template <typename Time>
   void sample(int count, const Time& at) {
-    double low = at(0), high = at(0);
+    const double origin = at(0);
+    double low = origin, high = origin;
     for (int k = 1; k < count; ++k) {
       low = std::min(low, at(k));
       high = std::max(high, at(k));
@@ -72,10 +73,13 @@ class Nodes {
                  first = 1.0 / std::sqrt(static_cast<double>(count));
     bool stands = count == count_;
     for (int k = 0; stands && k < count; ++k)
-      stands = std::abs(at(k) - sampled_[static_cast<std::size_t>(k)]) < kSame * half;
-    if (stands) return;
+      stands = std::abs(at(k) - origin - sampled_[static_cast<std::size_t>(k)]) < kSame * half;
+    if (stands) {
+      for (std::size_t i = 0; i < kNodes; ++i) time[i] = origin + apart_[i];
+      return;
+    }
     count_ = count;
-    for (int k = 0; k < count; ++k) sampled_[static_cast<std::size_t>(k)] = at(k);
+    for (int k = 0; k < count; ++k) sampled_[static_cast<std::size_t>(k)] = at(k) - origin;
     double jacobi[kNodes][kNodes] = {}, vectors[kNodes][kNodes] = {};
     for (int k = 0; k < count; ++k) row(k)[0] = first;
     for (int m = 0; m < kNodes; ++m) {
@@ -106,6 +110,7 @@ class Nodes {
         std::swap(weight[static_cast<std::size_t>(k)], weight[static_cast<std::size_t>(k - 1)]);
         std::swap(at_node_[k], at_node_[k - 1]);
       }
+    for (std::size_t i = 0; i < kNodes; ++i) apart_[i] = time[i] - origin;
   }
 
   // Values at the nodes, and the sum of squares that no polynomial takes.
@@ -141,9 +146,9 @@ class Nodes {
  private:
   static constexpr double kSame = 1e-8;  // of half the window, that times may differ by: rounding of stamps
   std::vector<double> basis_;            // (samples, kNodes)
-  std::vector<double> sampled_;          // the times that they are of
+  std::vector<double> sampled_;          // the times that they are of, after the first
   int count_ = 0;
-  std::array<double, kNodes> at_node_[kNodes];
+  std::array<double, kNodes> at_node_[kNodes], apart_{};  // nodes after the first time
 
   double* row(int k) { return basis_.data() + k * kNodes; }
   const double* row(int k) const { return basis_.data() + k * kNodes; }

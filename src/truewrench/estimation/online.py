@@ -13,7 +13,7 @@ from truewrench.model.arrays import Array, Integers
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """The gain after every block: time (B,) [s of its log], log (B,), gain (B, n, 6) normalised."""
+    """The gain whenever it changed: time (B,) [s of its log], log (B,), gain (B, n, 6) normalised."""
 
     time: Array
     log: Integers
@@ -99,7 +99,7 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
     counts = [len(time) for time in found.history_time]
     return OnlineFound(
         fit=fit,
-        status=found.status,
+        status=_core.Status.not_factorizable if fit.failed else found.status,
         covariance=covariance,
         added=np.asarray(found.added),
         gain_covariance=np.asarray(found.gain_covariance),
