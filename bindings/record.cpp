@@ -30,14 +30,14 @@ MotionMap map_of(Chain chain, std::optional<nb::callable> carried, bool gravity)
               delete f;
             }};
   return [chain = std::move(chain), held, gravity](const Eigen::VectorXd& time, const RowMatrix& q,
-                                                   const RowMatrix& qd, const RowMatrix& qdd,
+                                                   const RowMatrix& qd, const RowMatrix& qdd, bool jacobian,
                                                    MappedMotion& out) {
     Carrier carrier;
     if (held) {
       const nb::gil_scoped_acquire locked;
       std::tie(carrier.twist, carrier.rate, carrier.R_inertial_root) = nb::cast<Carried>((*held)(time));
     }
-    require(chain_motion(chain, q, qd, qdd, carrier, gravity, out), "joints, or what carries them");
+    require(chain_motion(chain, q, qd, qdd, carrier, gravity, jacobian, out), "joints, or what carries them");
   };
 }
 
@@ -109,7 +109,7 @@ void bind_record(nb::module_& m) {
           [](const Chain& chain, const RowMatrix& q, const RowMatrix& qd, const RowMatrix& qdd,
              const RowMatrix& twist, const RowMatrix& rate, const RowMatrix& R_inertial_root) {
             MappedMotion out;
-            require(chain_motion(chain, q, qd, qdd, {twist, rate, R_inertial_root}, true, out),
+            require(chain_motion(chain, q, qd, qdd, {twist, rate, R_inertial_root}, true, true, out),
                     "joints (K, M), or what carries them");
             return std::tuple(out.nu, out.a, out.R_sensor_root, out.jacobian);
           },

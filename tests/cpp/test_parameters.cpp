@@ -1,4 +1,7 @@
 // Which parameters logs share.
+#include "oracles.hpp"
+#include "truewrench/estimation/stretch.hpp"
+#include "truewrench/model/chain.hpp"
 #include "truewrench/model/gravity.hpp"
 #include "truewrench/model/parameters.hpp"
 
@@ -189,6 +192,74 @@ TEST_P(Bends, AndGravity) {
   const Vector3 read = pole.read([&](double at) { return Vector3(R(at) * late.rig.gravity); }, t);
   const Vector3 told = late.gravity(0.0, 0.0).felt(R(t), nu, a, jerk);
   EXPECT_LT((told - read).norm(), late.rig.gravity.norm() * (4.0 * std::pow(pole.s(), 4.0) + 1e-6));
+}
+
+// The wrench of what two joints carry in gravity, their positions as the sensor read them.
+TEST_P(Bends, AndTheWrenchOfAnArm) {
+  const OnePole& pole = GetParam();
+  const Late late({pole.s(), pole.kappa(), 1.0});
+  Chain arm;
+  arm.xi = {Vector6(0.0, 0.0, 0.0, 0.0, 0.0, 1.0), Vector6(-0.5, 0.0, 0.0, 0.0, 1.0, 0.0)};
+  arm.p = Vector3(0.3, 0.1, 0.8);
+  const double rate[2] = {1.0, 0.7}, size[2] = {0.8, 0.6}, phase[2] = {0.3, 1.1};
+  // p-th derivatives, as they are or as one pole reads them
+  const auto joints = [&](double t, int p, bool read) {
+    RowMatrix q(1, 2);
+    for (int j = 0; j < 2; ++j) {
+      const double lag = read ? rate[j] * pole.late + std::atan(rate[j] * pole.tau) : 0.0,
+                   gain = read ? 1.0 / std::hypot(1.0, rate[j] * pole.tau) : 1.0;
+      q(0, j) =
+          size[j] * gain * std::pow(rate[j], p) * std::sin(rate[j] * t + phase[j] - lag + 0.5 * kPi * p);
+    }
+    return q;
+  };
+  RecordedLog log;
+  log.source = Source::mapped;
+  log.payload.mass = 4.0;
+  log.payload.center_of_mass = {0.05, -0.02, 0.1};
+  log.payload.inertia = Vector3(0.04, 0.05, 0.02).asDiagonal();
+  log.map = [&](const Eigen::VectorXd&, const RowMatrix& q, const RowMatrix& qd, const RowMatrix& qdd,
+                bool jacobian, MappedMotion& out) {
+    ASSERT_EQ(chain_motion(arm, q, qd, qdd, {}, true, jacobian, out), Status::ok);
+  };
+  log.time = Eigen::VectorXd::LinSpaced(3, 1.0, 2.0);
+  log.raw = RowMatrix::Zero(3, 6);
+  log.motion.resize(1);
+  log.motion[0].time = log.time;
+  log.motion[0].value = RowMatrix::Zero(3, 2);
+  log.motion[0].sigma = Eigen::VectorXd::Ones(2);
+  log.motion[0].group = Eigen::VectorXi::Zero(2);
+  Stretch stretch(log, late.rig, 0.0, 3.0, 0.01, 0.05);
+  Eigen::MatrixXd basis = Eigen::MatrixXd::Zero(600, stretch.spline.size()), q(600, 2);
+  for (int k = 0; k < 600; ++k) {
+    double u = 0.0;
+    const Eigen::Index at = stretch.spline.locate(0.005 * k, u);
+    const Basis b = stretch.spline.basis(u, 0);
+    for (int l = 0; l < kLocal; ++l) basis(k, at + l) = b[static_cast<std::size_t>(l)];
+    q.row(k) = joints(0.005 * k, 0, true);
+  }
+  stretch.c = basis.householderQr().solve(q);
+  const Layout layout(late.rig, {&log}, {});
+  const Columns columns = layout.in_theta(0);
+  Eigen::VectorXd theta = layout.mean();
+  theta[columns.clock[0]] = pole.s();
+  theta[columns.clock[0] + 1] = pole.kappa();
+  stretch.predict(columns, theta, late.rig.nominal, false);
+  const auto wrench = [&](double t, bool read) {
+    MappedMotion m;
+    EXPECT_EQ(
+        chain_motion(arm, joints(t, 0, read), joints(t, 1, read), joints(t, 2, read), {}, true, false, m),
+        Status::ok);
+    const Matrix3 R = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(m.R_sensor_root.data());
+    return oracle::wrench(log.payload.mass, log.payload.center_of_mass, log.payload.inertia, Vector3::Zero(),
+                          m.nu.row(0).transpose(), m.a.row(0).transpose(), R * late.rig.gravity);
+  };
+  for (Eigen::Index k = 0; k < 3; ++k) {
+    const Vector6 truth = pole.read([&](double at) { return Vector6(wrench(at, false)); }, log.time[k]);
+    const double error = (stretch.now.w.row(k).transpose() - truth).norm();
+    EXPECT_LT(error, truth.norm() * (2.0 * std::pow(pole.tau, 4.0) + 1e-6));
+    EXPECT_LT(error, 0.2 * (wrench(log.time[k], true) - truth).norm());  // of the mean motion
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Filters, Bends,

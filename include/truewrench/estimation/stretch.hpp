@@ -82,6 +82,7 @@ class Stretch {
         n_(static_cast<int>(rig.noise.size())),
         begin_(begin),
         end_(end) {
+    raw.source.reserve(static_cast<std::size_t>(log.time.size()));
     for (Eigen::Index k = 0; k < log.time.size(); ++k) {
       if (!(log.time[k] >= begin && log.time[k] <= end)) continue;
       if (finite_in(log.raw, k) == 0) continue;
@@ -94,6 +95,8 @@ class Stretch {
     raw.remainder = RowMatrix::Zero(log.size.size() > 0 ? rows : 0, n_);
     raw.channels.resize(rows);
     raw.masked.assign(static_cast<std::size_t>(rows), 0);
+    raw.interval.reserve(static_cast<std::size_t>(rows));
+    raw.basis.reserve(static_cast<std::size_t>(rows));
     for (Eigen::Index k = 0; k < rows; ++k) {
       const Eigen::Index at = raw.source[static_cast<std::size_t>(k)];
       double u = 0.0;
@@ -111,6 +114,7 @@ class Stretch {
     for (const MotionStream& stream : log.motion) {
       MotionRows m;
       std::vector<Eigen::Index> at;
+      at.reserve(static_cast<std::size_t>(stream.time.size()));
       for (Eigen::Index k = 0; k < stream.time.size(); ++k)
         if (stream.time[k] >= begin && stream.time[k] <= end && finite_in(stream.value, k) > 0)
           at.push_back(k);
@@ -144,6 +148,7 @@ class Stretch {
     motion = std::vector<MotionRows>();
     now = Prediction();
     mapped = MappedMotion();
+    averaged = {};
     mapped_at_ = RowMatrix();
     log_ = nullptr;
     rig_ = nullptr;
@@ -168,7 +173,8 @@ class Stretch {
   std::vector<MotionRows> motion;
   RowMatrix c, e;  // (N, M) and (N, n): coefficients of the motion and of the discrepancy
   Prediction now;
-  MappedMotion mapped;  // of a mapped motion, at the raw samples
+  MappedMotion mapped;                   // of a mapped motion, at the raw samples
+  std::array<MappedMotion, 2> averaged;  // and about them, where the sensor averages: see evaluate_motion()
 
   // Residuals of all rows at theta, in the places of `columns`; `lagged`: C_0 (n, 6); with the discrepancy or without.
   void predict(const Columns& columns, const Eigen::VectorXd& theta, const RowMatrix& lagged,
@@ -178,24 +184,33 @@ class Stretch {
   }
 
   // The twist and its derivative at the raw samples alone; `late` [s]: of what carries the arm, which has the stamps of the
-  // motion and not the sensor's.
-  void evaluate_motion(double late, bool jerk) {
+  // motion and not the sensor's. Of a mapped motion X = (x, x', x'') the mean of w over what a filter of the sensor averages is that
+  // of X -+ sqrt(v) Xdot, to third order in it: of a quadratic w wrench_read()'s.                                          (10.4)
+  void evaluate_motion(double late, bool jerk, const Bending& bending) {
     const Eigen::Index rows = raw.rows();
     for (RowMatrix* m : {&now.nu, &now.a}) m->resize(rows, 6);
     if (now.jerk.rows() != rows) now.jerk = RowMatrix::Zero(rows, 6);
     if (log_->source == Source::mapped) {
-      // theta plays no other part in it
-      if (mapped_at_.size() == c.size() && mapped_at_ == c && mapped_late_ == late) return;
-      std::array<RowMatrix, 3> x;
-      for (std::size_t p = 0; p < 3; ++p) {
+      // of theta the delay and the filter alone play a part in it
+      const std::array<double, 3> times{late, std::sqrt(bending.averaged()), bending.skewed()};
+      if (mapped_at_.size() == c.size() && mapped_at_ == c && mapped_times_ == times) return;
+      std::array<RowMatrix, 5> x;
+      for (std::size_t p = 0; p < (times[1] > 0.0 ? 5 : 3); ++p) {
         x[p].resize(rows, M_);
-        for (Eigen::Index k = 0; k < rows; ++k) value_at(k, p, c, x[p].data() + k * M_);
+        for (Eigen::Index k = 0; k < rows; ++k) derivative_at(k, p, x[p].data() + k * M_);
       }
-      log_->map((raw.time.array() - late).matrix(), x[0], x[1], x[2], mapped);
+      const Eigen::VectorXd at = (raw.time.array() - late).matrix();
+      log_->map(at, x[0], x[1], x[2], true, mapped);
+      for (std::size_t i = 0; times[1] > 0.0 && i < averaged.size(); ++i) {
+        const double shift = i == 0 ? -times[1] : times[1];
+        std::array<RowMatrix, 3> moved;
+        for (std::size_t p = 0; p < 3; ++p) moved[p] = x[p] + shift * (x[p + 1] - times[2] * x[p + 2]);
+        log_->map((at.array() + shift).matrix(), moved[0], moved[1], moved[2], false, averaged[i]);
+      }
       now.nu = mapped.nu;
       now.a = mapped.a;
       mapped_at_ = c;
-      mapped_late_ = late;
+      mapped_times_ = times;
       return;
     }
     double x0[max_components], x1[max_components], x2[max_components];
@@ -219,6 +234,13 @@ class Stretch {
     const auto i = static_cast<std::size_t>(k);
     combine(raw.basis[i][p].data(), raw.interval[i], coefficients, out);
   }
+  // Of the motion; beyond those that raw.basis has, too.
+  void derivative_at(Eigen::Index k, std::size_t p, double* out) const {
+    if (p < raw.basis[static_cast<std::size_t>(k)].size()) return value_at(k, p, c, out);
+    double u = 0.0;
+    const Eigen::Index at = spline.locate(raw.time[k], u);
+    combine(spline.basis(u, static_cast<int>(p)).data(), at, c, out);
+  }
   Components value_at(Eigen::Index k, std::size_t p, const RowMatrix& coefficients) const {
     Components out(coefficients.cols());
     value_at(k, p, coefficients, out.data());
@@ -240,17 +262,11 @@ class Stretch {
       for (Eigen::Index j = 0; j < columns; ++j) out[j] += basis[l] * x[l * columns + j];
   }
 
-  Vector6 jerk_at(Eigen::Index k) const {
-    return Vector6(Eigen::Map<const Vector6>(now.jerk.data() + 6 * k));
-  }
+  Vector6 jerk_at(Eigen::Index k) const { return row_of(now.jerk, k); }
   Matrix3 rotation_at(Eigen::Index k) const {
-    const double* rows = log_->source == Source::mapped
-                             ? mapped.R_sensor_root.data() + 9 * k
-                             : log_->R_sensor_root.data() + 9 * raw.source[static_cast<std::size_t>(k)];
-    Matrix3 R;
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) R(i, j) = rows[3 * i + j];
-    return R;
+    return log_->source == Source::mapped
+               ? rotation_of(mapped.R_sensor_root, k)
+               : rotation_of(log_->R_sensor_root, raw.source[static_cast<std::size_t>(k)]);
   }
   bool gravity() const {
     return log_->source != Source::imu &&
@@ -261,9 +277,20 @@ class Stretch {
   const RecordedLog* log_ = nullptr;
   const Statement* rig_ = nullptr;
   int M_ = 6, n_ = 6;
-  double begin_ = 0.0, end_ = 0.0;  // [s] of the samples
-  RowMatrix mapped_at_;             // the coefficients that `mapped` is of
-  double mapped_late_ = 0.0;        // and the delay [s]
+  double begin_ = 0.0, end_ = 0.0;        // [s] of the samples
+  RowMatrix mapped_at_;                   // the coefficients that `mapped` is of
+  std::array<double, 3> mapped_times_{};  // [s] and the delay, and of what is averaged the width and how late
+
+  static Matrix3 rotation_of(const RowMatrix& rows, Eigen::Index k) {
+    const double* of = rows.data() + 9 * k;
+    Matrix3 R;
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) R(i, j) = of[3 * i + j];
+    return R;
+  }
+  static Vector6 row_of(const RowMatrix& rows, Eigen::Index k) {
+    return Vector6(Eigen::Map<const Vector6>(rows.data() + 6 * k));
+  }
 
   // twist = nu(t + s) + (kappa - 1/2) (s^2 + r^2) nuddot + sigma_v eps, r half of what a sample averages; third order: Bending
   //                                                                                                               (10.4)
@@ -305,7 +332,8 @@ class Stretch {
     const bool imu = log_->source == Source::imu;
     const int clock = columns.clock[0];
     const Bending bending = log_->bending(0, theta[clock], theta[clock + 1]);
-    evaluate_motion(log_->carried ? theta[clock] : 0.0, gravity() || bending.averaged() > 0.0);
+    evaluate_motion(log_->carried ? theta[clock] : 0.0, gravity() || bending.averaged() > 0.0, bending);
+    const bool beside = log_->source == Source::mapped && bending.averaged() > 0.0;
     const Eigen::Index rows = raw.rows();
     now.g.resize(rows, 3);
     now.w.resize(rows, 6);
@@ -317,10 +345,17 @@ class Stretch {
     const Gravity gravity_now = gravity_of(columns, theta);
     double d[max_components] = {};
     for (Eigen::Index k = 0; k < rows; ++k) {
-      const Eigen::Map<const Vector6> at_nu(now.nu.data() + 6 * k), at_a(now.a.data() + 6 * k);
-      const Vector6 nu = at_nu, a = at_a, jerk = jerk_at(k);
+      const Vector6 nu = row_of(now.nu, k), a = row_of(now.a, k), jerk = jerk_at(k);
       const Vector3 g = gravity() ? gravity_now.felt(rotation_at(k), nu, a, angular(jerk)) : Vector3::Zero();
-      const Vector6 wrench = wrench_read(body, log_->point, nu, a, jerk, g, bending, imu);
+      Vector6 wrench = Vector6::Zero();
+      for (std::size_t i = 0; beside && i < averaged.size(); ++i) {
+        const MappedMotion& at = averaged[i];
+        const Vector3 felt =
+            gravity() ? gravity_now.in_sensor(rotation_of(at.R_sensor_root, k)) : Vector3::Zero();
+        const Vector6 one = wrench_about(body, log_->point, row_of(at.nu, k), row_of(at.a, k), felt);
+        for (int j = 0; j < 6; ++j) wrench[j] += 0.5 * one[j];
+      }
+      if (!beside) wrench = wrench_read(body, log_->point, nu, a, jerk, g, bending, imu);
       double *w = now.w.data() + 6 * k, *cw = now.cw.data() + n_ * k,
              *residual = now.residual.data() + n_ * k;
       for (int j = 0; j < 3; ++j) now.g(k, j) = g[j];

@@ -99,9 +99,9 @@ struct Joint {
 
 }  // namespace chain
 
-// Motion of the sensor's origin, sensor axes, and its Jacobian, at (K, M) q, qd, qdd; the attitude where `gravity` asks for it.
+// Motion of the sensor's origin, sensor axes, at (K, M) q, qd, qdd; the attitude where `gravity` asks for it, and so the Jacobian.
 inline Status chain_motion(const Chain& of, const RowMatrix& q, const RowMatrix& qd, const RowMatrix& qdd,
-                           const Carrier& carrier, bool gravity, MappedMotion& out) {
+                           const Carrier& carrier, bool gravity, bool jacobian, MappedMotion& out) {
   using chain::Twist;
   const Eigen::Index K = q.rows();
   const int M = static_cast<int>(of.xi.size());
@@ -117,7 +117,7 @@ inline Status chain_motion(const Chain& of, const RowMatrix& q, const RowMatrix&
   std::vector<Twist> J(joints.size()), before(joints.size() + 1), faster(before), turn(J);
   for (RowMatrix* m : {&out.nu, &out.a}) m->resize(K, 6);
   out.R_sensor_root.resize(gravity ? K : 0, 9);
-  out.jacobian.resize(K, 36 * M);
+  out.jacobian.resize(jacobian ? K : 0, 36 * M);
   const std::ptrdiff_t stride = 3 * M;
   for (Eigen::Index k = 0; k < K; ++k) {
     Matrix3 R = of.R;
@@ -143,8 +143,8 @@ inline Status chain_motion(const Chain& of, const RowMatrix& q, const RowMatrix&
     const Twist &nu = before.back(), &a = faster.back();
     chain::store(out.nu.data() + 6 * k, nu, 1);
     chain::store(out.a.data() + 6 * k, a, 1);
-    double *upper = out.jacobian.data() + 36 * M * k, *lower = upper + 6 * stride;
-    for (std::size_t i = 0; i < J.size(); ++i) {
+    double *upper = out.jacobian.data() + (jacobian ? 36 * M * k : 0), *lower = upper + 6 * stride;
+    for (std::size_t i = 0; jacobian && i < J.size(); ++i) {
       chain::store(upper + i, turn[i], stride);
       chain::store(upper + M + i, J[i], stride);
       chain::store(upper + 2 * M + i, {Vector3::Zero(), Vector3::Zero()}, stride);

@@ -85,9 +85,9 @@ struct MappedMotion {
   RowMatrix jacobian;       // (K, 12 * 3M), row by row: of [nu, a] by (x, x', x'')
 };
 
-// From (K) times and (K, M) x, x', x'' to the motion of the sensor.
+// From (K) times and (K, M) x, x', x'' to the motion of the sensor; the Jacobian where it is asked for.
 using MotionMap = std::function<void(const Eigen::VectorXd&, const RowMatrix&, const RowMatrix&,
-                                     const RowMatrix&, MappedMotion&)>;
+                                     const RowMatrix&, bool jacobian, MappedMotion&)>;
 
 struct RecordedLog {
   Source source = Source::twist;
