@@ -46,6 +46,7 @@ class Clock:
     gamma_std: float | None = None  # its 1 sigma
     undone: float = 0.0  # how much later the sensor was than `late` before filters were undone [s]
     set_back: float = 0.0  # the same of a clock that was set before the estimate [s]
+    half_window: float = 0.0  # r of (10.4): of what samples of sensor and stream are means of [s]
 
     @property
     def as_logged(self) -> float:

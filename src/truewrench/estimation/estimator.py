@@ -1,5 +1,6 @@
 """From a rig and logs to an `Estimate`: the core's loop (METHOD 10.3), its numbers in SI and raw units."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -233,6 +234,7 @@ def _clocks(
                 None if gravity is None else float(std[gravity]),
                 log.filters_advance(_FIELDS.get(stream, "twist")),
                 log.clock_set,
+                math.hypot(record.half_window, record.motion[k].half_window),
             )
         )
     return tuple(out)

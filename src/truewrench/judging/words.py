@@ -186,7 +186,8 @@ def _clocks(estimate: Estimate, rig: Rig, logs: Sequence[Log], k: int) -> Iterat
     """Clocks and filters.
 
     With a first-order filter of time constant tau beside a clock c, s = c - tau for one of the motion and
-    c + tau for one of the sensor; then in (10.5) gamma s = c, and in (10.4) (2 kappa - 1) s^2 = +-tau^2.
+    c + tau for one of the sensor; then in (10.5) gamma s = c, and in (10.4) (2 kappa - 1) (s^2 + r^2) is
+    +-tau^2.
     """
     hz = rig.sensor.lowpass_hz
     for clock in estimate.clocks[k]:
@@ -225,9 +226,9 @@ def _filter(clock: Clock, lowpass_hz: float | None) -> tuple[float, float, bool]
         excess = 2.0 * clock.kappa - 1.0
         motion, late = excess > 0.0, clock.late + clock.set_back
         if abs(excess) > FILTERED * 2.0 * clock.kappa_std and (motion or late > 0.0):
-            s = abs(clock.late + bent(clock.set_back))
-            tau = s * math.sqrt(min(abs(excess), 1.0))
-            return tau, s * clock.kappa_std / math.sqrt(abs(excess)), motion
+            span = math.hypot(clock.late + bent(clock.set_back), clock.half_window)
+            tau = span * math.sqrt(min(abs(excess), 1.0))
+            return tau, span * clock.kappa_std / math.sqrt(abs(excess)), motion
     return 0.0, 0.0, False
 
 
