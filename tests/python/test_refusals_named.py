@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from test_judging import departed, estimate_of, play, rig_of
 
 from truewrench.estimation.estimate import Estimate, Event, FoundNoise, Slow
@@ -36,6 +37,35 @@ def test_where_nothing_is_slow_parts_disagree_by_what_was_left_out() -> None:
     estimate = replace(estimate, events=((push,),), p_halves=1e-9)
     (reason, *_) = judge(estimate, Comparisons(), rig, [log]).verdict.reasons
     assert "does not fit the model (contact" in reason
+
+
+def test_samples_left_out_from_some_time_on_look_like_a_step() -> None:
+    rig = rig_of()
+    estimate, log = estimate_of(rig)
+    [rows] = estimate.rows
+    push = Event(2.0, 9.0, rows.masked.size // 2, True, np.full(6, 0.1))
+
+    def kinds(masked: NDArray[np.bool_]) -> str:
+        lost = replace(estimate, rows=(replace(rows, masked=masked),), events=((push,),))
+        (reason, *_) = judge(lost, Comparisons(), rig, [log]).verdict.reasons
+        return reason[reason.index("left out as") :]
+
+    place = np.arange(rows.masked.size) / rows.masked.size
+    assert kinds(place > 0.5).startswith("left out as step or contact")
+    assert kinds(place < 0.4).startswith("left out as step or contact")
+    assert kinds(np.abs(place - 0.5) < 0.2).startswith("left out as contact")
+
+
+def test_a_mistake_is_not_sure_beside_something_slow_that_the_fit_is_without() -> None:
+    rig = rig_of()
+    estimate, log = estimate_of(rig)
+    sure = replace(MISTAKE, log_odds=100.0)
+    comparisons = Comparisons(setup=(sure,))
+    parts = replace(estimate, p_halves=1e-9)
+    assert judge(parts, comparisons, rig, [log]).verdict.reasons[0] == sure.words
+    beside = (Slow("force", 1.2e-3, 1e-4, 0.3, 12.0, "none"),)
+    first = judge(replace(parts, slow=(beside,)), comparisons, rig, [log]).verdict.reasons[0]
+    assert first.startswith("parts of the record disagree")
 
 
 def test_two_slow_kinds_stand_before_what_was_left_out() -> None:

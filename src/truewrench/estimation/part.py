@@ -104,7 +104,10 @@ def part_of(
     origin = place.origin[held.rows]
     streams = [  # of the times, whether there is more than one: a copy, or the whole record would be kept
         SimpleNamespace(
-            derivative=m.derivative, time_offset_prior=m.time_offset_prior, time=np.array(m.time[:2])
+            derivative=m.derivative,
+            time_offset_prior=m.time_offset_prior,
+            half_window=m.half_window,
+            time=np.array(m.time[:2]),
         )
         for m in record.motion
     ]
@@ -117,7 +120,7 @@ def part_of(
         _without_fit(found) if ok else None,
         _core.put_away(found) if ok else None,
         replace(estimate, rows=(_some(held, origin, place.begin, every),)),
-        SimpleNamespace(source=record.source, motion=streams),
+        SimpleNamespace(source=record.source, half_window=record.half_window, motion=streams),
     )
 
 

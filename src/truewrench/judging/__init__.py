@@ -108,8 +108,10 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
             reasons += still_motion(logs) or [_nothing_learnt(estimate)]
     if estimate.solved and not silent:  # whose gains look like any mistake
         suspicions = _suspicions(estimate, comparisons, rig, logs, named, alone=not of_record)
-        # a mistake that is sure comes before what it does to the record
-        sure = bool(comparisons.setup) and comparisons.setup[0].log_odds > SURE
+        # a mistake that is sure comes before what it does to the record; none is beside something slow which
+        # the fit is without, as always that of `online`: it makes payloads of itself
+        told = slow_stands(estimate) or not slow_found(estimate)
+        sure = bool(comparisons.setup) and comparisons.setup[0].log_odds > SURE and told
         reasons = [*suspicions, *reasons] if sure else [*reasons, *suspicions]
     reasons += comparisons.worse
     std = _std(estimate, n)
@@ -221,7 +223,7 @@ def _suspicions(
 ) -> list[str]:
     """Mistakes of the set-up; where they alone speak, what else may look like one."""
     out = [suspicion.words for suspicion in comparisons.setup]
-    if out and alone and slow_stands(estimate):
+    if out and alone and slow_found(estimate):
         kinds = _named(looks_slow(estimate, rig, logs), named)
         out[0] += f"; or a slow disturbance that looks like one: {kinds}"
     return out

@@ -17,11 +17,13 @@ from truewrench.estimation.estimate import Clock, Estimate, Slow
 from truewrench.estimation.far_clock import bent
 from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.judging.attribution import Looks, fast_looks, slow_looks
+from truewrench.model.arrays import Mask
 from truewrench.model.calibration_parts import Assumed
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
 MOST = 3  # kinds that are named at once
+STEPPED = 0.7  # by how much the shares left out before and after a step differ: words only
 WORTH = 0.1  # of the highest score, from which on a kind is named: the right one in 21 of 27 refusals
 TOLD = 4.0  # sigma of a clock, a quadratic term, a slow disturbance: 1 clean record in 2,000
 FILTERED = 4.0  # sigma of kappa and gamma from those of a clock, from which on a filter is named first
@@ -83,9 +85,21 @@ def kinds_of_disturbances(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> 
     for event in (event for of_log in estimate.events for event in of_log):
         count["contact" if event.lasting else "outliers"] += event.samples
     kinds = [kind for kind in sorted(count, key=lambda kind: -count[kind]) if count[kind]] or ["contact"]
-    if slow_stands(estimate):
+    if slow_found(estimate):
         return (*looks_slow(estimate, rig, logs)[: MOST - 1], *kinds)
-    return (*likeliest_fast(estimate, rig, logs), *kinds)
+    stepped = ("step",) if any(_from_some_time_on(rows.masked) for rows in estimate.rows) else ()
+    return (*stepped, *likeliest_fast(estimate, rig, logs), *kinds)
+
+
+def _from_some_time_on(masked: Mask) -> bool:
+    """Whether most samples after some time were left out and few before it, or the other way round."""
+    count = len(masked)
+    at = np.arange(count // 10 + 1, count - count // 10)
+    if not at.size:
+        return False
+    before = np.cumsum(masked)[at - 1]
+    after = np.count_nonzero(masked) - before
+    return bool(np.abs(after / (count - at) - before / at).max() > STEPPED)
 
 
 def likeliest_fast(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
