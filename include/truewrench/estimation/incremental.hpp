@@ -390,11 +390,11 @@ class Incremental {
     double variance, departure;
   };
   int lay_out(bool all, int columns);
-  bool invert(bool all);
+  bool invert();
   bool look(std::span<const int> places, std::array<Loose, kMostLoose>& out);
   bool hold_rules();
   void gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S);
-  bool solve(bool judge);
+  bool solve();
   void add_delays(DelaySums& sums, long block) const noexcept;
   void imitate(int order) noexcept;
   double resize(const SizeSums& sums);

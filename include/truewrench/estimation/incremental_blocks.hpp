@@ -140,7 +140,7 @@ inline bool Incremental::run(int least, int most, double tolerance, bool last) {
     const double before = objective(last);
     theta0_ = lag_.theta;
     coefficients(x0_);
-    if (!solve(true)) return false;
+    if (!solve()) return false;
     lag_.back(first);
     theta1_ = lag_.theta;
     coefficients(x1_);
@@ -163,7 +163,7 @@ inline bool Incremental::run(int least, int most, double tolerance, bool last) {
                 (theta1_[j] - theta0_[j]);
     move = std::sqrt(std::max(move, 0.0) / static_cast<double>(use_.size()));
     weigh();
-    invert(false);
+    invert();
     lag_.traces(first);
     SizeSums sums = window_sums(first);
     sums += left_;
@@ -209,7 +209,7 @@ inline Status Incremental::hop() noexcept {
   predict();
   weigh();
   set_mask(leaving);
-  if (!sweep(leaving, false) || !solve(true)) return status_ = Status::not_factorizable;
+  if (!sweep(leaving, false) || !solve()) return status_ = Status::not_factorizable;
   lag_.back(first);
   depart(leaving);
   lag_.know_theta(present_, moving_);
@@ -219,7 +219,7 @@ inline Status Incremental::hop() noexcept {
 // Sums of what leaves; sizes by them, and while little has left by what stays too.
 inline void Incremental::depart(long leaving) {
   const long first = lag_.first(), stay = first + leaving;
-  invert(false);
+  invert();
   const bool young = hops_ < 2,
              traced = young || hops_ % 4 == 0;  // later the traces' share of the rows hardly changes
   SizeSums gone;
@@ -242,7 +242,7 @@ inline void Incremental::depart(long leaving) {
     resize(all);
   } else {
     gather(Zp_, 0, S_);
-    invert(false);
+    invert();
     resize(left_);
     gather(Z_, 0, S_);
   }
@@ -360,7 +360,7 @@ inline Status Incremental::close() noexcept {
     if (fits) lag_.back(first);
     if (!fits || !run(1, 3, constants::move, true)) status = Status::not_factorizable;
     set_mask(leaving);
-    if (status == Status::ok && sweep(leaving, true) && solve(true)) {
+    if (status == Status::ok && sweep(leaving, true) && solve()) {
       lag_.back(first);
       depart(leaving);
     } else {

@@ -23,9 +23,9 @@ inline int Incremental::lay_out(bool all, int columns) {
   return ld;
 }
 
-// P_ = (S + Pi^-1)^-1 over the active parameters, or over all.
-inline bool Incremental::invert(bool all) {
-  const int nt = lag_.parameters(), ld = lay_out(all, nt), k = static_cast<int>(use_.size()),
+// P_ = (S + Pi^-1)^-1 over the active parameters.
+inline bool Incremental::invert() {
+  const int nt = lag_.parameters(), ld = lay_out(false, nt), k = static_cast<int>(use_.size()),
             half = dense::padded(k);
   for (int i = 0; i < k; ++i) work_[static_cast<std::size_t>(i * ld + half + i)] = 1.0;
   if (!dense::factor(work_.data(), ld, k, logdet_s_)) return false;
@@ -95,21 +95,20 @@ inline bool Incremental::hold_rules() {
   return true;
 }
 
-// theta by the information Z_ and the prior; `judge`: the rules for s, kappa
-// and gamma, and Gauss-Newton on the coordinates.
-inline bool Incremental::solve(bool judge) {
+// theta by the information Z_ and the prior: the rules for s, kappa and gamma,
+// and Gauss-Newton on the coordinates.
+inline bool Incremental::solve() {
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
-  if (judge) {  // a log that told the gain tells the delays of those after it
-    delays_ = past_delays_;
-    for (long g = lag_.first(); g < lag_.end(); ++g) add_delays(delays_, g);
-    imitated_ = !told_ && lag_.streams() > 0 &&
-                delays_.imitated(lag_.theta.data() + lag_.columns().C, lag_.channels(),
-                                 [this](int i) { return lag_.noise(i); });
-  }
-  for (int round = 0; round < (judge ? 2 : 1); ++round) {
+  // a log that told the gain tells the delays of those after it
+  delays_ = past_delays_;
+  for (long g = lag_.first(); g < lag_.end(); ++g) add_delays(delays_, g);
+  imitated_ = !told_ && lag_.streams() > 0 &&
+              delays_.imitated(lag_.theta.data() + lag_.columns().C, lag_.channels(),
+                               [this](int i) { return lag_.noise(i); });
+  for (int round = 0; round < 2; ++round) {
     gather(Z_, 0, S_);
-    if (judge && !hold_rules()) return false;
+    if (!hold_rules()) return false;
     const int ld = lay_out(false, 1), k = static_cast<int>(use_.size()), half = dense::padded(k);
     for (int i = 0; i < k; ++i) {  // the information vector with the prior's, what is held at its mean
       const int a = use_[static_cast<std::size_t>(i)];

@@ -45,8 +45,7 @@ inline double Incremental::fit_first(double origin, double h, bool partial) {
   } else {
     lag_.sizes = kept_.sizes;
   }
-  if (!run(3, constants::most_iterations, constants::robust_move, partial) || !sweep(0, partial) ||
-      !solve(true))
+  if (!run(3, constants::most_iterations, constants::robust_move, partial) || !sweep(0, partial) || !solve())
     return std::nan("");
   lag_.back(lag_.first());
   predict();

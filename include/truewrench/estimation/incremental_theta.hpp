@@ -107,7 +107,7 @@ inline void Incremental::imitate(int order) noexcept {
 inline const Eigen::MatrixXd& Incremental::theta_covariance() noexcept {
   const int nt = lag_.parameters();
   gather(Z_, 0, S_);
-  invert(false);
+  invert();
   covariance_ = P_;
   for (int h = 0; h < nt; ++h) {
     if (active_[static_cast<std::size_t>(h)] != 0) continue;

@@ -23,7 +23,7 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
 MOST = 3  # kinds that are named at once
-STEPPED = 0.7  # by how much the shares left out before and after a step differ: words only
+STEPPED = 0.7  # shares left out before and after a step differ so: 5 of 8 steps that `online` refuses
 WORTH = 0.1  # of the highest score, from which on a kind is named: the right one in 21 of 27 refusals
 TOLD = 4.0  # sigma of a clock, a quadratic term, a slow disturbance: 1 clean record in 2,000
 FILTERED = 4.0  # sigma of kappa and gamma from those of a clock, from which on a filter is named first
