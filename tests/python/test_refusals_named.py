@@ -118,6 +118,21 @@ def test_noise_that_costs_accuracy_is_named() -> None:
     assert "the scatter of the samples, 4.2 times the stated (noise): a record" in reason
 
 
+def test_what_else_is_larger_than_stated_is_named_beside_what_limits_the_accuracy() -> None:
+    rig = rig_of()
+    estimate, log = estimate_of(rig)
+    wide = estimate.normalised_covariance.copy()
+    wide[np.diag_indices(36)] += 0.1**2
+    noise = (FoundNoise("force", 4.2), FoundNoise("velocities v", 3.1))
+    payload = {"inertia": np.full((6, 6), 0.1)}
+    estimate = replace(estimate, normalised_covariance=wide, noise=(noise,), sources=payload)
+    (reason,) = judge(estimate, Comparisons(), rig, [log]).verdict.reasons
+    assert reason.endswith(
+        "; found beside it: the scatter of the samples, 4.2 times the stated (noise) and the scatter of the "
+        "motion, 3.1 times the stated (noise)"
+    )
+
+
 def test_a_random_walk_is_a_drift_and_a_cable_a_cable() -> None:
     """A walk resembles a few of many slow regressors; ten of each, the likeliest kind."""
     rig = rig_of()

@@ -306,13 +306,19 @@ def _accuracy(
 
 def _disturbed(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[str]) -> Disturbed:
     """What costs accuracy beyond what was stated; at most three kinds, as of all reasons."""
-    factor, words = scatter(estimate), ""
-    noisy = factor > _core.NOISE_TOLD
+    factor, of_motion = scatter(estimate), scatter(estimate, motion=True)
+    noisy, moves = factor > _core.NOISE_TOLD, of_motion > _core.NOISE_TOLD
     slow = _if_room(looks_slow(estimate, rig, logs)[: MOST - noisy], named)
+    kinds = (*likeliest_fast(estimate, rig, logs), "noise") if noisy or moves else ()
+    words, others = "", []
     if noisy:
-        kinds = (*likeliest_fast(estimate, rig, logs), "noise")
         words = f", {factor:.2g} times the stated{_if_room(kinds, named)}"
-    return Disturbed(f"what disturbs it slowly{slow}", slow_found(estimate), slow_stands(estimate), words)
+    if moves:
+        others.append(f"the scatter of the motion, {of_motion:.2g} times the stated{_if_room(kinds, named)}")
+    if any(log.vibrations for log in logs):
+        others.append(f"what shakes the sensor alone{_if_room(('vibration',), named)}")
+    disturbs = f"what disturbs it slowly{slow}"
+    return Disturbed(disturbs, slow_found(estimate), slow_stands(estimate), words, tuple(others))
 
 
 def _if_room(kinds: Sequence[str], named: list[str]) -> str:

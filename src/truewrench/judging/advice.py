@@ -30,6 +30,7 @@ class Disturbed:
     found: bool = False  # whether it stands out: (10.10) is then of its size
     in_fit: bool = False  # whether it is a part of the scatter of the samples
     scatter: str = ""  # by how much, and by what kinds, the samples scatter more than stated
+    others: tuple[str, ...] = ()  # what else is larger than stated
 
 
 def advice(
@@ -115,7 +116,15 @@ def _words(
             )
     if not causes:
         return ""
-    return f"limited by {listed(causes, 'and')}: {listed(cures, 'and')} would do"
+    beside = [slow] if disturbed.found and slow not in causes else []
+    beside += (
+        [f"the scatter of the samples{disturbed.scatter}"]
+        if disturbed.scatter and "noise" not in factors
+        else []
+    )
+    beside += disturbed.others
+    found = f"; found beside it: {listed(beside, 'and')}" if beside else ""
+    return f"limited by {listed(causes, 'and')}: {listed(cures, 'and')} would do{found}"
 
 
 _PAYLOAD = {

@@ -117,21 +117,24 @@ def slow_found(estimate: Estimate) -> bool:
     return slow_stands(estimate) or any(slow.z > TOLD for of_log in estimate.slow for slow in of_log)
 
 
-def scatter(estimate: Estimate) -> float:
-    """The noise found of the sensor, times the stated; of its noisiest channels and log."""
-    factors = (f.factor for of_log in estimate.noise for f in of_log if f.what in CHANNELS)
+def scatter(estimate: Estimate, motion: bool = False) -> float:
+    """The noise found of the sensor, or the motion, times the stated; of its noisiest part and log."""
+    factors = (f.factor for of_log in estimate.noise for f in of_log if (f.what in CHANNELS) is not motion)
     return max((factor for factor in factors if not math.isnan(factor)), default=1.0)
 
 
 def kinds_of_disagreement(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
     """Why parts of a record may disagree: slow departures, and noise far beyond the stated.
 
-    Where nothing slow was found: what was left out, then a filter that was.
+    Where nothing slow was found: what was left out, then a filter that was. A filter, of whose kernel two
+    moments are undone, may leave something slow.
     """
+    told = [found.what.split(":")[0].split(", ")[0] for found in findings(estimate, rig, logs)]
     fast = likeliest_fast(estimate, rig, logs) if scatter(estimate) > _core.NOISE_TOLD else ()
+    if slow_found(estimate) and "filter" in told:
+        fast = (*fast, "filter")[:1]
     kinds = [*looks_slow(estimate, rig, logs)[: MOST - len(fast)], *fast]
     if not slow_found(estimate):
-        told = [found.what.split(":")[0].split(", ")[0] for found in findings(estimate, rig, logs)]
         kinds = [*(kind for kind in ("contact", "outliers", "filter") if kind in told), *kinds]
     return tuple(dict.fromkeys(kinds))[:MOST]
 
