@@ -14,6 +14,7 @@ namespace truewrench {
 struct Settings {
   int threads = 1;
   double discrepancy = -1.0;  // stated: -1 auto, 0 none, else at least so much [fraction of range]
+  bool brief = false;         // nothing but START, ROBUST, MASK and FIT, on the coarsest knots
 };
 
 struct Estimate {

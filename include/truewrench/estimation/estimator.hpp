@@ -54,14 +54,14 @@ class Estimator {
         return out;
       }
     }
-    std::vector<std::vector<double>> steps(count);
+    Steps steps(count);
     std::shared_ptr<Fit> robust = together(alone, out);
     if (robust->failed) {
       out.status = Status::not_factorizable;
       return out;
     }
     // what the samples do not resolve, or no motion explains, is refused: no discrepancy and no step is looked for in it
-    bool hopeful = true;
+    bool hopeful = !settings_.brief;
     for (std::size_t l = 0; l < count; ++l)
       hopeful = hopeful && out.unresolved[l] == 0 && out.unexplained[l] <= constants::most_lost;
     if (!robust->sound()) {
@@ -70,8 +70,9 @@ class Estimator {
       leave_in(*robust);
     }
     const auto plain = with_masked(plain_fit(bare(*robust), *robust, steps, out), *robust, steps, out);
-    Candidate best = with_slow(plain, hopeful ? Slow::asked : Slow::never, out.fits);
+    Candidate best = with_slow(plain, Slow::never, out.fits);
     if (hopeful) {
+      best = slow_or_step(best, steps, out);
       repair(best, steps, out);
       keep_masked(best, out.fits);
     }
@@ -81,6 +82,8 @@ class Estimator {
   }
 
  private:
+  using Steps = std::vector<std::vector<double>>;  // of the offset, of each log [s]
+
   std::shared_ptr<const Statement> rig_;
   std::vector<const RecordedLog*> whole_, recorded_;  // as given; as fitted
   std::vector<std::shared_ptr<const RecordedLog>> gathered_;
@@ -139,7 +142,7 @@ class Estimator {
     std::size_t found = 0;
     // a motion that the coarsest knots do not follow leaves residuals faster than 2 h, the shortest tau of (10.9)
     if (coarsest) out.unexplained[l] = unexplained_by(*coarsest);
-    if (out.unexplained[l] > constants::most_lost) {
+    if (settings_.brief || out.unexplained[l] > constants::most_lost) {
       out.fits += whole.fits();
       return coarsest;
     }
@@ -199,38 +202,67 @@ class Estimator {
     return unexplained(masked, 0, moments(masked, unmasked_sums(masked, 0)));
   }
 
-  std::shared_ptr<Fit> robust_from(const Fit& like, const std::vector<std::vector<double>>& steps,
-                                   Estimate& out) const {
+  // A robust fit that stands where another does, but for its steps.
+  std::shared_ptr<Fit> robust_like(const Fit& like, const Steps& steps) const {
     std::vector<LogFit> logs = bare(like);
     for (LogFit& log : logs) clear_mask(log);
     auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
     fit->robust = true;
-    fit->start_from(like).run();
+    fit->start_from(like);
+    return fit;
+  }
+
+  std::shared_ptr<Fit> robust_from(const Fit& like, const Steps& steps, Estimate& out) const {
+    auto fit = robust_like(like, steps);
+    fit->run();
     fit->release();
     ++out.fits;
     return fit;
   }
 
+  struct Stepped {
+    std::shared_ptr<Fit> fit;
+    Steps steps;
+    double end;  // [s] from which on the block is past in which the step was proposed
+  };
+
+  // ROBUST with one step more in a log, at the sample where it is likeliest; none beside those that there are.
+  std::optional<Stepped> with_step(const Fit& like, std::size_t l, double proposed, const Steps& steps,
+                                   Estimate& out) const {
+    const double length = scored_length(like.logs()[l].stretches.front());
+    for (const double t : steps[l])
+      if (std::abs(t - proposed) <= length) return std::nullopt;
+    Stepped trial{nullptr, steps, proposed + length};
+    std::vector<double>& times = trial.steps[l];
+    const auto at = times.insert(std::upper_bound(times.begin(), times.end(), proposed), proposed);
+    trial.fit = robust_from(like, trial.steps, out);
+    if (trial.fit->failed) return std::nullopt;
+    *at = likeliest_time(*trial.fit, l, static_cast<std::size_t>(at - times.begin()), length);
+    if (*at != proposed) {
+      const RowMatrix lagged = trial.fit->lagged;
+      trial.fit = robust_like(*trial.fit, trial.steps);
+      trial.fit->lagged = lagged;
+      trial.fit->predict();
+      trial.fit->reweigh();
+    }
+    return trial;
+  }
+
   // Steps of the offset: where the mask would hide more than 20 % of a log; and one where it hides a log's end, if that step
   // leaves as little of it to hide as of any record: a contact that has not ended is no constant.
-  void seek_steps(std::shared_ptr<Fit>& robust, std::vector<std::vector<double>>& steps,
-                  Estimate& out) const {
+  void seek_steps(std::shared_ptr<Fit>& robust, Steps& steps, Estimate& out) const {
     for (std::size_t l = 0; l < steps.size(); ++l)
       while (steps[l].size() < 2) {
         const Fit masked = with_mask(*robust);
         const bool lost = masked_share(masked, l) > constants::most_lost;
         if (!lost && (!steps[l].empty() || !end_masked(masked, l))) break;
-        const auto t = best_step(*robust, l);
-        if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) break;
-        auto trial_steps = steps;
-        trial_steps[l].push_back(*t);
-        std::sort(trial_steps[l].begin(), trial_steps[l].end());
-        auto trial = robust_from(*robust, trial_steps, out);
-        if (trial->failed || !(trial->deviance() <= robust->deviance() - 2.0 * robust->channels())) break;
-        const double placed = *t + scored_length(trial->logs()[l].stretches.back());  // a step lies within it
-        if (!lost && masked_share(with_mask(*trial), l, placed) > constants::masked_told) break;
-        robust = trial;
-        steps = trial_steps;
+        const auto proposed = best_step(*robust, l);
+        if (!proposed) break;
+        const auto trial = with_step(*robust, l, *proposed, steps, out);
+        if (!trial || !(trial->fit->deviance() <= robust->deviance() - 2.0 * robust->channels())) break;
+        if (!lost && masked_share(with_mask(*trial->fit), l, trial->end) > constants::masked_told) break;
+        robust = trial->fit;
+        steps = trial->steps;
       }
     robust->release();
   }
@@ -245,8 +277,8 @@ class Estimator {
   }
 
   // FIT on the unmasked rows without d.
-  std::shared_ptr<Fit> plain_fit(std::vector<LogFit> logs, const Fit& like,
-                                 const std::vector<std::vector<double>>& steps, Estimate& out) const {
+  std::shared_ptr<Fit> plain_fit(std::vector<LogFit> logs, const Fit& like, const Steps& steps,
+                                 Estimate& out) const {
     auto plain = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
     bridge_walks(*plain);
     plain->start_from(like).run();
@@ -256,8 +288,8 @@ class Estimator {
 
   // FIT of the masked samples, too, where the noise that it finds is hardly larger; else the one without them. Bursts of jerk that
   // the knots follow in part look like contacts, and without them the motion seems smoother than it is.
-  std::shared_ptr<Fit> with_masked(const std::shared_ptr<Fit>& plain, const Fit& robust,
-                                   const std::vector<std::vector<double>>& steps, Estimate& out) const {
+  std::shared_ptr<Fit> with_masked(const std::shared_ptr<Fit>& plain, const Fit& robust, const Steps& steps,
+                                   Estimate& out) const {
     std::vector<std::size_t> asked;
     for (std::size_t l = 0; l < plain->logs().size() && !plain->failed; ++l) {
       const double added = masked_variance(*plain, l);
@@ -278,47 +310,75 @@ class Estimator {
     return trial;
   }
 
+  // FIT of the rows that a robust fit leaves in.
+  Candidate fit_rows(const Fit& robust, const Steps& steps, Slow slow, Estimate& out,
+                     const Fit* known = nullptr) const {
+    return with_slow(plain_fit(bare(robust), robust, steps, out), slow, out.fits, known);
+  }
+
+  // Whether (10.7) has a step, one of as many as there are blocks, rather than d.
+  static bool likelier(const Candidate& step, const Candidate& d, std::size_t l) {
+    double blocks = 0.0;
+    for (const Stretch& s : step.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
+    return step.fit->deviance() <= d.fit->deviance() - 2.0 * std::log(blocks);
+  }
+
+  // Where a fit without d asks for it: d, or a step that leaves nothing slow, whichever is likelier on the same rows. A walk that is
+  // in V takes a step of 0.3 % of range for its own: 3 of 13 such records were refused for a drift.
+  Candidate slow_or_step(const Candidate& plain, Steps& steps, Estimate& out) const {
+    if (!(plain.share > 1.0)) return plain;
+    for (std::size_t l = 0; l < steps.size(); ++l) {
+      const auto proposed = steps[l].size() < 2 ? best_step(*plain.fit, l) : std::nullopt;
+      const auto trial = proposed ? with_step(*plain.fit, l, *proposed, steps, out) : std::nullopt;
+      if (!trial) continue;
+      set_mask(*trial->fit);
+      leave_in(*trial->fit);
+      Candidate stepped = fit_rows(*trial->fit, trial->steps, Slow::never, out);
+      if (stepped.fit->failed || stepped.share > 1.0) continue;
+      stepped.fit->release();
+      const Candidate same = same_mask(*plain.fit, *stepped.fit)
+                                 ? stepped
+                                 : fit_rows(*plain.fit, trial->steps, Slow::never, out);
+      Candidate slow = with_slow(plain.fit, Slow::always, out.fits);
+      if (same.fit->failed || !likelier(same, slow, l)) return slow;
+      steps = trial->steps;
+      return stepped;
+    }
+    return with_slow(plain.fit, Slow::always, out.fits);
+  }
+
   // At most three times: where the scan finds something with d in V, its best suffix becomes a step.
-  void repair(Candidate& best, std::vector<std::vector<double>>& steps, Estimate& out) const {
+  void repair(Candidate& best, Steps& steps, Estimate& out) const {
     for (int round = 0; round < 3; ++round) {
       std::size_t l = 0;
-      std::optional<double> t;
+      std::optional<double> proposed;
       for (; l < steps.size(); ++l) {
-        t = best_step(*best.fit, l);
-        if (t) break;
+        proposed = best_step(*best.fit, l);
+        if (proposed) break;
       }
-      if (t && !best.found) {  // d must be in V before a step is sought
+      if (proposed && !best.found) {  // d must be in V before a step is sought
         best = with_slow(best.fit, Slow::always, out.fits);
-        t = best_step(*best.fit, l);
+        proposed = best_step(*best.fit, l);
       }
-      if (!t || std::find(steps[l].begin(), steps[l].end(), *t) != steps[l].end()) return;
-      auto trial_steps = steps;
-      trial_steps[l].push_back(*t);
-      std::sort(trial_steps[l].begin(), trial_steps[l].end());
-      auto robust = robust_from(*best.fit, trial_steps, out);
-      if (robust->failed) return;
-      set_mask(*robust);
-      leave_in(*robust);
+      const auto trial = proposed ? with_step(*best.fit, l, *proposed, steps, out) : std::nullopt;
+      if (!trial) return;
+      set_mask(*trial->fit);
+      leave_in(*trial->fit);
       const Fit* known = best.found ? best.fit.get() : nullptr;
-      const auto fit_rows = [&](const std::vector<std::vector<double>>& at, Slow slow) {
-        return with_slow(plain_fit(bare(*robust), *robust, at, out), slow, out.fits, known);
-      };
-      const Candidate trial = fit_rows(trial_steps, Slow::asked);
+      const Candidate with = fit_rows(*trial->fit, trial->steps, Slow::asked, out, known);
       // of the same rows without the step
-      const Candidate without = same_mask(*robust, *best.fit) ? best : fit_rows(steps, Slow::always);
-      double blocks = 0.0;
-      for (const Stretch& s : best.fit->logs()[l].stretches) blocks += static_cast<double>(s.spline.blocks());
-      if (trial.fit->failed || !(trial.fit->deviance() <= without.fit->deviance() - 2.0 * std::log(blocks)))
-        return;
-      best = trial;
-      steps = trial_steps;
+      const Candidate without =
+          same_mask(*trial->fit, *best.fit) ? best : fit_rows(*trial->fit, steps, Slow::always, out, known);
+      if (with.fit->failed || !likelier(with, without, l)) return;
+      best = with;
+      steps = trial->steps;
     }
   }
 
   // Where the parts of the record disagree and residuals show nothing slow, its knots halved once more, if they then agree: too
   // coarse in places for the gain, by too little for (10.7). Needless refusals of clean records 7 -> 5 of 374; of 16 imperfect
   // ones that disagree it let none pass.
-  void refine(const Candidate& best, const std::vector<std::vector<double>>& steps, Estimate& out) const {
+  void refine(const Candidate& best, const Steps& steps, Estimate& out) const {
     if (out.status != Status::ok || agree(out) || best.share > 1.0) return;
     std::vector<std::shared_ptr<Fit>> alone;
     for (std::size_t l = 0; l < pieces_.size(); ++l) {

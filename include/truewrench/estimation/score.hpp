@@ -244,6 +244,51 @@ inline std::optional<double> best_step(Fit& fit, std::size_t l) {
   return doubted() ? std::optional(begin) : std::nullopt;
 }
 
+// Where within `reach` [s] of a step of a robust fit (10.3) its sum over the samples is least, were the step there and as large:
+// blocks place it to 0.25 s only, in which 0.3 % of range outweigh all else.
+inline double likeliest_time(const Fit& fit, std::size_t l, std::size_t j, double reach) {
+  const Columns& columns = fit.layout().log(l);
+  const int n = fit.channels();
+  const double placed = columns.step_times[j];
+  const Eigen::VectorXd size = fit.local(l).segment(columns.steps[j], n);
+  Eigen::VectorXd v(n);
+  for (int i = 0; i < n; ++i) v[i] = std::pow(fit.sigma(l, i), 2.0);
+  struct Sample {
+    double time, gain;  // of the robust sum, where the step comes after it and not before
+  };
+  std::vector<Sample> near;
+  for (const Stretch& s : fit.logs()[l].stretches)
+    for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
+      const double t = s.raw.time[k];
+      if (std::abs(t - placed) > reach || s.raw.channels[k] == 0) continue;
+      double before = 0.0, after = 0.0;
+      for (int i = 0; i < n; ++i) {
+        if (!std::isfinite(s.raw.value(k, i))) continue;
+        const double r = s.now.residual(k, i) + (t >= placed ? size[i] : 0.0), spread = s.raw.spread(k, i);
+        before += (r * r + spread) / v[i];
+        after += ((r - size[i]) * (r - size[i]) + spread) / v[i];
+      }
+      const auto sum = [&](double chi2) {
+        return s.raw.size[k] * (constants::freedom + s.raw.channels[k]) *
+               std::log1p(chi2 / constants::freedom);
+      };
+      near.push_back({t, sum(before) - sum(after)});
+    }
+  double best = 0.0, sum = 0.0, found = placed;
+  for (const Sample& sample : near) {
+    best += sample.time < placed ? 0.0 : sample.gain;
+    sum += sample.gain;
+  }
+  for (const Sample& sample : near) {
+    if (sum > best) {
+      best = sum;
+      found = sample.time;
+    }
+    sum -= sample.gain;
+  }
+  return found;
+}
+
 // One comparison of two parts of the record (10.11).
 struct Agreement {
   double p = 1.0;
