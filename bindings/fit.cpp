@@ -244,7 +244,8 @@ void bind_fit(nb::module_& m) {
   nb::class_<Settings>(m, "Settings", "Of the estimator.")
       .def(nb::init<>())
       .def_rw("threads", &Settings::threads)
-      .def_rw("discrepancy", &Settings::discrepancy);
+      .def_rw("discrepancy", &Settings::discrepancy)
+      .def_rw("brief", &Settings::brief);
   nb::class_<Estimate>(m, "Estimate", "What the estimator found.")
       .def_ro("fit", &Estimate::fit)
       .def_ro("status", &Estimate::status)

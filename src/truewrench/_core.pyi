@@ -1017,6 +1017,12 @@ class Settings:
     @discrepancy.setter
     def discrepancy(self, arg: float, /) -> None: ...
 
+    @property
+    def brief(self) -> bool: ...
+
+    @brief.setter
+    def brief(self, arg: bool, /) -> None: ...
+
 class Estimate:
     """What the estimator found."""
 

@@ -73,7 +73,7 @@ def _confirmed(rig: Rig, logs: Sequence[Log], largest: float) -> list[str]:
         }
     )
     parts = [_middle(replace(log, raw=log.raw / unit), CONFIRMING) for log in logs]
-    found = estimate(rig.model_copy(update={"sensor": free}), parts)
+    found = estimate(rig.model_copy(update={"sensor": free}), parts, brief=True)
     if not found.solved:
         return []
     return [s.words for s in gross_errors(rig, logs, found.gain * unit, found.covariance * unit**2)]

@@ -33,17 +33,21 @@ _NOTHING = np.zeros(0)
 _SOURCES = ("mass", "center_of_mass", "inertia", "timing", "gravity")
 
 
-def estimate(rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = False) -> Estimate:
+def estimate(
+    rig: Rig, logs: Sequence[Log], *, threads: int = 0, online: bool = False, brief: bool = False
+) -> Estimate:
     """Estimate gain, offsets and all that is unknown with them from logs of motion, pooled into one gain.
 
     The number of threads, 0 for all, has no effect on the result. `online` is forward only, block by block
-    (METHOD 10.6), and not the whole record at once.
+    (METHOD 10.6), and not the whole record at once. `brief` looks for nothing beside the gain: no finer
+    motion, no slow disturbance, no step.
     """
     notes: list[str] = []
     assumed, statement, records = recorded_logs(rig, logs, twists=online, notes=notes)
     settings = _core.Settings()
     settings.threads = threads
     settings.discrepancy = assumed.discrepancy
+    settings.brief = brief
     found: Any
     if online:
         found = found_online(statement, records, assumed.discrepancy)
