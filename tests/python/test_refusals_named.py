@@ -106,27 +106,25 @@ def test_a_disturbance_that_costs_accuracy_is_named_and_not_to_be_denied() -> No
     assert "disturbs" not in unseen_only
 
 
-def test_noise_that_costs_accuracy_is_named() -> None:
+def refused_for_accuracy(source: str, *noise: FoundNoise) -> str:
+    """The reason, where one source costs it and such noise was found."""
     rig = rig_of()
     estimate, log = estimate_of(rig)
     wide = estimate.normalised_covariance.copy()
     wide[np.diag_indices(36)] += 0.1**2
-    noisy = (FoundNoise("force", 4.2), FoundNoise("moment", 1.0))
-    sources = {"noise": np.full((6, 6), 0.1)}
-    estimate = replace(estimate, normalised_covariance=wide, noise=(noisy,), sources=sources)
+    costs = {source: np.full((6, 6), 0.1)}
+    estimate = replace(estimate, normalised_covariance=wide, noise=(noise,), sources=costs)
     (reason,) = judge(estimate, Comparisons(), rig, [log]).verdict.reasons
+    return reason
+
+
+def test_noise_that_costs_accuracy_is_named() -> None:
+    reason = refused_for_accuracy("noise", FoundNoise("force", 4.2), FoundNoise("moment", 1.0))
     assert "the scatter of the samples, 4.2 times the stated (noise): a record" in reason
 
 
 def test_what_else_is_larger_than_stated_is_named_beside_what_limits_the_accuracy() -> None:
-    rig = rig_of()
-    estimate, log = estimate_of(rig)
-    wide = estimate.normalised_covariance.copy()
-    wide[np.diag_indices(36)] += 0.1**2
-    noise = (FoundNoise("force", 4.2), FoundNoise("velocities v", 3.1))
-    payload = {"inertia": np.full((6, 6), 0.1)}
-    estimate = replace(estimate, normalised_covariance=wide, noise=(noise,), sources=payload)
-    (reason,) = judge(estimate, Comparisons(), rig, [log]).verdict.reasons
+    reason = refused_for_accuracy("inertia", FoundNoise("force", 4.2), FoundNoise("velocities v", 3.1))
     assert reason.endswith(
         "; found beside it: the scatter of the samples, 4.2 times the stated (noise) and the scatter of the "
         "motion, 3.1 times the stated (noise)"
