@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from test_judging import departed, estimate_of, play, rig_of
 
+from truewrench import robots
 from truewrench.estimation.estimate import Estimate, Event, FoundNoise, Slow
 from truewrench.judging import Comparisons, Suspicion, judge
 from truewrench.judging.attribution import _changes, _misfit, slow_looks
+from truewrench.judging.words import motion_scatter
 from truewrench.model.calibration_parts import KINDS
+from truewrench.model.rig import load_rig
 
 MISTAKE = Suspicion("axes", "suspected set-up error: axes mixed up", 3.0)
 
@@ -129,6 +132,19 @@ def test_what_else_is_larger_than_stated_is_named_beside_what_limits_the_accurac
         "; found beside it: the scatter of the samples, 4.2 times the stated (noise) and the scatter of the "
         "motion, 3.1 times the stated (noise)"
     )
+
+
+def test_noise_of_positions_that_nobody_stated_is_none_beyond_the_stated() -> None:
+    estimate, log = estimate_of(rig_of())
+    estimate = replace(estimate, noise=((FoundNoise("positions", 30.0), FoundNoise("velocities", 1.2)),))
+    arm = load_rig(robots.path("ur10_ground"))
+    log = replace(log, position=np.zeros((log.time.size, 6)))
+    stated, unstated = (
+        arm.model_copy(update={"motion": arm.motion.model_copy(update={"position_noise": noise})})
+        for noise in ((1e-4,) * 6, None)
+    )
+    assert motion_scatter(estimate, stated, [log]) == 30.0
+    assert motion_scatter(estimate, unstated, [log]) == 1.2
 
 
 def test_a_random_walk_is_a_drift_and_a_cable_a_cable() -> None:

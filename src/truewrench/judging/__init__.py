@@ -24,6 +24,7 @@ from truewrench.judging.words import (
     log_name,
     looks_fast,
     looks_slow,
+    motion_scatter,
     of_references,
     plural,
     scatter,
@@ -306,7 +307,7 @@ def _accuracy(
 
 def _disturbed(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[str]) -> Disturbed:
     """What costs accuracy beyond what was stated; at most three kinds, as of all reasons."""
-    factor, of_motion = scatter(estimate), scatter(estimate, motion=True)
+    factor, of_motion = scatter(estimate), motion_scatter(estimate, rig, logs)
     noisy, moves = factor > _core.NOISE_TOLD, of_motion > _core.NOISE_TOLD
     slow = _if_room(looks_slow(estimate, rig, logs)[: MOST - noisy], named)
     kinds = (*likeliest_fast(estimate, rig, logs), "noise") if noisy or moves else ()

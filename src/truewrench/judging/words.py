@@ -6,14 +6,14 @@ colon.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy.special import pdtrc
 
 from truewrench import _core
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE
-from truewrench.estimation.estimate import Clock, Estimate, Slow
+from truewrench.estimation.estimate import Clock, Estimate, FoundNoise, Slow
 from truewrench.estimation.far_clock import bent
 from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.judging.attribution import Looks, fast_looks, slow_looks
@@ -117,10 +117,23 @@ def slow_found(estimate: Estimate) -> bool:
     return slow_stands(estimate) or any(slow.z > TOLD for of_log in estimate.slow for slow in of_log)
 
 
-def scatter(estimate: Estimate, motion: bool = False) -> float:
-    """The noise found of the sensor, or the motion, times the stated; of its noisiest part and log."""
-    factors = (f.factor for of_log in estimate.noise for f in of_log if (f.what in CHANNELS) is not motion)
-    return max((factor for factor in factors if not math.isnan(factor)), default=1.0)
+def scatter(estimate: Estimate) -> float:
+    """The noise found of the sensor, times the stated; of its noisiest channels and log."""
+    return _largest(f for of_log in estimate.noise for f in of_log if f.what in CHANNELS)
+
+
+def motion_scatter(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> float:
+    """The same of the motion, where its noise is stated."""
+    return _largest(
+        found
+        for log, of_log in zip(logs, estimate.noise, strict=False)
+        for found in of_log
+        if found.what not in CHANNELS and not (found.what == "positions" and _positions_unstated(rig, log))
+    )
+
+
+def _largest(noise: Iterable[FoundNoise]) -> float:
+    return max((found.factor for found in noise if not math.isnan(found.factor)), default=1.0)
 
 
 def kinds_of_disagreement(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> tuple[str, ...]:
