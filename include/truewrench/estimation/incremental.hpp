@@ -345,7 +345,6 @@ class Incremental {
   Status start(bool partial) noexcept;
   bool resting() noexcept;
   void forget_until(double time) noexcept;
-  bool sound() const;
   bool choose_spacing(double origin, bool partial);
   long blocks_of(double origin, double h, bool partial) const;
   void lay(double origin, double h, bool partial);

@@ -53,26 +53,8 @@ inline double Incremental::fit_first(double origin, double h, bool partial) {
   return likelihood(partial);
 }
 
-// Whether the blocks of the lag show no more noise than is stated, and nothing that MASK would leave out.
-inline bool Incremental::sound() const {
-  if (lag_.sizes.raw_factor.maxCoeff() > constants::noise_told) return false;
-  double added = 0.0,
-         all =
-             0.0;  // to the variance of the noise, by what it would leave out: as `leave_in` of whole records
-  for (long i = kBlock * lag_.first(); i < kBlock * lag_.end(); ++i) {
-    const Lag::Interval& v = lag_.interval(i);
-    for (int r = 0; r < v.rows; ++r) {
-      const RawRow& row = v.row[static_cast<std::size_t>(r)];
-      all += row.size;
-      if (row.weight < constants::mask_weight && row.channels > 0)
-        added += row.size * lag_.chi2(v, row) / row.channels;
-    }
-  }
-  return added <= 0.1 * (constants::mask_worth - 1.0) * std::max(all, 1.0);
-}
-
-// h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving; again from there (10.2). The coarsest where it is
-// sound and the motion alone asks for no finer one. Whether the fit that stands is the one at it.
+// h by (10.7) among h, h / 2 and the best for the motion alone, 6 a halving;
+// again from there (10.2). Whether the fit that stands is the one at it.
 inline bool Incremental::choose_spacing(double origin, bool partial) {
   std::array<double, 8> ladder{}, cost{};
   std::size_t count = 0, now = 0, best_alone = 0, laid = ladder.size();
@@ -94,13 +76,7 @@ inline bool Incremental::choose_spacing(double origin, bool partial) {
       }
     }
     cost.fill(std::nan(""));
-    bool enough = false;
-    if (best_alone == 0) {
-      cost[0] = fit_first(origin, ladder[0], partial);
-      laid = 0;
-      enough = std::isfinite(cost[0]) && sound();
-    }
-    while (!enough) {
+    for (;;) {
       // what stands last: often the best, which need not be fitted again
       for (const std::size_t i : {now + 1, best_alone, now})
         if (i >= now && i < count && std::isnan(cost[i])) {
