@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 
 namespace truewrench::constants {
 
@@ -63,6 +64,10 @@ namespace truewrench {
 // w_t of METHOD 10.3 for the chi^2 of so many channels, and the chi^2 from which on it masks.
 constexpr double robust_weight(int channels, double chi2) {
   return (constants::freedom + channels) / (constants::freedom + chi2);
+}
+// What it adds to -2 log L in place of chi^2.
+inline double robust_sum(int channels, double chi2) {
+  return (constants::freedom + channels) * std::log1p(chi2 / constants::freedom);
 }
 // From how much information of the data alone a parameter is told.
 constexpr double told(double prior) {

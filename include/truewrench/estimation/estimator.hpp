@@ -70,7 +70,7 @@ class Estimator {
       leave_in(*robust);
     }
     const auto plain = with_masked(plain_fit(bare(*robust), *robust, steps, out), *robust, steps, out);
-    Candidate best = with_slow(plain, Slow::never, out.fits);
+    Candidate best = without_slow(plain);
     if (hopeful) {
       best = slow_or_step(best, steps, out);
       repair(best, steps, out);
@@ -208,7 +208,7 @@ class Estimator {
     for (LogFit& log : logs) clear_mask(log);
     auto fit = std::make_shared<Fit>(rig_, std::move(logs), steps, settings_.threads);
     fit->robust = true;
-    fit->start_from(like);
+    fit->start_from(like).lagged = like.lagged;
     return fit;
   }
 
@@ -239,9 +239,7 @@ class Estimator {
     if (trial.fit->failed) return std::nullopt;
     *at = likeliest_time(*trial.fit, l, static_cast<std::size_t>(at - times.begin()), length);
     if (*at != proposed) {
-      const RowMatrix lagged = trial.fit->lagged;
       trial.fit = robust_like(*trial.fit, trial.steps);
-      trial.fit->lagged = lagged;
       trial.fit->predict();
       trial.fit->reweigh();
     }
@@ -310,10 +308,9 @@ class Estimator {
     return trial;
   }
 
-  // FIT of the rows that a robust fit leaves in.
-  Candidate fit_rows(const Fit& robust, const Steps& steps, Slow slow, Estimate& out,
-                     const Fit* known = nullptr) const {
-    return with_slow(plain_fit(bare(robust), robust, steps, out), slow, out.fits, known);
+  // FIT without d of the rows that a robust fit leaves in.
+  Candidate fit_rows(const Fit& robust, const Steps& steps, Estimate& out) const {
+    return without_slow(plain_fit(bare(robust), robust, steps, out));
   }
 
   // Whether (10.7) has a step, one of as many as there are blocks, rather than d.
@@ -333,18 +330,17 @@ class Estimator {
       if (!trial) continue;
       set_mask(*trial->fit);
       leave_in(*trial->fit);
-      Candidate stepped = fit_rows(*trial->fit, trial->steps, Slow::never, out);
+      Candidate stepped = fit_rows(*trial->fit, trial->steps, out);
       if (stepped.fit->failed || stepped.share > 1.0) continue;
       stepped.fit->release();
-      const Candidate same = same_mask(*plain.fit, *stepped.fit)
-                                 ? stepped
-                                 : fit_rows(*plain.fit, trial->steps, Slow::never, out);
-      Candidate slow = with_slow(plain.fit, Slow::always, out.fits);
+      const Candidate same =
+          same_mask(*plain.fit, *stepped.fit) ? stepped : fit_rows(*plain.fit, trial->steps, out);
+      Candidate slow = with_slow(plain, out.fits);
       if (same.fit->failed || !likelier(same, slow, l)) return slow;
       steps = trial->steps;
       return stepped;
     }
-    return with_slow(plain.fit, Slow::always, out.fits);
+    return with_slow(plain, out.fits);
   }
 
   // At most three times: where the scan finds something with d in V, its best suffix becomes a step.
@@ -357,7 +353,7 @@ class Estimator {
         if (proposed) break;
       }
       if (proposed && !best.found) {  // d must be in V before a step is sought
-        best = with_slow(best.fit, Slow::always, out.fits);
+        best = with_slow(best, out.fits);
         proposed = best_step(*best.fit, l);
       }
       const auto trial = proposed ? with_step(*best.fit, l, *proposed, steps, out) : std::nullopt;
@@ -365,10 +361,12 @@ class Estimator {
       set_mask(*trial->fit);
       leave_in(*trial->fit);
       const Fit* known = best.found ? best.fit.get() : nullptr;
-      const Candidate with = fit_rows(*trial->fit, trial->steps, Slow::asked, out, known);
+      Candidate with = fit_rows(*trial->fit, trial->steps, out);
+      if (with.share > 1.0) with = with_slow(with, out.fits, known);
       // of the same rows without the step
-      const Candidate without =
-          same_mask(*trial->fit, *best.fit) ? best : fit_rows(*trial->fit, steps, Slow::always, out, known);
+      const Candidate without = same_mask(*trial->fit, *best.fit)
+                                    ? best
+                                    : with_slow(fit_rows(*trial->fit, steps, out), out.fits, known);
       if (with.fit->failed || !likelier(with, without, l)) return;
       best = with;
       steps = trial->steps;
@@ -393,8 +391,7 @@ class Estimator {
     if (robust->failed) return;
     set_mask(*robust);
     Estimate finer = out;
-    finish(with_slow(plain_fit(bare(*robust), *robust, steps, finer), Slow::never, finer.fits), settings_,
-           finer);
+    finish(fit_rows(*robust, steps, finer), settings_, finer);
     out.fits = finer.fits;
     if (finer.status == Status::ok && agree(finer)) out = std::move(finer);
   }

@@ -366,7 +366,7 @@ inline double Lag::objective(long g, Cursor& next, bool last) const {
     const Interval& v = interval(kBlock * g + o);
     for (int r = 0; r < v.rows; ++r) {
       const RawRow& row = v.row[static_cast<std::size_t>(r)];
-      sum += row.size * (constants::freedom + row.channels) * std::log1p(chi2(v, row) / constants::freedom);
+      sum += row.size * robust_sum(row.channels, chi2(v, row));
     }
   }
   for (int j = 0; j < kComponents; ++j) {

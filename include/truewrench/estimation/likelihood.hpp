@@ -15,8 +15,7 @@ inline double Fit::objective() const {
       for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
         if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
         const double x = chi2(l, s, k);
-        sum += s.raw.size[k] *
-               (robust ? (constants::freedom + s.raw.channels[k]) * std::log1p(x / constants::freedom) : x);
+        sum += s.raw.size[k] * (robust ? robust_sum(s.raw.channels[k], x) : x);
       }
       for (std::size_t i = 0; i < s.motion.size(); ++i) {
         const MotionStream& stream = logs_[l].log->motion[i];

@@ -268,11 +268,8 @@ inline double likeliest_time(const Fit& fit, std::size_t l, std::size_t j, doubl
         before += (r * r + spread) / v[i];
         after += ((r - size[i]) * (r - size[i]) + spread) / v[i];
       }
-      const auto sum = [&](double chi2) {
-        return s.raw.size[k] * (constants::freedom + s.raw.channels[k]) *
-               std::log1p(chi2 / constants::freedom);
-      };
-      near.push_back({t, sum(before) - sum(after)});
+      const int channels = s.raw.channels[k];
+      near.push_back({t, s.raw.size[k] * (robust_sum(channels, before) - robust_sum(channels, after))});
     }
   double best = 0.0, sum = 0.0, found = placed;
   for (const Sample& sample : near) {

@@ -12,8 +12,6 @@
 
 namespace truewrench {
 
-enum class Slow { never, asked, always };  // whether d is tried: by (10.9)
-
 // The logs of a fit without its factorisation.
 inline std::vector<LogFit> bare(const Fit& fit) {
   std::vector<LogFit> out;
@@ -41,10 +39,8 @@ inline void start_slow(const Fit& plain, LogFit& log, std::size_t l, const std::
   }
 }
 
-// FIT: as it is without d, then in both forms of d; beside a fit that has d, in its form from where it is there, and as a walk:
-// that has no tau, which may run away.
-inline Candidate with_slow(const std::shared_ptr<Fit>& plain, Slow slow, int& fits,
-                           const Fit* known = nullptr) {
+// FIT without d, and what its moments show of something slow.
+inline Candidate without_slow(const std::shared_ptr<Fit>& plain) {
   Candidate rows{plain, {}, {}, 0.0, false};
   const int n = plain->channels();
   if (plain->failed) return rows;
@@ -56,7 +52,14 @@ inline Candidate with_slow(const std::shared_ptr<Fit>& plain, Slow slow, int& fi
   rows.added = spread(*plain, rows.moments, sums);
   const Eigen::MatrixXd P = plain->covariance();
   for (int i = 0; i < 6 * n; ++i) rows.share = std::max(rows.share, rows.added(i, i) / P(i, i));
-  if (slow == Slow::never || (slow == Slow::asked && rows.share <= 1.0)) return rows;
+  return rows;
+}
+
+// The same, or with d in the likelier of both forms; beside a fit that has d, in its form from where it is there, and as a walk:
+// that has no tau, which may run away.
+inline Candidate with_slow(Candidate rows, int& fits, const Fit* known = nullptr) {
+  const std::shared_ptr<Fit> plain = rows.fit;
+  if (plain->failed) return rows;
   plain->release();
   for (const Form form : {Form::matern, Form::walk}) {
     const bool begun = known != nullptr && form == known->logs().front().sizes.form;

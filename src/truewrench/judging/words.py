@@ -145,7 +145,7 @@ def kinds_of_disagreement(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> 
     told = [found.what.split(":")[0].split(", ")[0] for found in findings(estimate, rig, logs)]
     fast = likeliest_fast(estimate, rig, logs) if scatter(estimate) > _core.NOISE_TOLD else ()
     if slow_found(estimate) and "filter" in told:
-        fast = (*fast, "filter")[:1]
+        fast = fast or ("filter",)
     kinds = [*looks_slow(estimate, rig, logs)[: MOST - len(fast)], *fast]
     if not slow_found(estimate):
         kinds = [*(kind for kind in ("contact", "outliers", "filter") if kind in told), *kinds]
