@@ -116,7 +116,7 @@ TEST(Incremental, KnowsThetaAsOneWhoFindsIt) {
     found.predict(g);
     found.reweigh(g);
     ASSERT_TRUE(known.join(moving, g));
-    ASSERT_TRUE(found.eliminate(front, g, last));
+    ASSERT_TRUE(found.eliminate(front, g, g + 1, last));
     known.grow();
     found.grow();
   }

@@ -8,10 +8,9 @@
 //     online.finish();
 //
 // The first lag is fitted like a record: h by (10.7), START, ROBUST (10.2, 10.3). From there a completed block of five knots is
-// eliminated as it comes, theta known. When two lags are full they are linearised anew and theta follows; what has 20 knots after
-// it, its mask set, leaves for good, the rest stays with robust weights. What left is a Gaussian on (next block, theta), and
-// running sums give sigma and q (10.6), (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit.
-// It decides forward only.
+// eliminated as it comes, theta known. When two lags are full they are linearised anew: what has 20 knots after it, its mask set,
+// leaves for good, and theta follows what left. That is a Gaussian on (next block, theta), and running sums give sigma and q (10.6),
+// (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit. It decides forward only.
 //
 // A push takes microseconds, one that completes a block some tens, once in two lags two milliseconds; the push that completes the
 // first lag fits it in ten to twenty, so that a hard loop hands its samples to another thread.
@@ -233,7 +232,7 @@ class Incremental {
 
   Front past_, present_, moving_;  // what left the lag; with what is in it; that, theta known
   // information (nt + 1, nt + 1), lower triangle, the information vector in the last row. Of the coordinates:
-  // of all, of what left, at the last part; of theta: of all, at the beginning of the log
+  // what theta is by, of what left, at the last part; of theta: the first, at the beginning of the log
   Eigen::MatrixXd Z_, Zp_, Zl_, S_, base_;
   std::array<Eigen::MatrixXd, 2> parts_;  // (10.11)
   // of theta: all, and the parts, of logs with another body
@@ -351,6 +350,7 @@ class Incremental {
   double fit_first(double origin, double h, bool partial);
   void take_block(long g, bool all);
   Status arrive(bool last) noexcept;
+  bool leave(long leaving, bool last);
   bool sweep(long leaving, bool last);
   bool run(int least, int most, double tolerance, bool last);
   void predict() {
@@ -368,7 +368,7 @@ class Incremental {
   }
   Status close() noexcept;
   void set_mask(long leaving);
-  void depart(long leaving);
+  void depart(long leaving, bool traced);
   void count(long from, long to);
   SizeSums window_sums(long from) const;
   double objective(bool last) const;

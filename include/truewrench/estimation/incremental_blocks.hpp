@@ -107,19 +107,25 @@ inline Status Incremental::arrive(bool last) noexcept {
   return ok ? status : status_ = Status::not_factorizable;
 }
 
-// Eliminate the blocks of the lag as predicted and weighted; the first `leaving` for good.
-inline bool Incremental::sweep(long leaving, bool last) {
-  const long first = lag_.first(), end = lag_.end(), lag = lag_blocks(h_);
-  for (long g = first; g < first + leaving; ++g) {
-    if (!lag_.eliminate(past_, g, last && g + 1 == end)) return false;
-    if ((g + 1 - first) % lag != 0 && g + 1 != first + leaving) continue;
+// Eliminate the first blocks of the lag for good, as predicted and weighted.
+inline bool Incremental::leave(long leaving, bool last) {
+  const long stay = lag_.first() + leaving;
+  for (long from = lag_.first(); from < stay;) {
+    const long to = std::min<long>(from + lag_blocks(h_), stay);
+    if (!lag_.eliminate(past_, from, to, last && to == lag_.end())) return false;
     if (!std::isfinite(lag_.terminal(past_, Zp_))) return false;
     part(Zp_);
+    from = to;
   }
+  return true;
+}
+
+// The same, and the others behind them.
+inline bool Incremental::sweep(long leaving, bool last) {
+  if (!leave(leaving, last)) return false;
   present_ = past_;
-  for (long g = first + leaving; g < end; ++g)
-    if (!lag_.eliminate(present_, g, last && g + 1 == end)) return false;
-  return std::isfinite(logdet_x_ = lag_.terminal(present_, Z_));
+  return lag_.eliminate(present_, lag_.first() + leaving, lag_.end(), last) &&
+         std::isfinite(logdet_x_ = lag_.terminal(present_, Z_));
 }
 
 // Gauss-Newton and (10.6) on all blocks of the lag, robust weights, as Fit::run() does: at least so many steps and at most, or until
@@ -195,7 +201,8 @@ inline bool Incremental::surprised() {
   return false;
 }
 
-// Two lags are full: linearise all of them at what is known now; what has 20 knots after it leaves.
+// Two lags are full: linearise them at what is known now; what has 20 knots after it leaves. theta is that of what left; the first
+// two times, that of what stays, too.
 inline Status Incremental::hop() noexcept {
   const long first = lag_.first(), leaving = lag_.end() - first - staying();
   if (!lag_.terminal(moving_)) return status_ = Status::not_factorizable;
@@ -209,19 +216,21 @@ inline Status Incremental::hop() noexcept {
   predict();
   weigh();
   set_mask(leaving);
-  if (!sweep(leaving, false) || !solve()) return status_ = Status::not_factorizable;
+  // the traces' share of the rows hardly changes: they are asked for when twice as much has left. Then alone what stays is linearised
+  const bool traced = steps > 0 || (hops_ & (hops_ - 1)) == 0;
+  const bool ok = traced ? sweep(leaving, false) : leave(leaving, false) && lag_.terminal(moving_);
+  if (hops_ >= 2) Z_ = Zp_;
+  if (!ok || !solve()) return status_ = Status::not_factorizable;
   lag_.back(first);
-  depart(leaving);
-  lag_.know_theta(present_, moving_);
+  depart(leaving, traced);
+  if (traced) lag_.know_theta(present_, moving_);
   return Status::ok;
 }
 
 // Sums of what leaves; sizes by them, and while little has left by what stays too.
-inline void Incremental::depart(long leaving) {
+inline void Incremental::depart(long leaving, bool traced) {
   const long first = lag_.first(), stay = first + leaving;
   invert();
-  const bool young = hops_ < 2,
-             traced = young || hops_ % 4 == 0;  // later the traces' share of the rows hardly changes
   SizeSums gone;
   if (traced) lag_.traces(first);
   for (long g = first; g < stay; ++g) gone += lag_.block(g).sums;
@@ -236,16 +245,9 @@ inline void Incremental::depart(long leaving) {
       gone.energy_trace[j] = left_.energy_trace[j] * gone.knots / left_.knots;
   }
   left_ += gone;
-  if (young) {
-    SizeSums all = window_sums(stay);
-    all += left_;
-    resize(all);
-  } else {
-    gather(Zp_, 0, S_);
-    invert();
-    resize(left_);
-    gather(Z_, 0, S_);
-  }
+  SizeSums all = left_;
+  if (hops_ < 2) all += window_sums(stay);
+  resize(all);
   count(first, stay);
   lag_.drop_before(stay);
   for (std::size_t i = 0; i < lag_.streams(); ++i) lag_.motion(i).drop_before(past_.next[i]);
@@ -362,7 +364,7 @@ inline Status Incremental::close() noexcept {
     set_mask(leaving);
     if (status == Status::ok && sweep(leaving, true) && solve()) {
       lag_.back(first);
-      depart(leaving);
+      depart(leaving, true);
     } else {
       status = Status::not_factorizable;
     }

@@ -208,9 +208,9 @@ class Lag {
   // be factored; so terminal(), after which back() may be called.
   bool join(Front& moving, long g);
   bool terminal(const Front& moving);
-  // Linearise a block as predicted and weighted and eliminate it; `last`: with
-  // all motion rows that remain. False where it cannot be factored.
-  bool eliminate(Front& f, long g, bool last);
+  // Linearise blocks [from, to) as predicted and weighted and eliminate them; `last`: with all motion rows that remain. False where
+  // one cannot be factored.
+  bool eliminate(Front& f, long from, long to, bool last);
   SizeSums departures(const Front& f);
   // theta's information with the first block that remains eliminated too, as in set_front(); log |H|.
   double terminal(const Front& f, Eigen::MatrixXd& S);
@@ -289,7 +289,8 @@ class Lag {
   void each_cells(Interval& v, const Sum& sum);
   bool gather_rows(const Interval& v, unsigned same, RawSums& out);
   void sum_rows(Front& f, const Interval& v, unsigned same, RawSums& out, const Places& at, SizeSums& sums);
-  void turn(Front& f, double* panel, const double* x, double sign);
+  void turn(Front& f, const double* x, double sign);
+  bool eliminate_block(Front& f, long g, bool last);
 };
 
 }  // namespace truewrench

@@ -119,12 +119,12 @@ inline void Lag::add_motion(Front& f, double* P, double* N, long g, bool last, c
   }
 }
 
-// The last column of a panel and of T: the information vector less (sign -1) or plus (1) Lambda [x; theta].
-inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
+// A front's information vector less (sign -1) or plus (1) Lambda [x; theta], x the coefficients of its block.
+inline void Lag::turn(Front& f, const double* x, double sign) {
   const double* t = z_.data();
   double Hx[kWidth] = {};
   for (int i = 0; i < kWidth; ++i) {
-    const double* row = panel + i * shape_.ld;
+    const double* row = f.panel.data() + i * shape_.ld;
     Hx[i] += dense::dot(row + i, x + i, kWidth - i) + dense::dot(row + kTheta, t, nt_);
     dense::add(Hx + i + 1, x[i], row + i + 1, kWidth - i - 1);
   }
@@ -136,9 +136,10 @@ inline void Lag::turn(Front& f, double* panel, const double* x, double sign) {
     f.T[shape_.tt(k, nt_)] += sign * dense::dot(row + k, t + k, nt_ - k);
     dense::add(column + k + 1, t[k], row + k + 1, nt_ - k - 1);
   }
-  for (int i = 0; i < kWidth; ++i) dense::add(column, x[i], panel + i * shape_.ld + kTheta, nt_);
+  for (int i = 0; i < kWidth; ++i) dense::add(column, x[i], f.panel.data() + i * shape_.ld + kTheta, nt_);
   for (int k = 0; k < nt_; ++k) f.T[shape_.tt(k, nt_)] += sign * column[k];
-  for (int i = 0; i < kWidth; ++i) panel[i * shape_.ld + kTheta + nt_] += sign * Hx[i];
+  for (int i = 0; i < kWidth; ++i)
+    f.panel[static_cast<std::size_t>(i * shape_.ld + kTheta + nt_)] += sign * Hx[i];
 }
 
 // Squares of the motion's rows about the motion as it stands, from where a front has eliminated on.
@@ -165,18 +166,25 @@ inline SizeSums Lag::departures(const Front& f) {
   return sums;
 }
 
-inline bool Lag::eliminate(Front& f, long g, bool last) {
+inline bool Lag::eliminate(Front& f, long from, long to, bool last) {
+  if (from == to) return true;
   refresh();
+  turn(f, block(from).x.data(), -1.0);  // to the gradient at the coefficients and theta as they stand
+  for (long g = from; g < to; ++g)
+    if (!eliminate_block(f, g, last && g + 1 == to)) return false;
+  turn(f, block(to).x.data(), 1.0);
+  return true;
+}
+
+// A block behind a front that is turned to the gradient.
+inline bool Lag::eliminate_block(Front& f, long g, bool last) {
   Block& B = block(g);
   B.alone = false;
   double xx[2 * kWidth];
   coefficients(g, xx);
+  std::swap(B.panel, f.panel);
+  std::fill(f.panel.begin(), f.panel.end(), 0.0);
   double *P = B.panel.data(), *N = f.panel.data();
-  std::copy_n(N, kWidth * shape_.ld, P);
-  std::fill_n(N, kWidth * shape_.ld, 0.0);
-  turn(f, P, xx,
-       -1.0);  // to the gradient at the coefficients and theta as they stand
-
   B.sums = SizeSums();
   add_smoothness(shape_, P, N, xx, &B.sums);
   add_motion(f, P, N, g, last, xx, B.sums);
@@ -186,16 +194,14 @@ inline bool Lag::eliminate(Front& f, long g, bool last) {
       sum_rows(f, v, same, out, at, B.sums);
     });
   }
-
   if (!shape_.eliminate(P, N, f.T.data(), f.logdet)) return false;
-  // and back to absolute coordinates: R^-T of [H, H of the next block, H_xt] [x; x of the next; theta]
+  // in absolute coordinates: R^-T of [H, H of the next block, H_xt] [x; x of the next; theta]
   for (int i = 0; i < kWidth; ++i) {
     double* row = P + i * shape_.ld;
     row[kTheta + nt_] += dense::dot(row + i, xx + i, kWidth - i) +
                          dense::dot(row + kPadded, xx + kWidth, kWidth) +
                          dense::dot(row + kTheta, z_.data(), nt_);
   }
-  turn(f, N, xx + kWidth, 1.0);
   return true;
 }
 
