@@ -360,7 +360,7 @@ class Incremental {
     for (long g = lag_.first(); g < lag_.end(); ++g) lag_.reweigh(g);
   }
   bool surprised();
-  Status hop() noexcept;
+  Status hop(bool last) noexcept;
   void abandon(Status status) noexcept;
   void drop_samples() noexcept {  // that wait
     raw_.clear();

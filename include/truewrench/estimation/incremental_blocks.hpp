@@ -67,7 +67,7 @@ inline void Incremental::abandon(Status status) noexcept {
 // eliminated behind the others, theta as it stands.
 inline Status Incremental::arrive(bool last) noexcept {
   Status status = Status::ok;
-  if (lag_.end() - lag_.first() >= 2 * lag_blocks(h_)) status = hop();
+  if (lag_.end() - lag_.first() >= 2 * lag_blocks(h_)) status = hop(false);
   if (status != Status::ok) {
     abandon(status);  // a lag that cannot leave must not grow: its memory is fixed
     return status_ = status;
@@ -201,10 +201,10 @@ inline bool Incremental::surprised() {
   return false;
 }
 
-// Two lags are full: linearise them at what is known now; what has 20 knots after it leaves. theta is that of what left; the first
-// two times, that of what stays, too.
-inline Status Incremental::hop() noexcept {
-  const long first = lag_.first(), leaving = lag_.end() - first - staying();
+// Two lags are full, or the stretch ends (`last`): linearise what is there at what is known now; what has 20 knots after it leaves, at
+// the end all. theta is that of what left; the first two times, that of what stays, too.
+inline Status Incremental::hop(bool last) noexcept {
+  const long first = lag_.first(), leaving = lag_.end() - first - (last ? 0 : staying());
   if (!lag_.terminal(moving_)) return status_ = Status::not_factorizable;
   lag_.back(first);
   int steps = hops_ == 0 ? 6 : hops_ == 1 ? 1 : 0;
@@ -212,13 +212,14 @@ inline Status Incremental::hop() noexcept {
     lag_.sizes.q = lag_.sizes.q.cwiseMax(constants::smoothness_start);
     steps = 6;
   }
-  if (steps > 0 && !run(1, steps, constants::robust_move, false)) return status_ = Status::not_factorizable;
+  if (steps > 0 && !run(1, steps, last ? constants::move : constants::robust_move, last))
+    return status_ = Status::not_factorizable;
   predict();
   weigh();
   set_mask(leaving);
   // the traces' share of the rows hardly changes: they are asked for when twice as much has left. Then alone what stays is linearised
-  const bool traced = steps > 0 || (hops_ & (hops_ - 1)) == 0;
-  const bool ok = traced ? sweep(leaving, false) : leave(leaving, false) && lag_.terminal(moving_);
+  const bool traced = last || steps > 0 || (hops_ & (hops_ - 1)) == 0;
+  const bool ok = traced ? sweep(leaving, last) : leave(leaving, last) && lag_.terminal(moving_);
   if (hops_ >= 2) Z_ = Zp_;
   if (!ok || !solve()) return status_ = Status::not_factorizable;
   lag_.back(first);
@@ -356,19 +357,7 @@ inline Status Incremental::close() noexcept {
   }
   while (standing_ && status == Status::ok && raw_at_ < raw_.end() && raw_[raw_at_].time < limit_)
     status = arrive(true);
-  if (standing_ && status == Status::ok) {
-    const long first = lag_.first(), leaving = lag_.end() - first;
-    const bool fits = lag_.terminal(moving_);
-    if (fits) lag_.back(first);
-    if (!fits || !run(1, 3, constants::move, true)) status = Status::not_factorizable;
-    set_mask(leaving);
-    if (status == Status::ok && sweep(leaving, true) && solve()) {
-      lag_.back(first);
-      depart(leaving, true);
-    } else {
-      status = Status::not_factorizable;
-    }
-  }
+  if (standing_ && status == Status::ok) status = hop(true);
   abandon(status);
   return status_ = worse(status, status_);
 }
