@@ -136,6 +136,13 @@ TEST(Incremental, KnowsThetaAsOneWhoFindsIt) {
       const double expected = moving.panel[i * ld + j];
       EXPECT_NEAR(carried.panel[i * ld + j], expected, 1e-7 * (1.0 + std::abs(expected)));
     }
+  // in one go, the gradient turned once, as one by one
+  Front one = found.make_front(), all = found.make_front();
+  for (long g = 0; g < blocks; ++g) ASSERT_TRUE(found.eliminate(one, g, g + 1, g + 1 == blocks));
+  ASSERT_TRUE(found.eliminate(all, 0, blocks, true));
+  Eigen::MatrixXd whole = Z;
+  EXPECT_NEAR(found.terminal(one, Z), found.terminal(all, whole), 1e-9);
+  EXPECT_LT((whole - Z).norm(), 1e-9 * Z.norm());
 }
 
 TEST(Incremental, SaysWhatItDoesNotTake) {
