@@ -257,6 +257,7 @@ void bind_fit(nb::module_& m) {
       .def_ro("pose", &Estimate::pose)
       .def_ro("halves", &Estimate::halves)
       .def_ro("quarters", &Estimate::quarters)
+      .def_ro("logs", &Estimate::logs)
       .def_prop_ro(
           "unresolved",
           [](const Estimate& e) { return std::vector<bool>(e.unresolved.begin(), e.unresolved.end()); })

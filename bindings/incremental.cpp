@@ -26,7 +26,8 @@ struct OnlineEstimate {
   Eigen::VectorXd discrepancy2;
   std::vector<std::vector<Moment>> moments;  // by log and group
   PoseShare pose;
-  Agreement halves, quarters;  // halves: not told
+  Agreement halves, quarters;   // halves: not told
+  std::vector<Agreement> logs;  // each against those before it
   std::vector<bool> unresolved;
   std::vector<int> dropped;
   std::vector<double> spacing;
@@ -173,6 +174,7 @@ OnlineEstimate estimate_online(const Statement& rig, const std::vector<const Rec
     const Status status = feed(*online, log, out, spans);
     if (status != Status::ok) out.status = status;
     online->covariance();
+    out.logs.push_back(online->agreement_with_logs_before());
     out.moments.emplace_back(online->moments().begin(),
                              online->moments().begin() + raw_groups(static_cast<int>(rig.noise.size())));
     out.unresolved.push_back(online->unresolved());
@@ -270,6 +272,7 @@ void bind_incremental(nb::module_& m) {
       .def_ro("pose", &OnlineEstimate::pose)
       .def_ro("halves", &OnlineEstimate::halves)
       .def_ro("quarters", &OnlineEstimate::quarters)
+      .def_ro("logs", &OnlineEstimate::logs)
       .def_ro("unresolved", &OnlineEstimate::unresolved)
       .def_ro("dropped", &OnlineEstimate::dropped)
       .def_ro("spacing", &OnlineEstimate::spacing)

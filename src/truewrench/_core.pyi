@@ -1057,6 +1057,9 @@ class Estimate:
     def quarters(self) -> Agreement: ...
 
     @property
+    def logs(self) -> list[Agreement]: ...
+
+    @property
     def unresolved(self) -> list[bool]: ...
 
     @property
@@ -1198,6 +1201,9 @@ class OnlineEstimate:
 
     @property
     def quarters(self) -> Agreement: ...
+
+    @property
+    def logs(self) -> list[Agreement]: ...
 
     @property
     def unresolved(self) -> list[bool]: ...

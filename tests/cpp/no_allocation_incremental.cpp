@@ -33,6 +33,11 @@ void incremental_does_not_allocate(bool gravity) {
   static_assert(noexcept(online.push_raw(0.0, nullptr)) && noexcept(online.push_motion(0, 0.0, nullptr)) &&
                 noexcept(online.finish()) && noexcept(online.next_root()) && noexcept(online.covariance()));
   Status worst = Status::ok;
+  loop.run(5.0, [&](bool sensor, double t, const Vector6& value) {  // a log before
+    worst = std::max(
+        worst, sensor ? online.push_raw(t, value.data(), R.data()) : online.push_motion(0, t, value.data()));
+  });
+  ASSERT_EQ(online.next_log(loop.about), Status::ok);
   double sum = 0.0;
   const int count = allocations_in([&] {
     for (std::size_t k = 0; k < values.size(); ++k) {

@@ -145,6 +145,37 @@ TEST(Incremental, KnowsThetaAsOneWhoFindsIt) {
   EXPECT_LT((whole - Z).norm(), 1e-9 * Z.norm());
 }
 
+// Logs of one sensor and payload, the last with a channel that reads `more` of itself: p of (10.11), and the noise found in it.
+std::pair<double, double> last_of_logs(unsigned seed, int logs, double more) {
+  LoopCase loop(seed);
+  Incremental online(loop.rig, loop.about, settings);
+  for (int k = 0; k < logs; ++k) {
+    if (k > 0) {
+      EXPECT_EQ(online.next_log(loop.about), Status::ok);
+      loop.offset = 0.1 * oracle::normal_matrix(loop.random, 6, 1);
+    }
+    if (k + 1 == logs) loop.gain.row(0) *= 1.0 + more;
+    EXPECT_EQ(loop.feed(online, 8.0), Status::ok);
+    EXPECT_EQ(online.finish(), Status::ok);
+  }
+  online.covariance();
+  return {online.agreement_with_logs_before().p, online.sizes().raw_factor.minCoeff()};
+}
+
+TEST(Incremental, KnowsALogOfAnotherGain) {
+  int below = 0;
+  constexpr int seeds = 12;
+  for (unsigned seed = 0; seed < seeds; ++seed) {
+    const auto [p, factor] = last_of_logs(seed, 3, 0.0);
+    below += p < 0.1 ? 1 : 0;
+    EXPECT_GT(factor, 0.9) << seed;  // what was known before takes no rows
+  }
+  EXPECT_LE(below, 5);  // 1 in 1,800 by chance
+  EXPECT_LT(last_of_logs(1, 2, 0.01).first, 1e-6);
+  EXPECT_LT(last_of_logs(1, 3, 0.01).first, 1e-6);
+  EXPECT_EQ(last_of_logs(1, 1, 0.0).first, 1.0);  // of a single log there is nothing to ask
+}
+
 TEST(Incremental, SaysWhatItDoesNotTake) {
   LoopCase loop(0);
   Incremental online(loop.rig, loop.about, settings);

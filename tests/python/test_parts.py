@@ -170,6 +170,9 @@ def test_parts_that_another_sensor_wrote_disagree() -> None:
     raw = log.raw.copy()
     raw[len(raw) // 2 :] *= 1.01
     assert InParts(rig, [replace(log, raw=raw)], seconds=PART).estimate().p_halves < 1e-6
+    of_two = InParts(rig, [log, replace(log, raw=1.01 * log.raw)], seconds=PART).estimate()
+    assert of_two.p_worst_log < 1e-6
+    assert InParts(rig, [log, record(2)[1]], seconds=PART).estimate().p_logs.shape == (2,)
 
 
 def test_a_clock_that_runs_faster_is_set() -> None:

@@ -27,6 +27,7 @@ struct Estimate {
   Eigen::VectorXd discrepancy2;              // (n) delta_i^2 for (10.10)
   PoseShare pose;
   Agreement halves, quarters;
+  std::vector<Agreement> logs;   // each against the others; of a single one nothing
   std::vector<char> unresolved;  // by log: (10.7) still falls at one knot a sample
   std::vector<double>
       unexplained;  // by log: share of the raw output that no motion explains; 0 where its noise is as stated
@@ -61,8 +62,8 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
   // the parts of the record
   const std::vector<std::vector<Moment>> found =
       best.found ? std::vector<std::vector<Moment>>{} : best.moments;
-  out.halves = agreement(fit, found, 0, 1);
-  out.quarters = agreement(fit, found, 0, 2);
+  out.halves = agreement_of_quarters(fit, found, 0, 1);
+  out.quarters = agreement_of_quarters(fit, found, 0, 2);
   out.covariance = fit.covariance();
   out.added = best.added;
   out.pose = pose_share(fit);
@@ -91,6 +92,8 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
     add_pose(out.gain_covariance, fit.prior.data() + fit.layout().C, out.pose,
              [&](int i) { return std::max(out.discrepancy2[i], stated * stated); });
   }
+  out.logs = agreement_of_logs(fit, found,
+                               out.gain_covariance - out.covariance.topLeftCorner(6 * n, 6 * n) - out.added);
 }
 
 }  // namespace truewrench

@@ -59,7 +59,9 @@ class Fit {
   const Eigen::MatrixXd& S() const { return S_; }
   const Eigen::VectorXd& step() const { return step_; }
   const Eigen::VectorXd& stated() const { return stated_; }
-  // What the rows of a quarter of each log add to those before it, at the last linearisation (10.11).
+  // What all rows say at the last linearisation; those of a log, and of a quarter of each log beside those before it (10.11).
+  Information all() const { return {data_, gradient_}; }
+  const Information& of_log(std::size_t l) const { return of_log_[l]; }
   const std::array<Information, 4>& quarters() const { return quarters_; }
   double log_determinant() const { return logdet_x_ + logdet_s_; }
 
@@ -353,7 +355,7 @@ class Fit {
   Eigen::VectorXd stated_, gradient_, step_;
   Eigen::VectorXd slope_, slope_at_;  // what x adds to kappa's gradient, and where that was found
   Eigen::MatrixXd data_, S_, P_;
-  std::vector<Eigen::MatrixXd> log_data_;  // S of each log's rows
+  std::vector<Information> of_log_;
   std::array<Information, 4> quarters_;
   double logdet_x_ = 0.0, logdet_s_ = 0.0;
   std::vector<DelaySums> delays_;  // of each log, at the begin of an iteration

@@ -17,12 +17,14 @@ inline double Fit::resize() {
                  [&](std::size_t i) { traces[i] = log.sweeps[i].traces(log.stretches[i], columns, z, P); });
     // theta's share in the raw rows: what of tr P S is not in the motion's, by whose parameters it is
     Eigen::VectorXd share(P.rows());
-    for (Eigen::Index i = 0; i < P.rows(); ++i) share[i] = P.col(i).dot(log_data_[l].col(i));
+    const Eigen::MatrixXd S = gather(of_log_[l].S, columns.global);
+    for (Eigen::Index i = 0; i < P.rows(); ++i) share[i] = P.col(i).dot(S.col(i));
     double motion_share = 0.0;
     for (const Traces& t : traces) motion_share += t.motion_share;
     Eigen::VectorXd of_group = Eigen::VectorXd::Zero(z.raw_factor.size());
     for (int i = 0; i < n_; ++i)
-      of_group[raw_group(i, n_)] += share.segment(columns.C + 6 * i, 6).sum() + share[columns.b + i];
+      of_group[raw_group(i, n_)] +=
+          share.segment(columns.C + 6 * i, 6).cwiseMax(0.0).sum() + std::max(share[columns.b + i], 0.0);
     const double rest = std::max(0.0, share.sum() - motion_share);
     of_group *= rest / std::max(of_group.sum(), 1e-300);
 

@@ -131,6 +131,8 @@ class Incremental {
   PoseShare pose() const { return pose_.share(); }
   // (10.11): lags in turn, each with what it adds to what was known before it. Allocates.
   Agreement agreement();
+  // Of this log and all before it; asked once it is over and covariance() was. Allocates.
+  Agreement agreement_with_logs_before();
 
   // What was masked since the last call of clear_masked().
   std::size_t masked_spans() const { return masked_count_; }
@@ -196,7 +198,7 @@ class Incremental {
     discrepancy2_ = Eigen::VectorXd::Zero(n);
     consistent_ = consistency(n);
     resize_theta();
-    Zl_ = base_ = S_;
+    Zl_ = S_;
     parts_ = {S_, S_};
     others_ = {S_, S_, S_};
     begin_log();
@@ -232,8 +234,8 @@ class Incremental {
 
   Front past_, present_, moving_;  // what left the lag; with what is in it; that, theta known
   // information (nt + 1, nt + 1), lower triangle, the information vector in the last row. Of the coordinates:
-  // what theta is by, of what left, at the last part; of theta: the first, at the beginning of the log
-  Eigen::MatrixXd Z_, Zp_, Zl_, S_, base_;
+  // what theta is by, of what left, at the last part, at the beginning of the log, since then; of theta: the first, and the last
+  Eigen::MatrixXd Z_, Zp_, Zl_, Zb_, Zo_, S_, own_;
   std::array<Eigen::MatrixXd, 2> parts_;  // (10.11)
   // of theta: all, and the parts, of logs with another body
   std::array<Eigen::MatrixXd, 3> others_;
@@ -391,6 +393,7 @@ class Incremental {
   };
   int lay_out(bool all, int columns);
   bool invert();
+  const Eigen::MatrixXd& of_log();
   bool look(std::span<const int> places, std::array<Loose, kMostLoose>& out);
   bool hold_rules();
   void gather(const Eigen::MatrixXd& Z, std::size_t of, Eigen::MatrixXd& S);
@@ -401,6 +404,7 @@ class Incremental {
   void part(const Eigen::MatrixXd& S);
   template <typename Chosen>
   void forget(Eigen::MatrixXd& S, const Chosen& chosen) const;
+  Agreement compare_parts(const std::array<Eigen::MatrixXd, 2>& parts, const Eigen::MatrixXd& apart) const;
 };
 
 }  // namespace truewrench

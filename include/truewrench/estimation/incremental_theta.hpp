@@ -10,7 +10,7 @@ inline void Incremental::resize_theta() {
   const auto size = static_cast<std::size_t>(nt);
   past_ = present_ = lag_.make_front();
   moving_ = lag_.make_moving();
-  S_ = Z_ = Zp_ = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
+  S_ = Z_ = Zp_ = Zb_ = Zo_ = own_ = Eigen::MatrixXd::Zero(nt + 1, nt + 1);
   P_ = covariance_ = Eigen::MatrixXd::Zero(nt, nt);
   column_ = theta0_ = theta1_ = Eigen::VectorXd::Zero(nt);
   work_.assign(size * static_cast<std::size_t>(2 * dense::padded(nt + 1)) + 8, 0.0);
@@ -18,25 +18,35 @@ inline void Incremental::resize_theta() {
   active_.assign(size, 1);
 }
 
-// (10.6) once from sums and P_, theta's share of the raw rows by S_; the largest relative move.
+// Information on theta of this log alone, at theta as it stands: what was known before it is another matrix at another theta.
+inline const Eigen::MatrixXd& Incremental::of_log() {
+  Zo_ = Z_ - Zb_;
+  lag_.pull(Zo_, own_);
+  return own_;
+}
+
+// (10.6) once from sums and P_, theta's share of the raw rows by what the log told; the largest relative move.
 inline double Incremental::resize(const SizeSums& sums) {
   const int nt = lag_.parameters(), n = lag_.channels();
   Sizes& z = lag_.sizes;
+  const Eigen::MatrixXd& S = first_log_ ? S_ : of_log();
   double move = 0.0, all = 0.0;
   std::array<double, 2> of_group{};
   for (int i = 0; i < nt; ++i) {
     double share = 0.0;
     for (int j = 0; j < nt; ++j) {
       const int a = std::max(i, j), b = std::min(i, j);
-      share += P_(i, j) * (S_(a, b) - base_(a, b));
+      share += P_(i, j) * S(a, b);
     }
     bool clock = false;
     for (std::size_t s = 0; s < lag_.streams(); ++s)
       clock = clock || i == lag_.columns().clock[s] || i == lag_.columns().clock[s] + 1;
     if (!clock) all += share;
     const int c = i - lag_.columns().C, b = i - lag_.columns().b;
-    if (c >= 0 && c < 6 * n) of_group[static_cast<std::size_t>(raw_group(c / 6, n))] += share;
-    if (b >= 0 && b < n) of_group[static_cast<std::size_t>(raw_group(b, n))] += share;
+    // of a log after others terms of one channel cancel: what they sum to is no measure of the group
+    const double own = std::max(share, 0.0);
+    if (c >= 0 && c < 6 * n) of_group[static_cast<std::size_t>(raw_group(c / 6, n))] += own;
+    if (b >= 0 && b < n) of_group[static_cast<std::size_t>(raw_group(b, n))] += own;
   }
   const double scale = std::max(0.0, all) / std::max(of_group[0] + of_group[1], 1e-300);
   for (Eigen::Index r = 0; r < z.raw_factor.size(); ++r) {
@@ -181,8 +191,9 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
   return gain_covariance_;
 }
 
-// (10.11)
-inline Agreement Incremental::agreement() {
+// (10.11) of two parts by their information; `apart`: how much more their gains may differ.
+inline Agreement Incremental::compare_parts(const std::array<Eigen::MatrixXd, 2>& parts,
+                                            const Eigen::MatrixXd& apart) const {
   const int nt = lag_.parameters();
   const Eigen::VectorXd& mean = lag_.layout().mean();
   std::vector<int> use;
@@ -193,8 +204,7 @@ inline Agreement Incremental::agreement() {
   std::array<Eigen::VectorXd, 2> theta;
   Eigen::VectorXd prior(k);
   for (std::size_t p = 0; p < 2; ++p) {
-    Eigen::MatrixXd part(nt + 1, nt + 1);
-    gather(parts_[p], 1 + p, part);
+    const Eigen::MatrixXd& part = parts[p];
     Eigen::MatrixXd S(k, k);
     Eigen::VectorXd right(k);
     for (Eigen::Index i = 0; i < k; ++i) {
@@ -213,7 +223,25 @@ inline Agreement Incremental::agreement() {
     if (!dense::invert(S, P[p], logdet)) return {};
     theta[p] = dense::times(P[p], right);
   }
-  return compare(theta, P, 4.0 * added_, prior);  // of either part: it has half of the rows
+  return compare(theta, P, apart, prior);
+}
+
+inline Agreement Incremental::agreement() {
+  std::array<Eigen::MatrixXd, 2> parts{S_, S_};
+  for (std::size_t p = 0; p < 2; ++p) gather(parts_[p], 1 + p, parts[p]);
+  return compare_parts(parts, 4.0 * added_);  // either has half of the rows
+}
+
+inline Agreement Incremental::agreement_with_logs_before() {
+  const double now = log_samples_, before = size10_samples_, all = now + before;
+  if (!(now > 0.0 && before > 0.0)) return {};
+  Eigen::MatrixXd past = S_;
+  gather(Zb_, 0, past);
+  // (10.9), and twice (10.10): what follows the pose need not be the same in two logs
+  const int C = lag_.columns().C;
+  const Eigen::Index gains = added_.rows();
+  const Eigen::MatrixXd pose = gain_covariance_ - covariance_.block(C, C, gains, gains) - added_;
+  return compare_parts({past, of_log()}, (all / now + all / before) * added_ + 2.0 * pose);
 }
 
 // ------------------------------------------------------------------------------------------------
@@ -335,7 +363,7 @@ inline Status Incremental::next_log(const RecordedLog& about) {
     lag_.theta[shared[i]] = theta[from[i]];
   }
   gather(Z_, 0, S_);
-  base_ = S_;
+  Zb_ = Z_;
   raw_ = {};
   raw_.reserve(masked_.size());
   for (auto& m : motion_) {

@@ -1,4 +1,4 @@
-// Information of all rows of a fit: what stretches and logs add, and the quarters of each log (10.11).
+// Information of all rows of a fit: what stretches and logs add, each log and the quarters of all (10.11).
 #pragma once
 
 #include "truewrench/estimation/fit.hpp"
@@ -26,7 +26,7 @@ inline bool Fit::linearise() {
   Information all = nothing;
   quarters_.fill(nothing);
   logdet_x_ = 0.0;
-  log_data_.assign(logs_.size(), Eigen::MatrixXd());
+  of_log_.assign(logs_.size(), nothing);
   for (std::size_t l = 0; l < logs_.size(); ++l) {
     const std::vector<int>& at = layout_.log(l).global;
     const auto add = [&at](Information& to, const Information& part, double times) {
@@ -36,8 +36,6 @@ inline bool Fit::linearise() {
           to.S(at[i], at[j]) += times * part.S(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
       }
     };
-    log_data_[l] =
-        Eigen::MatrixXd::Zero(static_cast<Eigen::Index>(at.size()), static_cast<Eigen::Index>(at.size()));
     for (std::size_t i = 0; i < shares[l].size(); ++i) {
       const Share& share = shares[l][i];
       if (!std::isfinite(share.all.logdet)) {
@@ -45,8 +43,7 @@ inline bool Fit::linearise() {
         return false;
       }
       logdet_x_ += share.all.logdet;
-      log_data_[l] += share.all.S;
-      add(all, share.all, 1.0);
+      add(of_log_[l], share.all, 1.0);
       const Stretch& s = logs_[l].stretches[i];
       const auto quarter = [&](int block) -> Information& {
         return quarters_[quarter_of(logs_[l], s, block)];
@@ -57,6 +54,8 @@ inline bool Fit::linearise() {
         add(quarter(share.breaks[k] + 1), share.to_break[k], -1.0);
       }
     }
+    all.S += of_log_[l].S;
+    all.g += of_log_[l].g;
   }
   data_ = all.S;
   gradient_ = all.g;

@@ -322,45 +322,63 @@ inline Agreement compare(const std::array<Eigen::VectorXd, 2>& mean, const std::
   return out;
 }
 
-// (10.11) of two quarters of the record against the others, `first` and `second`, at the last linearisation and sizes; `found`:
-// (10.9), empty where d is in the fit.
-inline Agreement agreement(const Fit& fit, const std::vector<std::vector<Moment>>& found, std::size_t first,
-                           std::size_t second) {
-  const int n = fit.channels();
+// (10.11) of a part of the record against the rest, at the last linearisation and sizes: what its rows say, their share of all, and
+// which they are, by log and time. `found`: (10.9), empty where d is in the fit. `apart`: how much more the gains of both may differ.
+template <typename Within>
+Agreement agreement(const Fit& fit, const std::vector<std::vector<Moment>>& found, const Information& part,
+                    double share, const Within& within, const Eigen::MatrixXd& apart) {
   const std::vector<int> use = fit.active_places();
   const auto size = static_cast<Eigen::Index>(use.size());
+  const Information all = fit.all();
   std::array<Eigen::VectorXd, 2> mean;
   std::array<Eigen::MatrixXd, 2> P;
-  Eigen::MatrixXd added = Eigen::MatrixXd::Zero(6 * n, 6 * n);
+  Eigen::MatrixXd added = apart;
   Eigen::VectorXd prior(size);
   for (Eigen::Index i = 0; i < size; ++i) prior[i] = fit.prior[use[static_cast<std::size_t>(i)]];
-  for (const std::size_t part : {0, 1}) {
-    const auto within = [&](std::size_t q) { return (q == first || q == second) == (part == 0); };
-    Eigen::MatrixXd S = Eigen::MatrixXd::Zero(fit.prior.size(), fit.prior.size());
-    Eigen::VectorXd g = Eigen::VectorXd::Zero(fit.prior.size());
-    for (std::size_t q = 0; q < 4; ++q)
-      if (within(q)) {
-        S += fit.quarters()[q].S;
-        g += fit.quarters()[q].g;
-      }
-    Eigen::MatrixXd told = Fit::gather(S, use);
-    const Eigen::VectorXd pull = fit.pull(g, 0.5);
+  for (const std::size_t of : {0, 1}) {
+    const bool rest = of == 1;
+    Eigen::MatrixXd told = Fit::gather(rest ? Eigen::MatrixXd(all.S - part.S) : part.S, use);
+    const Eigen::VectorXd pull =
+        fit.pull(rest ? Eigen::VectorXd(all.g - part.g) : part.g, rest ? 1.0 - share : share);
     Eigen::VectorXd right(size);
     for (Eigen::Index i = 0; i < size; ++i) {
       told(i, i) += 1.0 / prior[i];
       right[i] = pull[use[static_cast<std::size_t>(i)]];
     }
     double logdet = 0.0;
-    if (!dense::invert(told, P[part], logdet)) return {};
-    mean[part] = dense::times(P[part], right);  // apart from where it was linearised
+    if (!dense::invert(told, P[of], logdet)) return {};
+    mean[of] = dense::times(P[of], right);  // apart from where it was linearised
     if (found.empty()) continue;
     const Keep clean = unmasked(fit);
     added += spread(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
-      const LogFit& log = fit.logs()[l];
-      return clean(l, s, k) && within(quarter_of(place(log, log.stretches[s].raw.time[k])));
+      return clean(l, s, k) && within(l, fit.logs()[l].stretches[s].raw.time[k]) != rest;
     });
   }
   return compare(mean, P, added, prior);
+}
+
+// Of two quarters of each log against the others.
+inline Agreement agreement_of_quarters(const Fit& fit, const std::vector<std::vector<Moment>>& found,
+                                       std::size_t first, std::size_t second) {
+  const Information &a = fit.quarters()[first], &b = fit.quarters()[second];
+  const auto within = [&](std::size_t l, double time) {
+    const std::size_t q = quarter_of(place(fit.logs()[l], time));
+    return q == first || q == second;
+  };
+  const Eigen::Index gains = 6 * fit.channels();
+  return agreement(fit, found, {a.S + b.S, a.g + b.g}, 0.5, within, Eigen::MatrixXd::Zero(gains, gains));
+}
+
+// Of each log against the others; of a single one nothing. `pose`: (10.10), since what follows the pose need not be the same in two.
+inline std::vector<Agreement> agreement_of_logs(const Fit& fit, const std::vector<std::vector<Moment>>& found,
+                                                const Eigen::MatrixXd& pose) {
+  std::vector<Agreement> out;
+  const std::size_t count = fit.logs().size();
+  for (std::size_t log = 0; count > 1 && log < count; ++log)
+    out.push_back(agreement(
+        fit, found, fit.of_log(log), 1.0 / static_cast<double>(count),
+        [log](std::size_t l, double) { return l == log; }, 2.0 * pose));
+  return out;
 }
 
 }  // namespace truewrench

@@ -59,7 +59,11 @@ def motion_figures(rig: Rig, estimate: Estimate) -> dict[str, Any]:
         "iterations": estimate.iterations,
         "noise_found": [{f.what: f.factor for f in found} for found in estimate.noise],
         "pose_share": estimate.A,
-        "parts_agree": {"halves": estimate.p_halves, "quarters": estimate.p_quarters},
+        "parts_agree": {
+            "halves": estimate.p_halves,
+            "quarters": estimate.p_quarters,
+            "logs": estimate.p_worst_log,
+        },
         "condition_number": posed.condition_number,
         "departure_norm": posed.departure_norm,
         "limited_by": {

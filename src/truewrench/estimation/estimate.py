@@ -188,6 +188,7 @@ class Estimate:
     ww: Array  # (6, 6) E w w^T, fractions of range
     p_halves: float  # of (10.11)
     p_quarters: float  # of (10.11)
+    p_logs: Array  # (L,) of (10.11): each log against the others, of `online` those before it; one log: none
     converged: bool  # whether the last fit did
     iterations: int  # of it
     fits: int  # how many were made
@@ -209,7 +210,14 @@ class Estimate:
     @property
     def parts_agree(self) -> bool:
         """By (10.11)."""
-        return self.p_halves >= AGREE and self.p_quarters >= AGREE
+        return all(p >= AGREE for p in (self.p_halves, self.p_quarters, self.p_worst_log))
+
+    @property
+    def p_worst_log(self) -> float:
+        """Of (10.11): the log that stands out most, of as many comparisons as are independent."""
+        if len(self.p_logs) < 2:
+            return 1.0
+        return float(np.minimum(1.0, (len(self.p_logs) - 1) * self.p_logs.min()))
 
     @property
     def time_offsets(self) -> Array:
@@ -261,6 +269,7 @@ def without_motion(n: int, count: int, **found: Any) -> Estimate:
         "ww": np.zeros((6, 6)),
         "p_halves": 1.0,
         "p_quarters": 1.0,
+        "p_logs": np.ones(count),
         "history_time": np.zeros(0),
         "history_log": np.zeros(0, np.int64),
         "history_gain": np.zeros((0, n, 6)),

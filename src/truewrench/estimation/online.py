@@ -39,6 +39,7 @@ class OnlineFound:
     pose: Any
     halves: Any
     quarters: Any
+    logs: Sequence[Any]  # each against those before it
     unexplained: Sequence[float]
     unresolved: Sequence[bool]
     dropped: Sequence[int]
@@ -69,7 +70,7 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
         none = np.zeros((0, 0))
         status = found.status if found.status != _core.Status.ok else _core.Status.wrong_size
         return OnlineFound(
-            None, status, none, none, none, none, (), found.pose, found.halves, found.quarters,
+            None, status, none, none, none, none, (), found.pose, found.halves, found.quarters, (),
             [0.0] * len(records), found.unresolved, found.dropped, nothing,
         )  # fmt: skip
     at = [np.array(c.at) for c in found.columns]
@@ -108,6 +109,7 @@ def found_online(statement: Any, records: Sequence[Any], discrepancy: float) -> 
         pose=found.pose,
         halves=found.halves,
         quarters=found.quarters,
+        logs=found.logs,
         unexplained=[0.0] * len(records),
         unresolved=found.unresolved,
         dropped=found.dropped,

@@ -130,6 +130,10 @@ class InParts:
         halves, quarters = _places(used)
         found.halves = SimpleNamespace(p=shared.agreement(halves, 6 * self._rig.sensor.n))
         found.quarters = SimpleNamespace(p=shared.agreement(quarters, 6 * self._rig.sensor.n))
+        found.logs = [
+            SimpleNamespace(p=shared.agreement(np.array([p.log == k for p in used]), 6 * self._rig.sensor.n))
+            for k in range(count)
+        ]
         vars(found).update(vars(lost))
         rows = [_joined([part for part in parts if part.found is not None]) for parts in of]
         whole = solved(self._rig, self._assumed, self.logs, found, [part.record for part in ends], rows)

@@ -255,17 +255,28 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[st
             f"{100 * share:.0f}% of the sensor's samples were left out as {kinds}: too many to trust it;"
             f" {_largest_departure(estimate, rig, logs)}"
         )
-    p = {"halves": estimate.p_halves, "quarters 1 + 3 and 2 + 4": estimate.p_quarters}
+    p = {
+        "halves": estimate.p_halves,
+        "quarters 1 + 3 and 2 + 4": estimate.p_quarters,
+        _odd_log(estimate, logs): estimate.p_worst_log,
+    }
     parts = [f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= AGREE]  # NaN, too
     if parts:
+        changed = ", or sensor or payload changed between logs" if not estimate.p_worst_log >= AGREE else ""
         reasons.append(
             f"parts of the record disagree on the gain ({'; '.join(parts)}): something does not fit the "
-            f"model ({_named(kinds_of_disagreement(estimate, rig, logs), named)}); "
+            f"model ({_named(kinds_of_disagreement(estimate, rig, logs), named)}){changed}; "
             f"{_largest_departure(estimate, rig, logs)}"
         )
     if not _condition(estimate, rig) < SINGULAR:
         reasons.append("the gain is singular: some wrench leaves no trace in the channels")
     return reasons
+
+
+def _odd_log(estimate: Estimate, logs: Sequence[Log]) -> str:
+    if len(logs) < 3:
+        return "one log and the other"
+    return f"{log_name(logs, int(np.argmin(estimate.p_logs)))} and the others"
 
 
 def _named(kinds: Sequence[str], named: list[str]) -> str:

@@ -97,10 +97,13 @@ def agreement_words(calibration: Calibration) -> list[str]:
     if not p:
         return []
     agree = all(value >= AGREE for value in p.values())
+    of_logs = (
+        f", one of its logs and the others in {100 * p['logs']:.2g} %" if len(calibration.logs) > 1 else ""
+    )
     return [
         f"The parts of the record {'agree' if agree else 'do not agree'} on the gain: by chance its halves "
         f"differ as much in {100 * p['halves']:.2g} % of records, its quarters 1 + 3 and 2 + 4 in "
-        f"{100 * p['quarters']:.2g} %; below {100 * AGREE:g} % something changed within the record."
+        f"{100 * p['quarters']:.2g} %{of_logs}; below {100 * AGREE:g} % something changed within the record."
     ]
 
 
