@@ -14,14 +14,18 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 from rich.console import Console
+from scipy.stats import binom
 
 import truewrench as tw
 from truewrench.cli import main
+from truewrench.estimation.known_wrench import estimate_from_known_wrench
+from truewrench.estimation.log_agreement import agreement_of_known_wrenches
 from truewrench.io.tables import REFERENCE, write_table
 from truewrench.model.calibration import load_calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
 from truewrench.report.summary import calibration_summary, show
 
 Array = NDArray[np.float64]
@@ -100,6 +104,39 @@ def test_a_table_of_weights_becomes_a_usable_calibration(
     np.testing.assert_allclose(new / expected, 1.0, atol=0.35)
     assert calibration.bound is not None
     assert calibration.bound.oracle_rms < calibration.bound.rms
+
+
+def test_a_table_of_another_gain_is_told_and_named(rig: Rig, truth: tuple[Array, Array]) -> None:
+    """0.5% of range in one of several, which otherwise passes for noise beyond the stated."""
+    gain, offset = truth
+    other = gain + 5e-3 * np.random.default_rng(5).normal(size=(6, 6)) * SPAN[:, None] / SPAN
+    for count in (2, 3):
+        logs = [weights(truth, seed=k) for k in range(count)]
+        assert tw.calibrate(rig, logs).verdict.usable
+        logs[-1] = weights((other, offset), seed=count)
+        found = tw.calibrate(rig, logs)
+        assert not found.verdict.usable
+        which = "one log and the other" if count == 2 else "log 3 and the others"
+        assert any(f"{which} tell different gains" in reason for reason in found.verdict.reasons)
+
+
+def test_tables_of_one_sensor_differ_by_chance(rig: Rig, truth: tuple[Array, Array]) -> None:
+    """Of 24 pools a tenth has p below 0.1; and a load a log says what all in one log do."""
+    p = []
+    for seed in range(24):
+        logs = [weights(truth, seed=10 * seed + k) for k in range(2)]
+        clocks = [None] * len(logs)
+        found = estimate_from_known_wrench(rig, logs, clocks=clocks)
+        p.append(agreement_of_known_wrenches(rig, logs, found, clocks)[0])
+    assert np.count_nonzero(np.array(p) < 0.1) <= binom.ppf(0.9999, len(p), 0.1)
+    assert np.count_nonzero(np.array(p) > 0.5) >= binom.ppf(1e-4, len(p), 0.5)
+    log = weights(truth, 24)
+    pooled = Rig.from_mapping({**SETTINGS, "sensor": {**SETTINGS["sensor"], "pool_offsets": True}})
+    each, whole = (
+        tw.calibrate(pooled, logs) for logs in ([rows_of(log, slice(k, k + 1)) for k in range(24)], log)
+    )
+    assert each.verdict.usable
+    assert np.allclose(each.gain, whole.gain, rtol=0.0, atol=0.1 * whole.gain_std)
 
 
 def test_a_mis_noted_weight_is_left_out_and_named_to_the_user(

@@ -20,6 +20,7 @@ from truewrench.cli import main
 from truewrench.io.tables import GRAVITY, TWIST, write_table
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
 
 Array = NDArray[np.float64]
 
@@ -167,6 +168,21 @@ def test_sigma_is_what_the_errors_are(payloads: dict[str, Any]) -> None:
         d = (found.gain - gain).ravel()
         squares.append(d @ np.linalg.solve(found.covariance[:36, :36], d))
     assert chi2.ppf(1e-4, 720) < sum(squares) < chi2.ppf(1.0 - 1e-4, 720)
+
+
+@pytest.mark.parametrize("payloads", [ONE, SEVERAL], ids=["one", "several"])
+def test_poses_in_several_logs_say_what_they_say_in_one(payloads: dict[str, Any]) -> None:
+    """But for the offset, which each log has anew: here of every other pose."""
+    rig = Rig.from_mapping(settings_of(payloads, uncertainty=1e-3))
+    logs, gain = poses(rig, 5, 24)
+    split = [rows_of(log, slice(half * 12, half * 12 + 12)) for log in logs for half in (0, 1)]
+    one, several = tw.calibrate(rig, logs), tw.calibrate(rig, split)
+    assert several.axes == one.axes
+    std = np.sqrt(np.diag(one.covariance)[:36])
+    assert np.abs((several.gain - one.gain).ravel() / std).max() < 2.0
+    assert np.all(np.sqrt(np.diag(several.covariance)[:36]) > 0.99 * std)
+    d = (several.gain - gain).ravel()
+    assert d @ np.linalg.solve(several.covariance[:36, :36], d) < chi2.ppf(1.0 - 1e-4, 36)
 
 
 def test_mistakes_of_the_set_up_are_refused() -> None:

@@ -8,11 +8,12 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimation.assembly import log_report
-from truewrench.estimation.estimate import Estimate, without_motion
+from truewrench.estimation.estimate import AGREE, Estimate, without_motion, worst_of
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation import CHANGE, LOSS
 from truewrench.judging.validation.comparison import Comparison
+from truewrench.judging.words import odd_log
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, AxisImprovement, LogReport
 from truewrench.model.errors import InputError, UnsupportedError
@@ -50,9 +51,12 @@ def wrench_is_known(rig: Rig, logs: Sequence[Log], estimator: str) -> bool:
 
 
 def judge_known_wrench(
-    rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate, compared: Comparison
+    rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate, compared: Comparison, p_logs: Array
 ) -> Judgement:
-    """The verdict on what reference wrenches say of the gain: of the one function that decides."""
+    """The verdict on what reference wrenches say of the gain: of the one function that decides.
+
+    `p_logs` (L,): how likely chance makes each log differ as much from the others; of a single one nothing.
+    """
     reasons = []
     if not estimate.converged:
         reasons.append("the estimate did not converge")
@@ -61,6 +65,11 @@ def judge_known_wrench(
         reasons.append(
             f"{estimate.contradicting} of {total} rows contradict the others by more than the stated noise: "
             "too many to be left out as outliers"
+        )
+    if not worst_of(p_logs) >= AGREE:
+        reasons.append(
+            f"{odd_log(p_logs, logs)} tell different gains (p = {worst_of(p_logs):.1g}): sensor or reference "
+            "changed between logs"
         )
     if min(estimate.spare) < FREEDOM:
         rows = "plateaus" if any(found.stepped for found in estimate.errors) else "rows"

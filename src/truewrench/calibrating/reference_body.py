@@ -118,7 +118,8 @@ class Known:
         held = [part for part in parts if part in joint.places]
         if self.reference is None:
             prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), rig.sensor.gain_prior, {})
-            return PosesOfOne(rig, prior, poses, end_ns), mean
+            problem: Problem = PosesOfOne(rig, prior, poses, end_ns)
+            return problem, problem.prior_of_all()[0]
         wide = [layout.gain, layout.tilt]
         if body_part(name) in held:
             wide.append(layout.body)

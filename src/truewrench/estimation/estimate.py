@@ -214,10 +214,8 @@ class Estimate:
 
     @property
     def p_worst_log(self) -> float:
-        """Of (10.11): the log that stands out most, of as many comparisons as are independent."""
-        if len(self.p_logs) < 2:
-            return 1.0
-        return float(np.minimum(1.0, (len(self.p_logs) - 1) * self.p_logs.min()))
+        """Of (10.11)."""
+        return worst_of(self.p_logs)
 
     @property
     def time_offsets(self) -> Array:
@@ -232,6 +230,11 @@ class Estimate:
     def masked_share(self) -> float:
         """Share of the sensor's samples that were left out."""
         return float(sum(r.left_out for r in self.rows)) / max(sum(r.samples for r in self.rows), 1)
+
+
+def worst_of(p_logs: Array) -> float:
+    """Of (10.11): the log that stands out most, of as many as are independent; 1 of a single one."""
+    return float(np.minimum(1.0, (len(p_logs) - 1) * p_logs.min())) if len(p_logs) > 1 else 1.0
 
 
 def undisturbed(log: Log, left_out: Integers, steps: Sequence[Step]) -> Log:

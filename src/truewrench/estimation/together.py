@@ -28,7 +28,7 @@ class Told:
 
     keys: Mapping[int, Hashable]  # what stands at those places of theta that are shared, the gain first
     first: int  # how many of the first parameters are shared by all, but for those without a key
-    u: slice  # the places of the quadratic term, among them
+    u: slice  # the places of the quadratic term, among them; of none empty
     theta: Array  # (p,) estimate
     mean: Array  # (p,) beforehand
     prior: Array  # (p,) variances beforehand, as the fit has them
@@ -59,7 +59,8 @@ class Shared:
             self._pulls.append(pull)
             bare.append(self._of(fit, fit.covariance)[0] if fit.added.any() else information)
         L, pull = np.sum(self._information, axis=0), np.sum(self._pulls, axis=0)
-        u = np.array([self.places[fits[0].keys[j]] for j in range(fits[0].u.start, fits[0].u.stop)])
+        places = [self.places[fits[0].keys[j]] for j in range(fits[0].u.start, fits[0].u.stop)]
+        u = np.array(places, dtype=np.int64)
         # variance of the channels' departures from linear beforehand, as found
         D[u] = self.departure = _departure(L, pull, D / unit**2, u, unit)
         prior = np.diag(unit**2 / D)

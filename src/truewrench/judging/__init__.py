@@ -25,6 +25,7 @@ from truewrench.judging.words import (
     looks_fast,
     looks_slow,
     motion_scatter,
+    odd_log,
     of_references,
     plural,
     scatter,
@@ -258,7 +259,7 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[st
     p = {
         "halves": estimate.p_halves,
         "quarters 1 + 3 and 2 + 4": estimate.p_quarters,
-        _odd_log(estimate, logs): estimate.p_worst_log,
+        odd_log(estimate.p_logs, logs): estimate.p_worst_log,
     }
     parts = [f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= AGREE]  # NaN, too
     if parts:
@@ -271,12 +272,6 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[st
     if not _condition(estimate, rig) < SINGULAR:
         reasons.append("the gain is singular: some wrench leaves no trace in the channels")
     return reasons
-
-
-def _odd_log(estimate: Estimate, logs: Sequence[Log]) -> str:
-    if len(logs) < 3:
-        return "one log and the other"
-    return f"{log_name(logs, int(np.argmin(estimate.p_logs)))} and the others"
 
 
 def _named(kinds: Sequence[str], named: list[str]) -> str:

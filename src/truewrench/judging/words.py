@@ -17,7 +17,7 @@ from truewrench.estimation.estimate import Clock, Estimate, FoundNoise, Slow
 from truewrench.estimation.far_clock import bent
 from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.judging.attribution import Looks, fast_looks, slow_looks
-from truewrench.model.arrays import Mask
+from truewrench.model.arrays import Array, Mask
 from truewrench.model.calibration_parts import Assumed
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -157,6 +157,13 @@ def log_name(logs: Sequence[Log], k: int) -> str:
     path = logs[k].path if k < len(logs) else None
     number = f"log {k + 1}" if len(logs) > 1 else "the log"
     return number if path is None else f"{number} ({path.name})"
+
+
+def odd_log(p_logs: Array, logs: Sequence[Log]) -> str:
+    """Which log stands out, by how likely each is to differ as much by chance (L,)."""
+    if len(p_logs) < 3:
+        return "one log and the other"
+    return f"{log_name(logs, int(np.argmin(p_logs)))} and the others"
 
 
 def listed(words: Sequence[str], last: str = "or") -> str:
