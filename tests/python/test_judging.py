@@ -116,7 +116,7 @@ def estimate_of(
         ww=w.T @ w / max(rows, 1),
         p_halves=0.5,
         p_quarters=0.5,
-        p_logs=np.ones(0),
+        p_logs=np.ones(1),
         converged=True,
         iterations=5,
         fits=2,

@@ -140,6 +140,16 @@ def test_poses_with_another_mass_than_the_motion_are_refused() -> None:
     assert any("static poses tell another sensor" in reason for reason in verdict.reasons)
 
 
+def test_a_motion_of_another_sensor_is_named_among_poses() -> None:
+    case = Case(3)
+    again = Rig.from_mapping(stated() | {"plan": {"duration": 10, "seed": 8}})
+    simulated = {**again.to_mapping(), "simulate": {"rate": 100, "gain": (1.02 * case.gain).tolist()}}
+    louder = simulate(Rig.from_mapping(simulated), payload="default", seed=8).log
+    logs = [case.still[0], case.moved, louder, case.still[1]]
+    reasons = tw.calibrate(case.rig, logs).verdict.reasons
+    assert any("log 2 and log 3, p =" in reason for reason in reasons)
+
+
 def test_poses_beside_a_motion_that_cannot_be_solved_end_in_its_reason() -> None:
     case = Case(4)
     whole = case.moved

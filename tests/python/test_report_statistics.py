@@ -78,7 +78,7 @@ def found_in(rig: Rig, rows: LogRows, **changes: Any) -> tuple[Calibration, Evid
         "payloads": {}, "tilts": (), "quadratic": none, "quadratic_std": none + 1e-3, "discrepancy": none,
         "noise": ((FoundNoise("force", 2.5), FoundNoise("moment", 1.0)),), "slow": ((),), "events": ((),),
         "steps": ((),), "spacing": np.array([0.05]), "unresolved": np.array([False]), "rows": (rows,),
-        "sources": {}, "A": 0.4, "p_halves": 0.5, "p_quarters": 0.5, "p_logs": np.ones(0), "iterations": 3,
+        "sources": {}, "A": 0.4, "p_halves": 0.5, "p_quarters": 0.5, "p_logs": np.ones(1), "iterations": 3,
         "fits": 2, "history_time": np.zeros(0), "history_log": np.zeros(0, np.int64),
     }  # fmt: skip
     estimate = Estimate(**(fields | changes))

@@ -55,7 +55,7 @@ def judge_known_wrench(
 ) -> Judgement:
     """The verdict on what reference wrenches say of the gain: of the one function that decides.
 
-    `p_logs` (L,): how likely chance makes each log differ as much from the others; of a single one nothing.
+    `p_logs` (L,): how likely chance makes each log differ as much from the others.
     """
     reasons = []
     if not estimate.converged:

@@ -208,6 +208,7 @@ def _spread(found: Estimate, count: int, moving: Sequence[int], offsets: Array, 
         unexplained=column(found.unexplained, 0.0),
         unresolved=column(found.unresolved, False),
         dropped=column(found.dropped, 0),
+        p_logs=column(found.p_logs, 1.0),
         rows=per_log(found.rows, no_rows(n)),
         history_log=np.asarray(moving, np.int64)[found.history_log],
     )

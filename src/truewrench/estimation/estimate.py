@@ -188,7 +188,7 @@ class Estimate:
     ww: Array  # (6, 6) E w w^T, fractions of range
     p_halves: float  # of (10.11)
     p_quarters: float  # of (10.11)
-    p_logs: Array  # (L,) of (10.11): each log against the others, of `online` those before it; one log: none
+    p_logs: Array  # (L,) of (10.11): each log against the others, of `online` those before; 1: not asked
     converged: bool  # whether the last fit did
     iterations: int  # of it
     fits: int  # how many were made
@@ -233,8 +233,8 @@ class Estimate:
 
 
 def worst_of(p_logs: Array) -> float:
-    """Of (10.11): the log that stands out most, of as many as are independent; 1 of a single one."""
-    return float(np.minimum(1.0, (len(p_logs) - 1) * p_logs.min())) if len(p_logs) > 1 else 1.0
+    """Of (10.11): the log that stands out most, of as many as are independent."""
+    return float(np.minimum(1.0, max(len(p_logs) - 1, 1) * p_logs.min()))
 
 
 def undisturbed(log: Log, left_out: Integers, steps: Sequence[Step]) -> Log:

@@ -134,7 +134,7 @@ def solved(
         ww=np.array(found.pose.ww),  # a view would keep the whole fit
         p_halves=float(found.halves.p),
         p_quarters=float(found.quarters.p),
-        p_logs=np.array([agreement.p for agreement in found.logs]),
+        p_logs=np.array([agreement.p for agreement in found.logs] or [1.0] * len(logs)),
         converged=history is not None or bool(fit.converged),
         iterations=int(fit.iterations),
         fits=int(found.fits),

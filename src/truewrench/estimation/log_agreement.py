@@ -16,9 +16,9 @@ from truewrench.model.rig import Rig
 def agreement_of_known_wrenches(
     rig: Rig, logs: Sequence[Log], found: KnownWrenchEstimate, clocks: Sequence[ReferenceClock | None]
 ) -> Array:
-    """(L,) how likely chance makes each log depart as far from the others (10.11); of one log nothing."""
+    """(L,) how likely chance makes each log depart as far from the others (10.11); 1 of a single one."""
     if len(logs) < 2:
-        return np.zeros(0)
+        return np.ones(1)
     alone = []
     for k, (log, clock) in enumerate(zip(logs, clocks, strict=True)):
         errors = [replace(kind, logs=(0,)) for kind in found.errors if k in kind.logs]

@@ -163,7 +163,11 @@ def odd_log(p_logs: Array, logs: Sequence[Log]) -> str:
     """Which log stands out, by how likely each is to differ as much by chance (L,)."""
     if len(p_logs) < 3:
         return "one log and the other"
-    return f"{log_name(logs, int(np.argmin(p_logs)))} and the others"
+    k = int(np.argmin(p_logs))
+    same = np.flatnonzero(
+        np.isclose(p_logs, p_logs[k], rtol=1e-3, atol=0.0)
+    )  # two that move, beside static poses
+    return f"{log_name(logs, k)} and {log_name(logs, int(same[1])) if same.size == 2 else 'the others'}"
 
 
 def listed(words: Sequence[str], last: str = "or") -> str:
