@@ -28,6 +28,7 @@ SMALLEST: dict[str, str] = {
     "live_tool.py": "--duration 3 --rate 200",
     "long_records.py": "--hours 0.01 --records 1",
     "plans.py": "",
+    "pooled_logs.py": "--runs 2",
     "rates.py": "--runs 1",
     "recordings.py": "--duration 3 --repeat 1 --size 0.02",
     "reference_wrenches.py": "--seeds 4",

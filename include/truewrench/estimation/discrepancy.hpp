@@ -145,9 +145,9 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
   return out;
 }
 
-// The same of the samples that `keep` names.
-inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Moment>>& found,
-                              const Keep& keep) {
+// The sums for it, of the samples that `keep` names.
+inline std::vector<LogMoments> sums_for_spread(const Fit& fit, const std::vector<std::vector<Moment>>& found,
+                                               const Keep& keep) {
   std::vector<LogMoments> sums;
   sums.reserve(found.size());
   for (std::size_t l = 0; l < found.size(); ++l) {
@@ -157,7 +157,7 @@ inline Eigen::MatrixXd spread(const Fit& fit, const std::vector<std::vector<Mome
         taus.push_back(of.tau);
     sums.emplace_back(fit, l, keep, taus, false);
   }
-  return spread(fit, found, sums);
+  return sums;
 }
 
 }  // namespace truewrench

@@ -1,9 +1,9 @@
 // What the loop of METHOD 10.3 returns: the estimate, the sizes found, and the findings that a judgement needs.
 #pragma once
 
+#include "truewrench/estimation/agreement.hpp"
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/pose.hpp"
-#include "truewrench/estimation/score.hpp"
 
 #include <cmath>
 #include <memory>

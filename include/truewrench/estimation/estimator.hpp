@@ -3,6 +3,7 @@
 #pragma once
 
 #include "truewrench/estimation/gather.hpp"
+#include "truewrench/estimation/score.hpp"
 #include "truewrench/estimation/slow.hpp"
 #include "truewrench/estimation/spacing.hpp"
 #include "truewrench/model/check.hpp"

@@ -16,12 +16,12 @@
 // first lag fits it in ten to twenty, so that a hard loop hands its samples to another thread.
 #pragma once
 
+#include "truewrench/estimation/agreement.hpp"
 #include "truewrench/estimation/delay.hpp"
 #include "truewrench/estimation/incremental_settings.hpp"
 #include "truewrench/estimation/lag_start.hpp"
 #include "truewrench/estimation/moments.hpp"
 #include "truewrench/estimation/running.hpp"
-#include "truewrench/estimation/score.hpp"
 
 #include <cstdint>
 #include <span>

@@ -200,11 +200,8 @@ inline Agreement Incremental::compare_parts(const std::array<Eigen::MatrixXd, 2>
   for (int i = 0; i < nt; ++i)
     if (active_[static_cast<std::size_t>(i)] != 0) use.push_back(i);
   const auto k = static_cast<Eigen::Index>(use.size());
-  std::array<Eigen::MatrixXd, 2> P;
-  std::array<Eigen::VectorXd, 2> theta;
   Eigen::VectorXd prior(k);
-  for (std::size_t p = 0; p < 2; ++p) {
-    const Eigen::MatrixXd& part = parts[p];
+  const auto told = [&](const Eigen::MatrixXd& part) {
     Eigen::MatrixXd S(k, k);
     Eigen::VectorXd right(k);
     for (Eigen::Index i = 0; i < k; ++i) {
@@ -212,18 +209,17 @@ inline Agreement Incremental::compare_parts(const std::array<Eigen::MatrixXd, 2>
       prior[i] = prior_[a];
       for (Eigen::Index j = 0; j < k; ++j) {
         const int b = use[static_cast<std::size_t>(j)];
-        S(i, j) = part(std::max(a, b), std::min(a, b)) + (i == j ? 1.0 / prior_[a] : 0.0);
+        S(i, j) = part(std::max(a, b), std::min(a, b));
       }
       right[i] = part(nt, a) + mean[a] / prior_[a];
       for (int h = 0; h < nt; ++h)
         if (active_[static_cast<std::size_t>(h)] == 0)
           right[i] -= part(std::max(a, h), std::min(a, h)) * mean[h];
     }
-    double logdet = 0.0;
-    if (!dense::invert(S, P[p], logdet)) return {};
-    theta[p] = dense::times(P[p], right);
-  }
-  return compare(theta, P, apart, prior);
+    return TellsOf(std::move(S), right, prior);
+  };
+  const TellsOf first = told(parts[0]);
+  return compare(first, told(parts[1]), apart, prior);
 }
 
 inline Agreement Incremental::agreement() {

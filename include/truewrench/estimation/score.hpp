@@ -1,12 +1,10 @@
-// Scores (10.8) of constant wrenches on intervals of a record, the discrepancy in V; and whether the parts of a record agree
-// (10.11).
+// Scores (10.8) of constant wrenches on intervals of a record, the discrepancy in V.
 #pragma once
 
 #include "truewrench/estimation/discrepancy.hpp"
 #include "truewrench/math/chi_square.hpp"
 
 #include <algorithm>
-#include <array>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -284,101 +282,6 @@ inline double likeliest_time(const Fit& fit, std::size_t l, std::size_t j, doubl
     sum -= sample.gain;
   }
   return found;
-}
-
-// One comparison of two parts of the record (10.11).
-struct Agreement {
-  double p = 1.0;
-  double chi2 = 0.0;
-  int freedom = 0;
-};
-
-// p of (10.11) from what two parts say of theta: means, covariances, priors' variances; the gains come first. `added`: what (10.9)
-// adds to the gains' covariances, of both.
-inline Agreement compare(const std::array<Eigen::VectorXd, 2>& mean, const std::array<Eigen::MatrixXd, 2>& P,
-                         const Eigen::MatrixXd& added, const Eigen::VectorXd& prior) {
-  // V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a, in units of the prior's sigma                                    (10.11)
-  Agreement out;
-  const Eigen::Index gains = added.rows();
-  Eigen::MatrixXd scaled = P[1];
-  for (Eigen::Index i = 0; i < scaled.rows(); ++i) scaled.row(i) /= prior[i];
-  const Eigen::MatrixXd both = dense::transposed_times(P[0], scaled);
-  Eigen::MatrixXd V(gains, gains);
-  Eigen::VectorXd delta(gains);
-  for (Eigen::Index i = 0; i < gains; ++i) {
-    delta[i] = (mean[0][i] - mean[1][i]) / std::sqrt(prior[i]);
-    for (Eigen::Index j = 0; j < gains; ++j)
-      V(i, j) =
-          (P[0](i, j) + P[1](i, j) - both(i, j) - both(j, i) + added(i, j)) / std::sqrt(prior[i] * prior[j]);
-  }
-  const dense::Spectrum spectrum = dense::eigen(V);
-  for (Eigen::Index i = 0; i < gains; ++i) {
-    if (spectrum.values[i] <= 1e-9) continue;
-    const double projected = spectrum.vectors.col(i).dot(delta);
-    out.chi2 += projected * projected / spectrum.values[i];
-    ++out.freedom;
-  }
-  out.p = out.freedom > 0 ? std::exp(chi_square_log_tail(out.chi2, out.freedom)) : 1.0;
-  return out;
-}
-
-// (10.11) of a part of the record against the rest, at the last linearisation and sizes: what its rows say, their share of all, and
-// which they are, by log and time. `found`: (10.9), empty where d is in the fit. `apart`: how much more the gains of both may differ.
-template <typename Within>
-Agreement agreement(const Fit& fit, const std::vector<std::vector<Moment>>& found, const Information& part,
-                    double share, const Within& within, const Eigen::MatrixXd& apart) {
-  const std::vector<int> use = fit.active_places();
-  const auto size = static_cast<Eigen::Index>(use.size());
-  const Information all = fit.all();
-  std::array<Eigen::VectorXd, 2> mean;
-  std::array<Eigen::MatrixXd, 2> P;
-  Eigen::MatrixXd added = apart;
-  Eigen::VectorXd prior(size);
-  for (Eigen::Index i = 0; i < size; ++i) prior[i] = fit.prior[use[static_cast<std::size_t>(i)]];
-  for (const std::size_t of : {0, 1}) {
-    const bool rest = of == 1;
-    Eigen::MatrixXd told = Fit::gather(rest ? Eigen::MatrixXd(all.S - part.S) : part.S, use);
-    const Eigen::VectorXd pull =
-        fit.pull(rest ? Eigen::VectorXd(all.g - part.g) : part.g, rest ? 1.0 - share : share);
-    Eigen::VectorXd right(size);
-    for (Eigen::Index i = 0; i < size; ++i) {
-      told(i, i) += 1.0 / prior[i];
-      right[i] = pull[use[static_cast<std::size_t>(i)]];
-    }
-    double logdet = 0.0;
-    if (!dense::invert(told, P[of], logdet)) return {};
-    mean[of] = dense::times(P[of], right);  // apart from where it was linearised
-    if (found.empty()) continue;
-    const Keep clean = unmasked(fit);
-    added += spread(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
-      return clean(l, s, k) && within(l, fit.logs()[l].stretches[s].raw.time[k]) != rest;
-    });
-  }
-  return compare(mean, P, added, prior);
-}
-
-// Of two quarters of each log against the others.
-inline Agreement agreement_of_quarters(const Fit& fit, const std::vector<std::vector<Moment>>& found,
-                                       std::size_t first, std::size_t second) {
-  const Information &a = fit.quarters()[first], &b = fit.quarters()[second];
-  const auto within = [&](std::size_t l, double time) {
-    const std::size_t q = quarter_of(place(fit.logs()[l], time));
-    return q == first || q == second;
-  };
-  const Eigen::Index gains = 6 * fit.channels();
-  return agreement(fit, found, {a.S + b.S, a.g + b.g}, 0.5, within, Eigen::MatrixXd::Zero(gains, gains));
-}
-
-// Of each log against the others; of a single one nothing. `pose`: (10.10), since what follows the pose need not be the same in two.
-inline std::vector<Agreement> agreement_of_logs(const Fit& fit, const std::vector<std::vector<Moment>>& found,
-                                                const Eigen::MatrixXd& pose) {
-  std::vector<Agreement> out;
-  const std::size_t count = fit.logs().size();
-  for (std::size_t log = 0; count > 1 && log < count; ++log)
-    out.push_back(agreement(
-        fit, found, fit.of_log(log), 1.0 / static_cast<double>(count),
-        [log](std::size_t l, double) { return l == log; }, 2.0 * pose));
-  return out;
 }
 
 }  // namespace truewrench

@@ -163,11 +163,11 @@ def odd_log(p_logs: Array, logs: Sequence[Log]) -> str:
     """Which log stands out, by how likely each is to differ as much by chance (L,)."""
     if len(p_logs) < 3:
         return "one log and the other"
-    k = int(np.argmin(p_logs))
-    same = np.flatnonzero(
-        np.isclose(p_logs, p_logs[k], rtol=1e-3, atol=0.0)
-    )  # two that move, beside static poses
-    return f"{log_name(logs, k)} and {log_name(logs, int(same[1])) if same.size == 2 else 'the others'}"
+    least = p_logs[np.argmin(p_logs)]
+    odd = np.flatnonzero(np.isclose(p_logs, least, rtol=1e-3, atol=0.0, equal_nan=True)).tolist()
+    # two that move, beside static poses, differ from each other alike
+    names = [log_name(logs, k) for k in odd[:2]] if len(odd) == 2 else [log_name(logs, odd[0]), "the others"]
+    return " and ".join(names)
 
 
 def listed(words: Sequence[str], last: str = "or") -> str:

@@ -1,0 +1,170 @@
+// Whether the parts of a record, and its logs, agree on the gain (METHOD (10.11)).
+#pragma once
+
+#include "truewrench/estimation/discrepancy.hpp"
+#include "truewrench/math/chi_square.hpp"
+
+#include <array>
+#include <cmath>
+#include <optional>
+#include <utility>
+#include <vector>
+
+namespace truewrench {
+
+// One comparison of two parts of the record (10.11).
+struct Agreement {
+  double p = 1.0;
+  double chi2 = 0.0;
+  int freedom = 0;
+};
+
+// p of (10.11) from what two parts say of theta: means, covariances, priors' variances; the gains come first. `added`: what (10.9)
+// adds to the gains' covariances, of both.
+inline Agreement compare(const std::array<Eigen::VectorXd, 2>& mean, const std::array<Eigen::MatrixXd, 2>& P,
+                         const Eigen::MatrixXd& added, const Eigen::VectorXd& prior) {
+  // V = P_a + P_b - P_a Pi^-1 P_b - P_b Pi^-1 P_a, in units of the prior's sigma                                    (10.11)
+  Agreement out;
+  const Eigen::Index gains = added.rows();
+  Eigen::MatrixXd scaled = P[1];
+  for (Eigen::Index i = 0; i < scaled.rows(); ++i) scaled.row(i) /= prior[i];
+  const Eigen::MatrixXd both = dense::transposed_times(P[0], scaled);
+  Eigen::MatrixXd V(gains, gains);
+  Eigen::VectorXd delta(gains);
+  for (Eigen::Index i = 0; i < gains; ++i) {
+    delta[i] = (mean[0][i] - mean[1][i]) / std::sqrt(prior[i]);
+    for (Eigen::Index j = 0; j < gains; ++j)
+      V(i, j) =
+          (P[0](i, j) + P[1](i, j) - both(i, j) - both(j, i) + added(i, j)) / std::sqrt(prior[i] * prior[j]);
+  }
+  const dense::Spectrum spectrum = dense::eigen(V);
+  for (Eigen::Index i = 0; i < gains; ++i) {
+    if (spectrum.values[i] <= 1e-9) continue;
+    const double projected = spectrum.vectors.col(i).dot(delta);
+    out.chi2 += projected * projected / spectrum.values[i];
+    ++out.freedom;
+  }
+  out.p = out.freedom > 0 ? std::exp(chi_square_log_tail(out.chi2, out.freedom)) : 1.0;
+  return out;
+}
+
+// What a part of the rows says of some parameters, apart from where it was linearised: by information and gradient in these, their
+// prior's variances and its pull.
+struct TellsOf {
+  Eigen::VectorXd mean;
+  Eigen::MatrixXd P;
+  bool solved;
+
+  TellsOf(Eigen::MatrixXd S, const Eigen::VectorXd& pull, const Eigen::VectorXd& prior) {
+    for (Eigen::Index i = 0; i < S.rows(); ++i) S(i, i) += 1.0 / prior[i];
+    double logdet = 0.0;
+    solved = dense::invert(S, P, logdet);
+    if (solved) mean = dense::times(P, pull);
+  }
+};
+
+// p of (10.11); no number, which no verdict takes for agreement, where it could not be had.
+inline Agreement compare(const TellsOf& a, const TellsOf& b, const Eigen::MatrixXd& added,
+                         const Eigen::VectorXd& prior) {
+  if (!a.solved || !b.solved) return {std::nan("")};
+  return compare({a.mean, b.mean}, {a.P, b.P}, added, prior);
+}
+
+inline Eigen::VectorXd pick(const Eigen::VectorXd& v, const std::vector<int>& at) {
+  Eigen::VectorXd out(at.size());
+  for (std::size_t i = 0; i < at.size(); ++i) out[static_cast<Eigen::Index>(i)] = v[at[i]];
+  return out;
+}
+
+// (10.11) of two quarters of each log against the others, at the last linearisation and sizes; `found`: (10.9), empty where d is in
+// the fit.
+inline Agreement agreement_of_quarters(const Fit& fit, const std::vector<std::vector<Moment>>& found,
+                                       std::size_t first, std::size_t second) {
+  const std::vector<int> use = fit.active_places();
+  const Eigen::VectorXd prior = pick(fit.prior, use);
+  const Information &a = fit.quarters()[first], &b = fit.quarters()[second], all = fit.all();
+  const Information part{a.S + b.S, a.g + b.g};
+  Eigen::MatrixXd added = Eigen::MatrixXd::Zero(6 * fit.channels(), 6 * fit.channels());
+  for (const bool rest : {false, true}) {
+    if (found.empty()) break;
+    const Keep clean = unmasked(fit);
+    added +=
+        spread(fit, found, sums_for_spread(fit, found, [&](std::size_t l, std::size_t s, Eigen::Index k) {
+                 const LogFit& log = fit.logs()[l];
+                 const std::size_t q = quarter_of(place(log, log.stretches[s].raw.time[k]));
+                 return clean(l, s, k) && (q == first || q == second) != rest;
+               }));
+  }
+  return compare({Fit::gather(part.S, use), pick(fit.pull(part.g, 0.5), use), prior},
+                 {Fit::gather(all.S - part.S, use), pick(fit.pull(all.g - part.g, 0.5), use), prior}, added,
+                 prior);
+}
+
+// What the rows of a log say of parameters that others have, too: its own eliminated, with their prior (M13).
+inline std::optional<Information> of_shared(const Fit& fit, std::size_t l, const std::vector<int>& shared,
+                                            const std::vector<int>& own) {
+  const Information& all = fit.of_log(l);
+  Eigen::MatrixXd S = Fit::gather(all.S, own), inverse, cross(own.size(), shared.size());
+  for (std::size_t i = 0; i < own.size(); ++i) {
+    const auto row = static_cast<Eigen::Index>(i);
+    S(row, row) += 1.0 / fit.prior[own[i]];
+    for (std::size_t j = 0; j < shared.size(); ++j)
+      cross(row, static_cast<Eigen::Index>(j)) = all.S(own[i], shared[j]);
+  }
+  double logdet = 0.0;
+  if (!dense::invert(S, inverse, logdet)) return std::nullopt;
+  const Eigen::MatrixXd by = dense::transposed_times(inverse, cross);
+  return Information{Fit::gather(all.S, shared) - dense::transposed_times(cross, by),
+                     pick(all.g, shared) - by.transpose() * pick(fit.pull(all.g, 1.0), own)};
+}
+
+// (10.11) of each log against the others; of a single one nothing. `pose`: (10.10), since what follows the pose need not be the same
+// in two.
+inline std::vector<Agreement> agreement_of_logs(const Fit& fit, const std::vector<std::vector<Moment>>& found,
+                                                const Eigen::MatrixXd& pose) {
+  const std::size_t count = fit.logs().size();
+  if (count < 2) return {};
+  std::vector<int> logs_of(fit.active.size(), 0);
+  for (std::size_t l = 0; l < count; ++l)
+    for (const int at : fit.layout().log(l).global) ++logs_of[static_cast<std::size_t>(at)];
+  std::vector<int> shared;
+  for (const int at : fit.active_places())
+    if (logs_of[static_cast<std::size_t>(at)] > 1) shared.push_back(at);
+  std::vector<Information> said;
+  Eigen::MatrixXd S = Eigen::MatrixXd::Zero(shared.size(), shared.size());
+  Eigen::VectorXd g = Eigen::VectorXd::Zero(shared.size());
+  for (std::size_t l = 0; l < count; ++l) {
+    std::vector<int> own;
+    for (const int at : fit.layout().log(l).global)
+      if (logs_of[static_cast<std::size_t>(at)] == 1 && fit.active[static_cast<std::size_t>(at)] != 0)
+        own.push_back(at);
+    const auto of = of_shared(fit, l, shared, own);
+    if (!of) return std::vector<Agreement>(count, {std::nan("")});
+    said.push_back(*of);
+    S += of->S;
+    g += of->g;
+  }
+  const Eigen::VectorXd prior = pick(fit.prior, shared),
+                        away = (pick(fit.theta, shared) - pick(fit.layout().mean(), shared))
+                                   .cwiseQuotient(prior);
+  std::vector<LogMoments> others, alone;
+  if (!found.empty()) {
+    others = sums_for_spread(fit, found, unmasked(fit));
+    alone.assign(count,
+                 LogMoments(fit, 0, [](std::size_t, std::size_t, Eigen::Index) { return false; }, {}, false));
+  }
+  std::vector<Agreement> out;
+  for (std::size_t l = 0; l < count; ++l) {
+    Eigen::MatrixXd added = 2.0 * pose;
+    if (!found.empty()) {
+      std::swap(alone[l], others[l]);
+      added += spread(fit, found, alone) + spread(fit, found, others);
+      std::swap(alone[l], others[l]);
+    }
+    out.push_back(compare({said[l].S, said[l].g - away, prior}, {S - said[l].S, g - said[l].g - away, prior},
+                          added, prior));
+  }
+  return out;
+}
+
+}  // namespace truewrench
