@@ -100,22 +100,41 @@ inline Agreement agreement_of_quarters(const Fit& fit, const std::vector<std::ve
                  prior);
 }
 
-// What the rows of a log say of parameters that others have, too: its own eliminated, with their prior (M13).
-inline std::optional<Information> of_shared(const Fit& fit, std::size_t l, const std::vector<int>& shared,
-                                            const std::vector<int>& own) {
+// What the rows of a log say of parameters that others have, too: its own eliminated, with their prior (M13). `place`: of all of theta
+// among the shared, -1 of others.
+inline std::optional<Information> of_shared(const Fit& fit, std::size_t l, const std::vector<int>& place,
+                                            Eigen::Index count) {
   const Information& all = fit.of_log(l);
+  const std::vector<int>& global = fit.layout().log(l).global;
+  std::vector<int> own, shared, own_at,
+      to;  // places in the log's theta, and in that of all, or among the shared
+  for (std::size_t i = 0; i < global.size(); ++i) {
+    const auto at = static_cast<std::size_t>(global[i]);
+    if (fit.active[at] == 0) continue;
+    (place[at] < 0 ? own : shared).push_back(static_cast<int>(i));
+    (place[at] < 0 ? own_at : to).push_back(place[at] < 0 ? global[i] : place[at]);
+  }
   Eigen::MatrixXd S = Fit::gather(all.S, own), inverse, cross(own.size(), shared.size());
+  Eigen::VectorXd pull = pick(all.g, own);
   for (std::size_t i = 0; i < own.size(); ++i) {
     const auto row = static_cast<Eigen::Index>(i);
-    S(row, row) += 1.0 / fit.prior[own[i]];
+    S(row, row) += 1.0 / fit.prior[own_at[i]];
+    pull[row] += fit.beside_rows(own_at[i]);
     for (std::size_t j = 0; j < shared.size(); ++j)
       cross(row, static_cast<Eigen::Index>(j)) = all.S(own[i], shared[j]);
   }
   double logdet = 0.0;
   if (!dense::invert(S, inverse, logdet)) return std::nullopt;
-  const Eigen::MatrixXd by = dense::transposed_times(inverse, cross);
-  return Information{Fit::gather(all.S, shared) - dense::transposed_times(cross, by),
-                     pick(all.g, shared) - by.transpose() * pick(fit.pull(all.g, 1.0), own)};
+  const Eigen::MatrixXd by = dense::transposed_times(inverse, cross),
+                        told = Fit::gather(all.S, shared) - dense::transposed_times(cross, by);
+  const Eigen::VectorXd g = pick(all.g, shared) - by.transpose() * pull;
+  Information out{Eigen::MatrixXd::Zero(count, count), Eigen::VectorXd::Zero(count)};
+  for (std::size_t i = 0; i < to.size(); ++i) {
+    out.g[to[i]] = g[static_cast<Eigen::Index>(i)];
+    for (std::size_t k = 0; k < to.size(); ++k)
+      out.S(to[i], to[k]) = told(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(k));
+  }
+  return out;
 }
 
 // (10.11) of each log against the others; of a single one nothing. `pose`: (10.10), since what follows the pose need not be the same
@@ -127,18 +146,17 @@ inline std::vector<Agreement> agreement_of_logs(const Fit& fit, const std::vecto
   std::vector<int> logs_of(fit.active.size(), 0);
   for (std::size_t l = 0; l < count; ++l)
     for (const int at : fit.layout().log(l).global) ++logs_of[static_cast<std::size_t>(at)];
-  std::vector<int> shared;
+  std::vector<int> shared, place(fit.active.size(), -1);
   for (const int at : fit.active_places())
-    if (logs_of[static_cast<std::size_t>(at)] > 1) shared.push_back(at);
+    if (logs_of[static_cast<std::size_t>(at)] > 1) {
+      place[static_cast<std::size_t>(at)] = static_cast<int>(shared.size());
+      shared.push_back(at);
+    }
   std::vector<Information> said;
   Eigen::MatrixXd S = Eigen::MatrixXd::Zero(shared.size(), shared.size());
   Eigen::VectorXd g = Eigen::VectorXd::Zero(shared.size());
   for (std::size_t l = 0; l < count; ++l) {
-    std::vector<int> own;
-    for (const int at : fit.layout().log(l).global)
-      if (logs_of[static_cast<std::size_t>(at)] == 1 && fit.active[static_cast<std::size_t>(at)] != 0)
-        own.push_back(at);
-    const auto of = of_shared(fit, l, shared, own);
+    const auto of = of_shared(fit, l, place, static_cast<Eigen::Index>(shared.size()));
     if (!of) return std::vector<Agreement>(count, {std::nan("")});
     said.push_back(*of);
     S += of->S;

@@ -59,7 +59,8 @@ class Fit {
   const Eigen::MatrixXd& S() const { return S_; }
   const Eigen::VectorXd& step() const { return step_; }
   const Eigen::VectorXd& stated() const { return stated_; }
-  // What all rows say at the last linearisation; those of a log, and of a quarter of each log beside those before it (10.11).
+  // What all rows say at the last linearisation; those of a log, of its own theta, and of a quarter of each log beside those before
+  // it (10.11).
   Information all() const { return {data_, gradient_}; }
   const Information& of_log(std::size_t l) const { return of_log_[l]; }
   const std::array<Information, 4>& quarters() const { return quarters_; }
@@ -153,9 +154,12 @@ class Fit {
   // - half the gradient in theta, the motion eliminated, of rows with this gradient, such a share of all, and of the prior.
   Eigen::VectorXd pull(const Eigen::VectorXd& gradient, double share) const {
     Eigen::VectorXd out(layout_.size());
-    for (Eigen::Index i = 0; i < out.size(); ++i)
-      out[i] = gradient[i] - (theta[i] - layout_.mean()[i]) / prior[i] - 0.5 * share * slope_[i];
+    for (Eigen::Index i = 0; i < out.size(); ++i) out[i] = gradient[i] + beside_rows(i, share);
     return out;
+  }
+  // What prior and slope pull at a place of theta.
+  double beside_rows(Eigen::Index i, double share = 1.0) const {
+    return -(theta[i] - layout_.mean()[i]) / prior[i] - 0.5 * share * slope_[i];
   }
 
   // Covariance of theta; what is held adds the width of its prior (10.1).

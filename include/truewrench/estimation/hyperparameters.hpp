@@ -17,8 +17,7 @@ inline double Fit::resize() {
                  [&](std::size_t i) { traces[i] = log.sweeps[i].traces(log.stretches[i], columns, z, P); });
     // theta's share in the raw rows: what of tr P S is not in the motion's, by whose parameters it is
     Eigen::VectorXd share(P.rows());
-    const Eigen::MatrixXd S = gather(of_log_[l].S, columns.global);
-    for (Eigen::Index i = 0; i < P.rows(); ++i) share[i] = P.col(i).dot(S.col(i));
+    for (Eigen::Index i = 0; i < P.rows(); ++i) share[i] = P.col(i).dot(of_log_[l].S.col(i));
     double motion_share = 0.0;
     for (const Traces& t : traces) motion_share += t.motion_share;
     Eigen::VectorXd of_group = Eigen::VectorXd::Zero(z.raw_factor.size());

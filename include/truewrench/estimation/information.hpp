@@ -26,9 +26,11 @@ inline bool Fit::linearise() {
   Information all = nothing;
   quarters_.fill(nothing);
   logdet_x_ = 0.0;
-  of_log_.assign(logs_.size(), nothing);
+  of_log_.assign(logs_.size(), {});
   for (std::size_t l = 0; l < logs_.size(); ++l) {
     const std::vector<int>& at = layout_.log(l).global;
+    const auto own = static_cast<Eigen::Index>(at.size());
+    of_log_[l] = {Eigen::MatrixXd::Zero(own, own), Eigen::VectorXd::Zero(own)};
     const auto add = [&at](Information& to, const Information& part, double times) {
       for (std::size_t i = 0; i < at.size(); ++i) {
         to.g[at[i]] += times * part.g[static_cast<Eigen::Index>(i)];
@@ -43,7 +45,9 @@ inline bool Fit::linearise() {
         return false;
       }
       logdet_x_ += share.all.logdet;
-      add(of_log_[l], share.all, 1.0);
+      add(all, share.all, 1.0);
+      of_log_[l].S += share.all.S;
+      of_log_[l].g += share.all.g;
       const Stretch& s = logs_[l].stretches[i];
       const auto quarter = [&](int block) -> Information& {
         return quarters_[quarter_of(logs_[l], s, block)];
@@ -54,8 +58,6 @@ inline bool Fit::linearise() {
         add(quarter(share.breaks[k] + 1), share.to_break[k], -1.0);
       }
     }
-    all.S += of_log_[l].S;
-    all.g += of_log_[l].g;
   }
   data_ = all.S;
   gradient_ = all.g;
