@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.model.split import rows_of
+from truewrench.tool.judge import misfit_of_motion
 from truewrench.tool.model import Tool
 
 MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
@@ -400,3 +402,9 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any]) -> None
     log, _ = pose_log(RIG, MASS, CENTER, walk=0.0)
     with pytest.raises(InputError, match="expected"):
         tw.identify_tool(RIG, log, **options)
+
+
+@pytest.mark.parametrize(("p", "told"), [(0.5, False), (1e-6, True), (np.nan, True)])
+def test_parts_of_a_motion_that_disagree_or_cannot_be_compared_are_told(p: float, told: bool) -> None:
+    motion: Any = SimpleNamespace(factors=(1.0,), slow=0.0, agreement=p)
+    assert bool(misfit_of_motion(motion)) is told

@@ -224,7 +224,7 @@ def misfit_of_motion(motion: MotionFit | None) -> list[str]:
             f"{100 * motion.slow:.1f}% of range follows neither weight nor motion: attitude, sign or axes of "
             "the log are not as stated, or a cable pulls."
         )
-    if motion.agreement < AGREE:
+    if not motion.agreement >= AGREE:  # NaN, too
         out.append(f"Parts of the motion tell different sensors (p = {motion.agreement:.1g}).")
     return out
 

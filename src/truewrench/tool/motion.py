@@ -167,7 +167,7 @@ def _taken(
             ),
             default=0.0,
         ),
-        min(float(found.halves.p), float(found.quarters.p)),
+        float(np.min([found.halves.p, found.quarters.p])),
         found,
     )
 
