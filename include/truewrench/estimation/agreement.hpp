@@ -153,10 +153,11 @@ inline std::vector<Agreement> agreement_of_logs(const Fit& fit, const std::vecto
       shared.push_back(at);
     }
   std::vector<Information> said;
-  Eigen::MatrixXd S = Eigen::MatrixXd::Zero(shared.size(), shared.size());
-  Eigen::VectorXd g = Eigen::VectorXd::Zero(shared.size());
+  const auto size = static_cast<Eigen::Index>(shared.size());
+  Eigen::MatrixXd S = Eigen::MatrixXd::Zero(size, size);
+  Eigen::VectorXd g = Eigen::VectorXd::Zero(size);
   for (std::size_t l = 0; l < count; ++l) {
-    const auto of = of_shared(fit, l, place, static_cast<Eigen::Index>(shared.size()));
+    const auto of = of_shared(fit, l, place, size);
     if (!of) return std::vector<Agreement>(count, {std::nan("")});
     said.push_back(*of);
     S += of->S;
