@@ -172,7 +172,7 @@ def test_sigma_is_what_the_errors_are(payloads: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("payloads", [ONE, SEVERAL], ids=["one", "several"])
 def test_poses_in_several_logs_say_what_they_say_in_one(payloads: dict[str, Any]) -> None:
-    """But for the offset, which each log has anew: here of every other pose."""
+    """But for the offset, which each log has anew: here from the middle on."""
     rig = Rig.from_mapping(settings_of(payloads, uncertainty=1e-3))
     logs, gain = poses(rig, 5, 24)
     split = [rows_of(log, slice(half * 12, half * 12 + 12)) for log in logs for half in (0, 1)]

@@ -166,7 +166,7 @@ def odd_log(p_logs: Array, logs: Sequence[Log]) -> str:
     least = p_logs[np.argmin(p_logs)]
     odd = np.flatnonzero(np.isclose(p_logs, least, rtol=1e-3, atol=0.0, equal_nan=True)).tolist()
     # two that move, beside static poses, differ from each other alike
-    names = [log_name(logs, k) for k in odd[:2]] if len(odd) == 2 else [log_name(logs, odd[0]), "the others"]
+    names = [log_name(logs, k) for k in odd] if len(odd) == 2 else [log_name(logs, odd[0]), "the others"]
     return " and ".join(names)
 
 
