@@ -70,18 +70,12 @@ inline Agreement compare(const TellsOf& a, const TellsOf& b, const Eigen::Matrix
   return compare({a.mean, b.mean}, {a.P, b.P}, added, prior);
 }
 
-inline Eigen::VectorXd pick(const Eigen::VectorXd& v, const std::vector<int>& at) {
-  Eigen::VectorXd out(at.size());
-  for (std::size_t i = 0; i < at.size(); ++i) out[static_cast<Eigen::Index>(i)] = v[at[i]];
-  return out;
-}
-
 // (10.11) of two quarters of each log against the others, at the last linearisation and sizes; `found`: (10.9), empty where d is in
 // the fit.
 inline Agreement agreement_of_quarters(const Fit& fit, const std::vector<std::vector<Moment>>& found,
                                        std::size_t first, std::size_t second) {
   const std::vector<int> use = fit.active_places();
-  const Eigen::VectorXd prior = pick(fit.prior, use);
+  const Eigen::VectorXd prior = Fit::pick(fit.prior, use);
   const Information &a = fit.quarters()[first], &b = fit.quarters()[second], all = fit.all();
   const Information part{a.S + b.S, a.g + b.g};
   Eigen::MatrixXd added = Eigen::MatrixXd::Zero(6 * fit.channels(), 6 * fit.channels());
@@ -95,9 +89,9 @@ inline Agreement agreement_of_quarters(const Fit& fit, const std::vector<std::ve
                  return clean(l, s, k) && (q == first || q == second) != rest;
                }));
   }
-  return compare({Fit::gather(part.S, use), pick(fit.pull(part.g, 0.5), use), prior},
-                 {Fit::gather(all.S - part.S, use), pick(fit.pull(all.g - part.g, 0.5), use), prior}, added,
-                 prior);
+  return compare({Fit::gather(part.S, use), Fit::pick(fit.pull(part.g, 0.5), use), prior},
+                 {Fit::gather(all.S - part.S, use), Fit::pick(fit.pull(all.g - part.g, 0.5), use), prior},
+                 added, prior);
 }
 
 // What the rows of a log say of parameters that others have, too: its own eliminated, with their prior (M13). `place`: of all of theta
@@ -106,8 +100,8 @@ inline std::optional<Information> of_shared(const Fit& fit, std::size_t l, const
                                             Eigen::Index count) {
   const Information& all = fit.of_log(l);
   const std::vector<int>& global = fit.layout().log(l).global;
-  std::vector<int> own, shared, own_at,
-      to;  // places in the log's theta, and in that of all, or among the shared
+  std::vector<int> own, shared;  // places in the log's theta
+  std::vector<int> own_at, to;   // and in that of all, or among the shared
   for (std::size_t i = 0; i < global.size(); ++i) {
     const auto at = static_cast<std::size_t>(global[i]);
     if (fit.active[at] == 0) continue;
@@ -115,7 +109,7 @@ inline std::optional<Information> of_shared(const Fit& fit, std::size_t l, const
     (place[at] < 0 ? own_at : to).push_back(place[at] < 0 ? global[i] : place[at]);
   }
   Eigen::MatrixXd S = Fit::gather(all.S, own), inverse, cross(own.size(), shared.size());
-  Eigen::VectorXd pull = pick(all.g, own);
+  Eigen::VectorXd pull = Fit::pick(all.g, own);
   for (std::size_t i = 0; i < own.size(); ++i) {
     const auto row = static_cast<Eigen::Index>(i);
     S(row, row) += 1.0 / fit.prior[own_at[i]];
@@ -127,7 +121,7 @@ inline std::optional<Information> of_shared(const Fit& fit, std::size_t l, const
   if (!dense::invert(S, inverse, logdet)) return std::nullopt;
   const Eigen::MatrixXd by = dense::transposed_times(inverse, cross),
                         told = Fit::gather(all.S, shared) - dense::transposed_times(cross, by);
-  const Eigen::VectorXd g = pick(all.g, shared) - by.transpose() * pull;
+  const Eigen::VectorXd g = Fit::pick(all.g, shared) - by.transpose() * pull;
   Information out{Eigen::MatrixXd::Zero(count, count), Eigen::VectorXd::Zero(count)};
   for (std::size_t i = 0; i < to.size(); ++i) {
     out.g[to[i]] = g[static_cast<Eigen::Index>(i)];
@@ -163,8 +157,8 @@ inline std::vector<Agreement> agreement_of_logs(const Fit& fit, const std::vecto
     S += of->S;
     g += of->g;
   }
-  const Eigen::VectorXd prior = pick(fit.prior, shared),
-                        away = (pick(fit.theta, shared) - pick(fit.layout().mean(), shared))
+  const Eigen::VectorXd prior = Fit::pick(fit.prior, shared),
+                        away = (Fit::pick(fit.theta, shared) - Fit::pick(fit.layout().mean(), shared))
                                    .cwiseQuotient(prior);
   std::vector<LogMoments> others, alone;
   if (!found.empty()) {

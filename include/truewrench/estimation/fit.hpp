@@ -66,7 +66,7 @@ class Fit {
   const std::array<Information, 4>& quarters() const { return quarters_; }
   double log_determinant() const { return logdet_x_ + logdet_s_; }
 
-  Eigen::VectorXd local(std::size_t l) const { return pick(theta, layout_.log(l)); }
+  Eigen::VectorXd local(std::size_t l) const { return pick(theta, layout_.log(l).global); }
 
   // Standard deviation found of a channel's samples, fraction of range.
   double sigma(std::size_t l, int channel) const {
@@ -202,7 +202,7 @@ class Fit {
       e = s.e;
       dc = RowMatrix::Zero(c.rows(), c.cols());
       de = RowMatrix::Zero(e.rows(), e.cols());
-      sweep.back(pick(step_, layout_.log(l)), dc, de);
+      sweep.back(pick(step_, layout_.log(l).global), dc, de);
     });
     for (; share > 0.5 * constants::move; share *= 0.5) {  // less is no move
       theta = from + share * step_;
@@ -344,9 +344,9 @@ class Fit {
     return out;
   }
 
-  static Eigen::VectorXd pick(const Eigen::VectorXd& v, const Columns& columns) {
-    Eigen::VectorXd out(columns.size());
-    for (int i = 0; i < columns.size(); ++i) out[i] = v[columns.global[static_cast<std::size_t>(i)]];
+  static Eigen::VectorXd pick(const Eigen::VectorXd& v, const std::vector<int>& at) {
+    Eigen::VectorXd out(at.size());
+    for (std::size_t i = 0; i < at.size(); ++i) out[static_cast<Eigen::Index>(i)] = v[at[i]];
     return out;
   }
 

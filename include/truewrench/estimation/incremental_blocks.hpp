@@ -352,7 +352,6 @@ inline Status Incremental::close() noexcept {
       drop_samples();
       return Status::ok;
     }
-    hops_ = left_.knots > 0.0 ? hops_ : 0;
     status = start(true);
   }
   while (standing_ && status == Status::ok && raw_at_ < raw_.end() && raw_[raw_at_].time < limit_)
