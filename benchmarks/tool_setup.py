@@ -5,7 +5,8 @@
 
 Tools, gains, offsets and walks as in unknown_tools.py; every mistake is made in the same logs. Refused is a
 tool of status 3, or a log that is bad input (2); a word counts where the reason names the mistake. A force
-scale that is off by 10% leaves no trace: there it counts that the result says so. Intervals are
+scale that is off by 10% leaves no trace: there it counts that the result says so. The last mistakes are of
+a second log; healthy logs are tried alone, and in pairs. Intervals are
 Clopper-Pearson's, 95%. The recipe of ten linear parameters refuses nothing: by how much its mass is off, in
 the median.
 """
@@ -19,7 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,6 +52,7 @@ class Mistake:
     theta: Callable[[Array], Array] = lambda theta: theta
     rig: Callable[[Rig], Rig] = lambda rig: rig
     seen: bool = True
+    second: Callable[[Array], Array] | None = None  # theta of a second log
 
 
 def turned(log: Log, turn: Array) -> Log:
@@ -143,6 +145,25 @@ def without_attitude(rng: np.random.Generator, log: Log, theta: Array) -> Log:
     return replace(log, attitude=None)
 
 
+def heavier(theta: Array) -> Array:
+    theta = theta.copy()
+    theta[LAYOUT.log_mass] += np.log(1.03)
+    return theta
+
+
+def shifted(theta: Array) -> Array:
+    theta = theta.copy()
+    theta[LAYOUT.center_of_mass.start] += 5e-3
+    return theta
+
+
+def another_gain(theta: Array) -> Array:
+    theta, span = theta.copy(), RIG.sensor.range_array
+    change = 0.02 * np.random.default_rng(0).normal(size=(6, 6)) * span[:, None] / span
+    theta[LAYOUT.gain] += change.ravel()
+    return theta
+
+
 SWAP = np.eye(3)[[1, 0, 2]]
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 MISTAKES: dict[str, Mistake] = {
@@ -164,26 +185,29 @@ MISTAKES: dict[str, Mistake] = {
     "force scale 10% low": Mistake(
         "force scale", lambda rng, log, theta: scaled(log, [0.9, 0.9, 0.9, 1, 1, 1]), seen=False
     ),
+    "a second log, 3% heavier": Mistake("different tools", as_it_is, second=heavier),
+    "a second log, 5 mm off": Mistake("different tools", as_it_is, second=shifted),
+    "a second log, 2% another gain": Mistake("different tools", as_it_is, second=another_gain),
 }
 RIG = rig_of(GAIN_PRIOR)
 
 
-def verdict(rig: Rig, log: Log) -> tuple[bool, str, str]:
+def verdict(rig: Rig, logs: Sequence[Log]) -> tuple[bool, str, str]:
     """Whether it is refused, the reasons, and the words for what is not determined."""
     try:
-        tool = tw.identify_tool(rig, log)
+        tool = tw.identify_tool(rig, logs)
     except InputError as error:
         return True, str(error), ""
     unknown = " ".join(one.words for one in tool.verdict.undetermined)
     return not tool.verdict.usable, " ".join(tool.verdict.reasons), unknown
 
 
-def plain_error(rig: Rig, log: Log, theta: Array, *, moving: bool) -> float:
-    """Of the recipe's mass, relative; NaN where the log holds none."""
-    if log.gravity is None:
+def plain_error(rig: Rig, logs: Sequence[Log], theta: Array, *, moving: bool) -> float:
+    """Of the recipe's mass, relative; NaN where a log has no gravity."""
+    if any(log.gravity is None for log in logs):
         return np.nan
     mass = float(np.exp(theta[LAYOUT.log_mass]))
-    return abs(float(fitted(rig, [log], moving=moving).x[0]) / mass - 1.0)
+    return abs(float(fitted(rig, logs, moving=moving).x[0]) / mass - 1.0)
 
 
 def interval(k: int, n: int) -> str:
@@ -216,11 +240,13 @@ def main() -> None:
         for seed in range(asked.seeds):
             rng = np.random.default_rng(seed)
             theta = mistake.theta(draw(rng, RIG, seed))
-            log = mistake.spoil(rng, make(rng, RIG, theta), theta)
+            logs = [mistake.spoil(rng, make(rng, RIG, theta), theta)]
+            if mistake.second is not None:
+                logs.append(make(rng, RIG, mistake.second(theta)))
             started = time.perf_counter()
-            no, reasons, unknown = verdict(mistake.rig(RIG), log)
+            no, reasons, unknown = verdict(mistake.rig(RIG), logs)
             seconds += time.perf_counter() - started
-            off.append(plain_error(mistake.rig(RIG), log, theta, moving=asked.data == "motion"))
+            off.append(plain_error(mistake.rig(RIG), logs, theta, moving=asked.data == "motion"))
             told = mistake.word in (reasons if mistake.seen else unknown)
             refused, named = refused + no, named + told
             if asked.reasons and not told:
@@ -235,19 +261,19 @@ def main() -> None:
             f"{100 * np.median(off):.2g}%",
         )
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
-    alarms, started = 0, time.perf_counter()
-    for seed in range(0 if asked.only else asked.healthy):
-        rng = np.random.default_rng(10_000 + seed)
-        log = make(rng, RIG, draw(rng, RIG, seed))
-        no, reasons, _ = verdict(RIG, log)
-        alarms += no
-        if no and asked.reasons:
-            print(f"    healthy {seed}: {reasons[:300]}")
-    if asked.healthy and not asked.only:
+    for count, name in ((1, "healthy"), (2, "healthy, two logs")):
+        if not asked.healthy or asked.only:
+            continue
+        alarms, started = 0, time.perf_counter()
+        for seed in range(asked.healthy):
+            rng = np.random.default_rng(10_000 + seed)
+            theta = draw(rng, RIG, seed)
+            no, reasons, _ = verdict(RIG, [make(rng, RIG, theta) for _ in range(count)])
+            alarms += no
+            if no and asked.reasons:
+                print(f"    {name} {seed}: {reasons[:300]}")
         took = (time.perf_counter() - started) / asked.healthy
-        print(
-            f"| healthy | {alarms} | | {asked.healthy} | {interval(alarms, asked.healthy)} | {took:.2f} | |"
-        )
+        print(f"| {name} | {alarms} | | {asked.healthy} | {interval(alarms, asked.healthy)} | {took:.2f} | |")
 
 
 if __name__ == "__main__":

@@ -372,8 +372,9 @@ def test_options_beyond_their_bounds_are_refused(options: dict[str, Any], words:
 
 @pytest.mark.parametrize("motion", [True, False])
 def test_a_plan_of_a_rig_without_of_says_that_another_command_reads_it_otherwise(motion: bool) -> None:
-    rig = twists().to_mapping()
-    assert not any("motion.of" in note for note in plan_tool(twists(), motion=motion).notes)
+    stated = twists(plan={"duration": 4.0, "harmonics": 2})
+    rig = stated.to_mapping()
+    assert not any("motion.of" in note for note in plan_tool(stated, motion=motion).notes)
     del rig["motion"]["of"]
     notes = plan_tool(Rig.from_mapping(rig), motion=motion).notes
     assert any("state `motion.of: sensor`" in note for note in notes)

@@ -36,10 +36,9 @@ from truewrench.judging.validation.comparison import (
     compare_in_sample,
     compare_on,
 )
-from truewrench.judging.words import log_name
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration, Verdict
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import restamped, with_weight_on_time
 

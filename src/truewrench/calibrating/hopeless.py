@@ -10,10 +10,9 @@ from truewrench import _core
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.least_squares import least_squares
 from truewrench.judging import gross_errors
-from truewrench.judging.words import log_name
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.motion.smooth import covered
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of

@@ -8,12 +8,11 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimation.assembly import log_report
-from truewrench.estimation.estimate import AGREE, Estimate, without_motion, worst_of
+from truewrench.estimation.estimate import AGREE, Estimate, odd_log, without_motion, worst_of
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation import CHANGE, LOSS
 from truewrench.judging.validation.comparison import Comparison
-from truewrench.judging.words import odd_log
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, AxisImprovement, LogReport
 from truewrench.model.errors import InputError, UnsupportedError

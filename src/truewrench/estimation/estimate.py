@@ -10,7 +10,7 @@ import numpy as np
 from truewrench import _core
 from truewrench.estimation.joint import Joint, body_part
 from truewrench.model.arrays import Array, Integers, Mask
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.rig import PayloadSpec, Rig
 
 AGREE = 0.5 * _core.DOUBT  # p of each of the two comparisons of (10.11), from which on parts agree
@@ -235,6 +235,17 @@ class Estimate:
 def worst_of(p_logs: Array) -> float:
     """Of (10.11): the log that stands out most, of as many as are independent."""
     return float(np.minimum(1.0, max(len(p_logs) - 1, 1) * p_logs.min()))
+
+
+def odd_log(p_logs: Array, logs: Sequence[Log]) -> str:
+    """Which log stands out, by how likely each is to differ as much by chance (L,)."""
+    if len(p_logs) < 3:
+        return "one log and the other"
+    least = p_logs[np.argmin(p_logs)]
+    odd = np.flatnonzero(np.isclose(p_logs, least, rtol=1e-3, atol=0.0, equal_nan=True)).tolist()
+    # two that move, beside static poses, differ from each other alike
+    names = [log_name(logs, k) for k in odd] if len(odd) == 2 else [log_name(logs, odd[0]), "the others"]
+    return " and ".join(names)
 
 
 def undisturbed(log: Log, left_out: Integers, steps: Sequence[Step]) -> Log:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truewrench import _core
-from truewrench.estimation.estimate import AGREE, Estimate
+from truewrench.estimation.estimate import AGREE, Estimate, odd_log
 from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.judging.advice import Disturbed, advice
 from truewrench.judging.blind import blind_to
@@ -21,11 +21,9 @@ from truewrench.judging.words import (
     kinds_of_disturbances,
     likeliest_fast,
     listed,
-    log_name,
     looks_fast,
     looks_slow,
     motion_scatter,
-    odd_log,
     of_references,
     plural,
     scatter,
@@ -34,7 +32,7 @@ from truewrench.judging.words import (
 )
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.calibration_parts import AXES, Undetermined, Verdict
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 
 __all__ = [

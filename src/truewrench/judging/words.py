@@ -17,9 +17,9 @@ from truewrench.estimation.estimate import Clock, Estimate, FoundNoise, Slow
 from truewrench.estimation.far_clock import bent
 from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.judging.attribution import Looks, fast_looks, slow_looks
-from truewrench.model.arrays import Array, Mask
+from truewrench.model.arrays import Mask
 from truewrench.model.calibration_parts import Assumed
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 
 MOST = 3  # kinds that are named at once
@@ -150,24 +150,6 @@ def kinds_of_disagreement(estimate: Estimate, rig: Rig, logs: Sequence[Log]) -> 
     if not slow_found(estimate):
         kinds = [*(kind for kind in ("contact", "outliers", "filter") if kind in told), *kinds]
     return tuple(dict.fromkeys(kinds))[:MOST]
-
-
-def log_name(logs: Sequence[Log], k: int) -> str:
-    """How a log is called in a sentence."""
-    path = logs[k].path if k < len(logs) else None
-    number = f"log {k + 1}" if len(logs) > 1 else "the log"
-    return number if path is None else f"{number} ({path.name})"
-
-
-def odd_log(p_logs: Array, logs: Sequence[Log]) -> str:
-    """Which log stands out, by how likely each is to differ as much by chance (L,)."""
-    if len(p_logs) < 3:
-        return "one log and the other"
-    least = p_logs[np.argmin(p_logs)]
-    odd = np.flatnonzero(np.isclose(p_logs, least, rtol=1e-3, atol=0.0, equal_nan=True)).tolist()
-    # two that move, beside static poses, differ from each other alike
-    names = [log_name(logs, k) for k in odd] if len(odd) == 2 else [log_name(logs, odd[0]), "the others"]
-    return " and ".join(names)
 
 
 def listed(words: Sequence[str], last: str = "or") -> str:

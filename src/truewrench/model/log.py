@@ -1,6 +1,6 @@
 """LOG: what was recorded, as arrays on the log's own time stamps."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -208,3 +208,10 @@ class Log:
         """Half of the time [s] for which one sample of a field is read; 0 where the filter was undone."""
         found = self.whitened.get(stream)
         return 0.0 if found is None or found.growth > 1.0 else 0.5 * found.step * found.period
+
+
+def log_name(logs: Sequence[Log], k: int) -> str:
+    """How a log is called in a sentence."""
+    path = logs[k].path if k < len(logs) else None
+    number = f"log {k + 1}" if len(logs) > 1 else "the log"
+    return number if path is None else f"{number} ({path.name})"

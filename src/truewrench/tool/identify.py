@@ -20,6 +20,7 @@ from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated, with_weight_on_time
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
+from truewrench.tool.agreement import agreement_of
 from truewrench.tool.bodies import inertia_std, joined, nearest_physical
 from truewrench.tool.checks import check_known, check_logs, check_options, check_session
 from truewrench.tool.held_out import held_out
@@ -27,7 +28,7 @@ from truewrench.tool.judge import Judged, judge, misfit_of_motion
 from truewrench.tool.model import Body, Tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.motion import MotionFit, body_start, motion_information
-from truewrench.tool.parameters import COLUMNS, ROWS, channel_turn, inertia_of, second_moments
+from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, second_moments
 from truewrench.tool.poses import Split, split_poses
 from truewrench.tool.prior import make_prior, settings_of, widening, with_known_wrenches
 from truewrench.tool.setup import mistakes_of_motion
@@ -138,6 +139,7 @@ def identify_tool(
         left,
         logs=[move.record for move in split.moves],
         determined=_determined(solution),
+        agreement=agreement_of(solution, records, threads or 0),
     )
     if on is not None and not on.verdict.usable:  # whose gain is the prior here: nothing would contradict it
         why = " ".join(on.verdict.reasons)
@@ -161,11 +163,7 @@ def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, M
     rig, layout = problem.rig, problem.vector.layout
     still = solve(problem) if len(problem.poses) else None
     gain = problem.prior.mean[layout.gain].reshape(-1, 6)
-    gain_std = np.sqrt(np.diag(problem.prior.covariance)[layout.gain]).reshape(-1, 6)
-    mounting = np.sqrt(np.diag(problem.prior.covariance)[layout.mounting])
-    span = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
-    gain_std = np.hypot(gain_std, mounting.max() / span)  # the estimator's gain holds the mounting
-    tilt_std = float(np.sqrt(np.diag(problem.prior.covariance)[layout.tilt]).max())
+    gain_std, tilt_std = problem.priors_of_motion
     body, x = body_start(rig, logs, gain), None if still is None else still.x
     motion = None
     solution = still
@@ -184,8 +182,7 @@ def _solved(problem: Problem, threads: int | None) -> tuple[Problem, Solution, M
         solution = solve(problem, x)
         moved = (solution.x - x)[: layout.log_mass + 1]
         x = solution.x
-        body = problem.total(x)[0]
-        gain = x[layout.gain].reshape(-1, 6) @ np.kron(np.eye(2), channel_turn(x[layout.mounting])[0])
+        gain, body = problem.motion_of(x)
         sigma = np.sqrt(np.diag(solution.covariance))[: layout.log_mass + 1]
         by = np.abs(moved / sigma)
         again, misfit = misfit, bool(misfit_of_motion(motion))

@@ -12,6 +12,7 @@ from truewrench.estimation.estimate import AGREE
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.tool.agreement import Agreement
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit
@@ -54,11 +55,17 @@ def judge(
     *,
     logs: Sequence[Log] = (),
     determined: Mapping[str, Any],
+    agreement: Agreement,
 ) -> Judged:
     """Set-up tests, words and needs of one identification; `logs` those of motion."""
     moving = bool(logs)
-    figures = _figures(solution, motion, left) | _undone(logs)
+    figures = _figures(solution, motion, left) | _undone(logs) | {"logs_agree": agreement.p}
     reasons, needed = _reasons(rig, solution, motion, left, figures, determined, logs)
+    if not agreement.p >= CHANCE:  # NaN, too
+        reasons.append(
+            f"Logs tell different tools or sensors: {agreement.odd} (p = {agreement.p:.1g}). The tool, its "
+            "place on the sensor, or the sensor changed between them."
+        )
     unknown, more = _undetermined(rig, solution, motion, moving, determined, figures)
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(dict.fromkeys([*needed, *more])))
     return Judged(verdict, figures)

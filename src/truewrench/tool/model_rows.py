@@ -145,6 +145,15 @@ class Problem:
         knots = sum(move.knots.size for move in self.moves)
         return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm, session, knots)
 
+    @property
+    def priors_of_motion(self) -> tuple[Array, float]:
+        """1 sigma of the gain, which holds the mounting where motion is read (n, 6), and of tilt [rad]."""
+        layout, sensor = self.vector.layout, self.rig.sensor
+        sigma = np.sqrt(np.diag(self.prior.covariance))
+        span = sensor.range_array / sensor.channel_scale[:, None]
+        gain_std = np.hypot(sigma[layout.gain].reshape(-1, 6), sigma[layout.mounting].max() / span)
+        return gain_std, float(sigma[layout.tilt].max())
+
     def offsets_of_moves(self) -> list[slice]:
         """Places in x of the offsets that `MotionInformation` is of."""
         v, free, out = self.vector, count(), []
@@ -192,6 +201,11 @@ class Problem:
             J[channels, k, v.offset(link.log).start + channels] = 1.0
             J[channels, k, link.place.start + channels] = -1.0
         return r, J
+
+    def motion_of(self, x: Array) -> tuple[Array, Array]:
+        """Gain with the mounting (n, 6) and body as (log m, c, inertia) (10,), as motion is read about x."""
+        turn = np.kron(np.eye(2), channel_turn(x[self.vector.layout.mounting])[0])
+        return x[self.vector.layout.gain].reshape(-1, 6) @ turn, self.total(x)[0]
 
     def total(self, x: Array) -> tuple[Array, Array]:
         """The body that the sensor carries as (log m, c, inertia) (10,), and its derivative (10, p)."""

@@ -101,6 +101,27 @@ def _sums(problem: Problem, at: _Linear, sizes: Array) -> tuple[Array, Array, fl
     return A, g, squares, logdet
 
 
+def told(problem: Problem, at: Solution, own: bool) -> tuple[Array, Array]:
+    """Information and gradient of a part of a problem about the solution of all.
+
+    Rate and repeatability are those of the part's own poses, if asked for. In units of the prior's sigma; a
+    slope with the temperature is not within where the part has none.
+    """
+    size = problem.vector.size
+    mean, P = at.prior_mean[:size], at.prior_covariance[:size, :size]
+    scale = np.sqrt(np.diag(P))
+    linear = _linearise(problem, at.x[:size], mean, _inverse(P, scale), scale, problem.walked(linked=True))
+    sizes = np.log([at.rate, at.repeatability])
+    if own:
+        sizes = _sizes(problem, linear, _START) if len(problem.poses) else _START
+    return _sums(problem, linear, sizes)[:2]
+
+
+def _inverse(P: Array, scale: Array) -> Array:
+    """Of the prior's covariance, in units of its sigma."""
+    return np.asarray(np.linalg.inv(P / np.outer(scale, scale) + 1e-12 * np.eye(len(P))))
+
+
 _START = np.log([WALK, REPEATABILITY])
 
 
@@ -125,7 +146,7 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
     """
     mean, P = problem.prior_of_all()
     scale = np.sqrt(np.diag(P))
-    inverse = np.linalg.inv(P / np.outer(scale, scale) + 1e-12 * np.eye(len(mean)))
+    inverse = _inverse(P, scale)
     K = problem.walked(linked=True)
     x = mean.copy() if start is None else start.copy()
     if start is None and len(problem.poses):

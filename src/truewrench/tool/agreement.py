@@ -1,0 +1,103 @@
+"""Whether logs tell the same tool on the same sensor: each log against the others (METHOD (10.11))."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from truewrench.estimation.estimate import odd_log, worst_of
+from truewrench.model.arrays import Array, Mask
+from truewrench.model.log import Log
+from truewrench.tool.model_rows import MotionInformation
+from truewrench.tool.motion import motion_information
+from truewrench.tool.poses import Move
+from truewrench.tool.solve import Solution, told
+
+_LEAST = 1e-9  # of the prior's variance: a direction of which two parts know no more is none
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How far logs tell the same."""
+
+    p: float  # of chance that one differs as much from the others; 1: nothing to compare
+    odd: str  # which that is, in words
+
+
+def agreement_of(solution: Solution, logs: Sequence[Log], threads: int) -> Agreement:
+    """Of all logs of an identification, in the order of its poses and moves."""
+    p = agreement_of_logs(solution, threads)
+    return Agreement(worst_of(p), odd_log(p, logs))
+
+
+def agreement_of_logs(solution: Solution, threads: int) -> Array:
+    """(L,) how likely chance makes each log differ as much from the others in gain, body, mounting and tilt.
+
+    About the solution of all. Each log is read alone, so that no size has grown with what differs, and its
+    offsets are integrated out; those of one session tell of each other: they, and their walk, stay as they
+    are. 1: nothing to compare; no numbers: a motion could not be read alone.
+    """
+    problem = solution.problem
+    v, poses = problem.vector, problem.poses
+    moves = {move.log: move for move in problem.moves}
+    logs = [log for log in range(v.logs) if log in moves or (poses.log == log).any()]
+    p = np.ones(v.logs)
+    if len(logs) < 2:
+        return p
+    says = {log: _motion(solution, move, threads) for log, move in moves.items()}
+    if None in says.values():
+        return np.full(v.logs, np.nan)
+    session = problem.rig.sensor.pool_offsets
+    offsets = np.r_[v.layout.offset, v.carried, v.before.stop : v.slope.start]
+    common = np.setdiff1d(np.arange(v.slope.start), offsets)
+    kept = np.arange(v.slope.start) if session else common
+
+    def of(chosen: Mask, motion: MotionInformation | None) -> tuple[Array, Array]:
+        """Information on what is kept, and its product with the mean."""
+        A, g = told(replace(problem, poses=poses.of(chosen), motion=motion), solution, not session)
+        P = np.linalg.inv(A)
+        information: Array = np.linalg.inv(P[np.ix_(kept, kept)])
+        return information, np.asarray(information @ (P @ g)[kept])
+
+    prior, of_prior = of(np.zeros(len(poses), dtype=bool), None)
+    said = []
+    for log in logs:
+        S, h = of(poses.log == log, says.get(log))
+        said.append((S - prior, h - of_prior))
+    all_S, all_h = sum(S for S, _ in said) + prior, sum(h for _, h in said) + of_prior
+    here = np.searchsorted(kept, common)
+    block = np.ix_(here, here)
+    root = np.linalg.cholesky(np.linalg.inv(prior)[block])
+    for log, (S, h) in zip(logs, said, strict=True):
+        P, rest = np.linalg.inv(S + prior), np.linalg.inv(all_S - S)
+        both = P @ prior @ rest
+        V = (P + rest - both - both.T)[block]  #                                                       (10.11)
+        V = np.linalg.solve(root, np.linalg.solve(root, V).T)
+        away = np.linalg.solve(root, (P @ (h + of_prior) - rest @ (all_h - h))[here])
+        values, vectors = np.linalg.eigh(0.5 * (V + V.T))
+        seen = values > _LEAST
+        if seen.any():
+            p[log] = chdtrc(np.count_nonzero(seen), ((vectors[:, seen].T @ away) ** 2 / values[seen]).sum())
+    return p
+
+
+def _motion(solution: Solution, move: Move, threads: int) -> MotionInformation | None:
+    """What one move alone says, at the places of all."""
+    problem = solution.problem
+    gain, body = problem.motion_of(solution.x)
+    gain_std, tilt_std = problem.priors_of_motion
+    found = motion_information(
+        problem.rig, [move], gain, gain_std, body, tilt_std, walk=solution.rate, threads=threads
+    )
+    if found is None:
+        return None
+    n, says = problem.vector.n, found.information
+    counts = [n * max(one.knots.size, 1) for one in problem.moves]
+    first = 6 * n + 10
+    start = first + sum(counts[: problem.moves.index(move)])
+    size = first + sum(counts) + 2
+    at = np.r_[:first, start : start + counts[problem.moves.index(move)], size - 2 : size]
+    out = MotionInformation(np.zeros(size), np.zeros((size, size)), np.zeros(size))
+    out.at[at], out.information[np.ix_(at, at)], out.gradient[at] = says.at, says.information, says.gradient
+    return out

@@ -1,0 +1,129 @@
+"""Several logs of one tool agree by chance; a log of another tool, or of another sensor, is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+from tool_cases import Array, a_rig, pose_log, swing_log
+
+import truewrench as tw
+from truewrench.model.log import Log
+from truewrench.model.rig import Rig
+from truewrench.model.rig.tool_rig import tool_rig
+from truewrench.model.split import rows_of
+from truewrench.tool.judge import CHANCE
+
+MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
+INERTIA = np.diag([0.012, 0.010, 0.006])
+PLAIN = tool_rig(a_rig())
+IMU = tool_rig(a_rig(motion={"source": "imu", "noise": [1e-3] * 3, "acceleration_noise": [1e-2] * 3}))
+
+Logged = Callable[[int, float, Array], Log]
+
+
+def poses(seed: int, mass: float, center: Array) -> Log:
+    return pose_log(PLAIN, mass, center, poses=12, seed=seed)[0]
+
+
+def swing(seed: int, mass: float, center: Array) -> Log:
+    return swing_log(PLAIN, mass, center, mass / MASS * INERTIA, seed=seed)
+
+
+def imu(seed: int, mass: float, center: Array) -> Log:
+    return swing_log(IMU, mass, center, mass / MASS * INERTIA, seed=seed)
+
+
+PAIRS = pytest.mark.parametrize(
+    ("rig", "first", "second"),
+    [(PLAIN, poses, poses), (PLAIN, poses, swing), (PLAIN, swing, swing), (IMU, imu, imu)],
+    ids=["poses", "poses and motion", "motion", "imu"],
+)
+
+
+@PAIRS
+def test_logs_of_one_tool_agree(rig: Rig, first: Logged, second: Logged) -> None:
+    for seed in range(2):
+        tool = tw.identify_tool(rig, [first(seed, MASS, CENTER), second(seed + 50, MASS, CENTER)])
+        assert tool.verdict.usable
+        assert tool.figures["logs_agree"] > 1e-3
+
+
+@PAIRS
+@pytest.mark.parametrize(
+    ("mass", "center", "gain"),
+    [(1.03 * MASS, CENTER, 0.0), (MASS, CENTER + [0.004, 0.0, 0.0], 0.0), (MASS, CENTER, 0.02)],
+    ids=["3% heavier", "4 mm off", "another gain"],
+)
+def test_a_log_of_another_tool_or_sensor_is_told(
+    rig: Rig, first: Logged, second: Logged, mass: float, center: Array, gain: float
+) -> None:
+    """Each fits a body of its own, and both together one between, whose sigma knows of neither."""
+    other = second(60, mass, center)
+    span = rig.sensor.range_array
+    turned = np.eye(6) + gain * np.random.default_rng(1).normal(size=(6, 6)) * span[:, None] / span
+    tool = tw.identify_tool(rig, [first(1, MASS, CENTER), replace(other, raw=other.raw @ turned.T)])
+    assert tool.figures["logs_agree"] < CHANCE
+    assert not tool.verdict.usable
+    assert any("one log and the other" in reason for reason in tool.verdict.reasons)
+
+
+def test_the_log_that_stands_out_is_named() -> None:
+    logs = [poses(k, 1.05 * MASS if k == 1 else MASS, CENTER) for k in range(3)]
+    (reason,) = [x for x in tw.identify_tool(PLAIN, logs).verdict.reasons if x.startswith("Logs tell")]
+    assert "log 2 and the others" in reason
+
+
+def test_p_is_spread_evenly_where_all_is_well() -> None:
+    p = [
+        tw.identify_tool(PLAIN, [poses(2 * seed, MASS, CENTER), poses(2 * seed + 1, MASS, CENTER)]).figures[
+            "logs_agree"
+        ]
+        for seed in range(30)
+    ]
+    for share in (0.2, 0.5, 0.8):
+        low, high = binom.interval(1.0 - 1e-3, len(p), share)
+        assert low <= np.count_nonzero(np.array(p) < share) <= high
+
+
+def test_logs_of_one_session_share_their_offset_and_are_told_all_the_same() -> None:
+    rig = tool_rig(a_rig(sensor={"pool_offsets": True}))
+    log = pose_log(rig, MASS, CENTER, poses=24, seed=3)[0]
+    half = np.arange(24) < 12
+    first, second = rows_of(log, half), rows_of(log, ~half)
+    assert tw.identify_tool(rig, [first, second]).figures["logs_agree"] > 1e-3
+    assert second.gravity is not None
+    more = 0.1 * MASS * np.column_stack([second.gravity, np.cross(CENTER, second.gravity)])
+    heavier = replace(second, raw=second.raw + rig.sensor.sign * more)
+    assert tw.identify_tool(rig, [first, heavier]).figures["logs_agree"] < CHANCE
+
+
+def test_p_of_poses_is_that_of_two_textbook_fits() -> None:
+    """Noise that hides walk and repeatability, an exact gain: weight, moment and offset are linear."""
+    noise = [2.0, 2.0, 2.0, 0.1, 0.1, 0.1]
+    rig = tool_rig(a_rig(sensor={"noise": noise, "gain_prior": 1e-9}))
+    logs = [
+        pose_log(rig, mass, CENTER, poses=14, walk=0.0, seed=seed)[0]
+        for seed, mass in ((1, MASS), (2, 1.04 * MASS))
+    ]
+    tool = tw.identify_tool(rig, logs, mounting_sigma=0.0, tilt_sigma=1e-9)
+    found, information = [], []
+    for log in logs:
+        assert log.gravity is not None
+        A = np.zeros((len(log.raw), 6, 10))  # of m, m c and the offset
+        A[:, :3, 0] = log.gravity
+        for k, e in enumerate(np.eye(3)):
+            A[:, 3:, 1 + k] = np.cross(e, log.gravity)
+        A[:, :, 4:] = np.eye(6)
+        A = (A / np.array(noise)[:, None]).reshape(-1, 10)
+        y = (rig.sensor.sign * log.raw / noise).ravel()
+        found.append(np.linalg.lstsq(A, y, rcond=None)[0][:4])
+        information.append(np.linalg.inv(np.linalg.inv(A.T @ A)[:4, :4]))
+    V = sum(np.linalg.inv(one) for one in information)
+    away = found[0] - found[1]
+    expected = chi2.sf(away @ np.linalg.solve(V, away), 4)
+    assert 1e-6 < expected < 0.2
+    assert np.log(tool.figures["logs_agree"]) == pytest.approx(np.log(expected), rel=0.1)
