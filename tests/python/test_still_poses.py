@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 import truewrench as tw
+from truewrench.calibrating.still_agreement import agreement_of_still
 from truewrench.calibrating.still_poses import estimate_still, only_still
 from truewrench.cli import main
 from truewrench.io.tables import GRAVITY, TWIST, write_table
@@ -183,6 +184,21 @@ def test_poses_in_several_logs_say_what_they_say_in_one(payloads: dict[str, Any]
     assert np.all(np.sqrt(np.diag(several.covariance)[:36]) > 0.99 * std)
     d = (several.gain - gain).ravel()
     assert d @ np.linalg.solve(several.covariance[:36, :36], d) < chi2.ppf(1.0 - 1e-4, 36)
+
+
+@pytest.mark.parametrize("names", ["abcd", "aa"], ids=["several payloads", "one payload"])
+def test_a_log_with_another_payload_than_stated_is_told_by_the_others(names: str) -> None:
+    """Gain and walk would follow it: 5% of mass, and a gain between the two."""
+    rig = Rig.from_mapping(settings_of(SEVERAL, uncertainty=1e-3) | {"gravity_tilt_prior": 0})
+    for seed in range(4):
+        logs, _ = poses(rig, seed, 24)
+        if names == "aa":
+            logs = [rows_of(logs[0], slice(12)), rows_of(logs[0], slice(12, 24))]
+        assert agreement_of_still(rig, logs, estimate_still(rig, logs)).min() > 1e-4
+        raw = logs[1].raw + 0.05 * (logs[1].raw - logs[1].raw.mean(axis=0))
+        spoilt = [logs[0], replace(logs[1], raw=raw), *logs[2:]]
+        (reason,) = [x for x in tw.calibrate(rig, spoilt).verdict.reasons if "tell different gains" in x]
+        assert ("log 2 and the others" if names == "abcd" else "one log and the other") in reason
 
 
 def test_mistakes_of_the_set_up_are_refused() -> None:

@@ -15,6 +15,7 @@ from truewrench.calibrating.known_wrench import (
     known_wrench_reports,
     wrench_is_known,
 )
+from truewrench.calibrating.still_agreement import agreement_of_still
 from truewrench.calibrating.still_poses import (
     compare_still,
     estimate_still,
@@ -173,7 +174,7 @@ def _from_still_poses(
     report("comparing", None)
     compared = compare_still(rig, logs, found, held_out)
     clock.append(time.perf_counter())
-    judgement = judge_still(rig, logs, found, compared)
+    judgement = judge_still(rig, logs, found, compared, agreement_of_still(rig, logs, found))
     clock.append(time.perf_counter())
     show(Evidence(tuple(logs), estimate))
     provisional = assemble_motion(rig, logs, "map", estimate, judgement.verdict)

@@ -19,7 +19,7 @@ from truewrench.calibrating.known_wrench import BLOCKS, FOLDS, FREEDOM, improvem
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
 from truewrench.estimation.assembly import log_report
-from truewrench.estimation.estimate import Estimate, of_joint, without_motion
+from truewrench.estimation.estimate import AGREE, Estimate, odd_log, of_joint, without_motion, worst_of
 from truewrench.estimation.unknowns import horizontal_axes
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation.comparison import Comparison
@@ -156,9 +156,19 @@ def misfit_of_still(found: StillEstimate) -> list[str]:
     return reasons
 
 
-def judge_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: Comparison) -> Judgement:
-    """The verdict on what static poses say of the gain: of the one function that decides."""
+def judge_still(
+    rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: Comparison, p_logs: Array
+) -> Judgement:
+    """The verdict on what static poses say of the gain: of the one function that decides.
+
+    `p_logs` (L,): how likely chance makes each log differ as much from the others.
+    """
     known, reasons = known_logs(rig, logs), [*scale_unknown(rig, logs), *misfit_of_still(found)]
+    if not worst_of(p_logs) >= AGREE:
+        reasons.append(
+            f"{odd_log(p_logs, logs)} tell different gains (p = {worst_of(p_logs):.1g}): sensor or payload "
+            "changed between logs"
+        )
     spare = sum(len(s.problem.poses) - s.problem.vector.logs for s in found.solutions.values())
     if spare < FREEDOM + 3 * len(found.solutions):
         reasons.append(

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from truewrench.estimation.estimate import odd_log, worst_of
-from truewrench.model.arrays import Array, Mask
+from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.log import Log
-from truewrench.tool.model_rows import MotionInformation
+from truewrench.tool.model_rows import MotionInformation, Problem
 from truewrench.tool.motion import motion_information
 from truewrench.tool.poses import Move
 from truewrench.tool.solve import Solution, told
@@ -45,40 +45,49 @@ def agreement_of_logs(solution: Solution, threads: int) -> Array:
     p = np.ones(v.logs)
     if len(logs) < 2:
         return p
-    says = {log: _motion(solution, move, threads) for log, move in moves.items()}
-    if None in says.values():
+    of_moves = {log: _motion(solution, move, threads) for log, move in moves.items()}
+    if None in of_moves.values():
         return np.full(v.logs, np.nan)
     session = problem.rig.sensor.pool_offsets
     offsets = np.r_[v.layout.offset, v.carried, v.before.stop : v.slope.start]
     common = np.setdiff1d(np.arange(v.slope.start), offsets)
     kept = np.arange(v.slope.start) if session else common
 
-    def of(chosen: Mask, motion: MotionInformation | None) -> tuple[Array, Array]:
-        """Information on what is kept, and its product with the mean."""
-        A, g = told(replace(problem, poses=poses.of(chosen), motion=motion), solution, not session)
-        P = np.linalg.inv(A)
-        information: Array = np.linalg.inv(P[np.ix_(kept, kept)])
-        return information, np.asarray(information @ (P @ g)[kept])
+    def says(chosen: Mask, motion: MotionInformation | None) -> tuple[Array, Array]:
+        part = replace(problem, poses=poses.of(chosen), motion=motion)
+        return marginal(part, solution, kept, own=not session)
 
-    prior, of_prior = of(np.zeros(len(poses), dtype=bool), None)
-    said = []
-    for log in logs:
-        S, h = of(poses.log == log, says.get(log))
-        said.append((S - prior, h - of_prior))
-    all_S, all_h = sum(S for S, _ in said) + prior, sum(h for _, h in said) + of_prior
-    here = np.searchsorted(kept, common)
-    block = np.ix_(here, here)
-    root = np.linalg.cholesky(np.linalg.inv(prior)[block])
-    for log, (S, h) in zip(logs, said, strict=True):
-        P, rest = np.linalg.inv(S + prior), np.linalg.inv(all_S - S)
-        both = P @ prior @ rest
+    prior = says(poses.log < 0, None)
+    said = [says(poses.log == log, of_moves.get(log)) for log in logs]
+    p[logs] = apart(prior, said, np.searchsorted(kept, common))
+    return p
+
+
+def marginal(problem: Problem, at: Solution, kept: Integers, own: bool) -> tuple[Array, Array]:
+    """Information on what is kept, the rest integrated out, and its product with the mean; as `told`."""
+    A, g = told(problem, at, own)
+    P = np.linalg.inv(A)
+    information: Array = np.linalg.inv(P[np.ix_(kept, kept)])
+    return information, np.asarray(information @ (P @ g)[kept])
+
+
+def apart(prior: tuple[Array, Array], said: Sequence[tuple[Array, Array]], places: Integers) -> Array:
+    """(K,) p of what each of several says, the prior within, against the others, at places of it."""
+    before, of_before = prior
+    own = [(S - before, h - of_before) for S, h in said]
+    all_S, all_h = sum(S for S, _ in own) + before, sum(h for _, h in own) + of_before
+    block, p = np.ix_(places, places), np.ones(len(own))
+    root = np.linalg.cholesky(np.linalg.inv(before)[block])
+    for k, (S, h) in enumerate(own):
+        P, rest = np.linalg.inv(S + before), np.linalg.inv(all_S - S)
+        both = P @ before @ rest
         V = (P + rest - both - both.T)[block]  #                                                       (10.11)
         V = np.linalg.solve(root, np.linalg.solve(root, V).T)
-        away = np.linalg.solve(root, (P @ (h + of_prior) - rest @ (all_h - h))[here])
+        away = np.linalg.solve(root, (P @ (h + of_before) - rest @ (all_h - h))[places])
         values, vectors = np.linalg.eigh(0.5 * (V + V.T))
         seen = values > _LEAST
         if seen.any():
-            p[log] = chdtrc(np.count_nonzero(seen), ((vectors[:, seen].T @ away) ** 2 / values[seen]).sum())
+            p[k] = chdtrc(np.count_nonzero(seen), ((vectors[:, seen].T @ away) ** 2 / values[seen]).sum())
     return p
 
 
