@@ -30,11 +30,11 @@ def poses(seed: int, mass: float, center: Array) -> Log:
 
 
 def swing(seed: int, mass: float, center: Array) -> Log:
-    return swing_log(PLAIN, mass, center, mass / MASS * INERTIA, seed=seed)
+    return swing_log(PLAIN, mass, center, mass / MASS * INERTIA, seed=seed, seconds=5.0)
 
 
 def imu(seed: int, mass: float, center: Array) -> Log:
-    return swing_log(IMU, mass, center, mass / MASS * INERTIA, seed=seed)
+    return swing_log(IMU, mass, center, mass / MASS * INERTIA, seed=seed, seconds=5.0)
 
 
 PAIRS = pytest.mark.parametrize(
