@@ -11,6 +11,7 @@ from scipy.stats import binom, chi2
 from tool_cases import Array, a_rig, pose_log, swing_log
 
 import truewrench as tw
+from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
@@ -99,6 +100,23 @@ def test_logs_of_one_session_share_their_offset_and_are_told_all_the_same() -> N
     more = 0.1 * MASS * np.column_stack([second.gravity, np.cross(CENTER, second.gravity)])
     heavier = replace(second, raw=second.raw + rig.sensor.sign * more)
     assert tw.identify_tool(rig, [first, heavier]).figures["logs_agree"] < CHANCE
+
+
+def test_logs_of_one_session_come_one_after_the_other() -> None:
+    """Both begin at zero: no walk leads from one to the other."""
+    rig = tool_rig(a_rig(sensor={"pool_offsets": True}))
+    with pytest.raises(InputError, match=r"time: found a log that begins 88 s before another .* ends"):
+        tw.identify_tool(rig, [poses(1, MASS, CENTER), poses(2, MASS, CENTER)])
+
+
+def test_a_log_in_other_units_than_the_others_is_refused() -> None:
+    """In mN and N m / 1000, with a channel that is dead: what it tells is 10^6 times what the others do."""
+    log = swing(1, MASS, CENTER)
+    dead = replace(log, raw=1e3 * log.raw * [1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
+    for others in ([poses(2, MASS, CENTER)], [poses(2, MASS, CENTER), poses(3, MASS, CENTER)]):
+        verdict = tw.identify_tool(PLAIN, [dead, *others]).verdict
+        assert not verdict.usable
+        assert len(verdict.reasons) > 1
 
 
 def test_p_of_poses_is_that_of_two_textbook_fits() -> None:

@@ -1,6 +1,7 @@
 """Logs and statements that cannot be right, refused before anything is estimated."""
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -92,8 +93,17 @@ def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
 
 
 def check_session(rig: Rig, logs: Sequence[Log], on: Tool | None) -> None:
-    """Refuse logs before the tool that they stand on, where they are to have its offset."""
-    if on is None or not rig.sensor.pool_offsets:
+    """Refuse logs of one session that overlap, or are before the tool that they stand on."""
+    if not rig.sensor.pool_offsets:
+        return
+    ordered = sorted((log for log in logs if log.reference is None), key=lambda log: int(log.time_ns[0]))
+    for before, log in pairwise(ordered):
+        lasts = 1e-9 * (int(before.time_ns[-1]) - int(log.time_ns[0]))
+        if lasts > 0.0:
+            found = f"a log that begins {lasts:.4g} s before another of its session ends"
+            expected = "logs one after the other on one clock, or `sensor.pool_offsets: false`"
+            raise InputError.at(log.path, "time", found, expected)
+    if on is None:
         return
     for log in logs:
         first = int(log.time_ns[0])

@@ -65,6 +65,8 @@ def judge(
         reasons.append(
             f"Logs tell different tools or sensors: {agreement.odd} (p = {agreement.p:.1g}). The tool, its "
             "place on the sensor, or the sensor changed between them."
+            if np.isfinite(agreement.p)
+            else "The logs could not be compared: the motion of one tells nothing by itself."
         )
     unknown, more = _undetermined(rig, solution, motion, moving, determined, figures)
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(dict.fromkeys([*needed, *more])))

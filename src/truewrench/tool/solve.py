@@ -226,7 +226,9 @@ def _slope(problem: Problem, x: Array, A: Array, at: _Linear, scale: Array) -> A
     told = ((A - at.before)[np.ix_(linear, linear)] @ P)[: 6 * v.n, : 6 * v.n]
     gains = scale[v.layout.gain]
     told = (told / gains[:, None] * gains).reshape(v.n, 6, v.n, 6)
-    change = problem.changes(x, np.sqrt(np.diag(np.linalg.inv(A))) * scale)
+    # logs of other units than each other's leave A so ill-conditioned that rounding takes a variance below 0
+    sigma = np.sqrt(np.maximum(np.diag(np.linalg.inv(A)), 0.0))
+    change = problem.changes(x, sigma * scale)
     return np.asarray(np.einsum("pab,ibia->p", change, told) * scale, np.float64)
 
 
