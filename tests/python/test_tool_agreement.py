@@ -91,6 +91,7 @@ def test_p_is_spread_evenly_where_all_is_well() -> None:
 
 
 def test_logs_of_one_session_share_their_offset_and_are_told_all_the_same() -> None:
+    """The sizes of their walk are found with a body for each: with one for both they would grow."""
     rig = tool_rig(a_rig(sensor={"pool_offsets": True}))
     log = pose_log(rig, MASS, CENTER, poses=24, seed=3)[0]
     half = np.arange(24) < 12
@@ -107,6 +108,14 @@ def test_logs_of_one_session_come_one_after_the_other() -> None:
     rig = tool_rig(a_rig(sensor={"pool_offsets": True}))
     with pytest.raises(InputError, match=r"time: found a log that begins 88 s before another .* ends"):
         tw.identify_tool(rig, [poses(1, MASS, CENTER), poses(2, MASS, CENTER)])
+
+
+def test_a_log_of_which_nothing_was_used_is_named() -> None:
+    short = rows_of(swing(1, MASS, CENTER), slice(150))
+    tool = tw.identify_tool(PLAIN, [poses(2, MASS, CENTER), short])
+    assert tool.verdict.usable
+    assert "log 2" in tool.verdict.needed[0]
+    assert "neither a pose nor 2 s of motion" in tool.verdict.needed[0]
 
 
 def test_a_log_in_other_units_than_the_others_is_refused() -> None:

@@ -10,7 +10,7 @@ from truewrench.calibrating.still_poses import StillEstimate
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
-from truewrench.tool.agreement import apart, marginal
+from truewrench.tool.agreement import apart, marginals
 from truewrench.tool.parameters import Layout
 
 
@@ -35,6 +35,7 @@ def agreement_of_still(rig: Rig, logs: Sequence[Log], found: StillEstimate) -> A
             x[place] = solution.x[place]
         mean, P = problem.prior_of_all()
         at = replace(solution, problem=problem, x=x, prior_mean=mean, prior_covariance=P)
-        said.append(marginal(problem, at, shared, own=True))
-        prior = marginal(replace(problem, poses=own.of(own.log < 0)), at, shared, own=True)
+        nothing = replace(problem, poses=own.of(own.log < 0))
+        prior, says = marginals([nothing, problem], at, shared, together=False)
+        said.append(says)
     return apart(prior, said, np.arange(shared.size))

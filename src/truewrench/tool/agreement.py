@@ -1,14 +1,12 @@
 """Whether logs tell the same tool on the same sensor: each log against the others (METHOD (10.11))."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc
 
-from truewrench.estimation.estimate import odd_log, worst_of
-from truewrench.model.arrays import Array, Integers, Mask
-from truewrench.model.log import Log
+from truewrench.model.arrays import Array, Integers
 from truewrench.tool.model_rows import MotionInformation, Problem
 from truewrench.tool.motion import motion_information
 from truewrench.tool.poses import Move
@@ -17,26 +15,12 @@ from truewrench.tool.solve import Solution, told
 _LEAST = 1e-9  # of the prior's variance: a direction of which two parts know no more is none
 
 
-@dataclass(frozen=True, slots=True)
-class Agreement:
-    """How far logs tell the same."""
-
-    p: float  # of chance that one differs as much from the others; 1: nothing to compare
-    odd: str  # which that is, in words
-
-
-def agreement_of(solution: Solution, logs: Sequence[Log], threads: int) -> Agreement:
-    """Of all logs of an identification, in the order of its poses and moves."""
-    p = agreement_of_logs(solution, threads)
-    return Agreement(worst_of(p), odd_log(p, logs))
-
-
 def agreement_of_logs(solution: Solution, threads: int) -> Array:
     """(L,) how likely chance makes each log differ as much from the others in gain, body, mounting and tilt.
 
     About the solution of all. Each log is read alone, so that no size has grown with what differs, and its
-    offsets are integrated out; those of one session tell of each other: they, and their walk, stay as they
-    are. 1: nothing to compare; no numbers: a motion could not be read alone.
+    offsets are integrated out; those of one session tell of each other, and are kept, with one walk.
+    1: nothing to compare; no numbers: a motion could not be read alone.
     """
     problem = solution.problem
     v, poses = problem.vector, problem.poses
@@ -52,23 +36,24 @@ def agreement_of_logs(solution: Solution, threads: int) -> Array:
     offsets = np.r_[v.layout.offset, v.carried, v.before.stop : v.slope.start]
     common = np.setdiff1d(np.arange(v.slope.start), offsets)
     kept = np.arange(v.slope.start) if session else common
-
-    def says(chosen: Mask, motion: MotionInformation | None) -> tuple[Array, Array]:
-        part = replace(problem, poses=poses.of(chosen), motion=motion)
-        return marginal(part, solution, kept, own=not session)
-
-    prior = says(poses.log < 0, None)
-    said = [says(poses.log == log, of_moves.get(log)) for log in logs]
+    parts = [
+        replace(problem, poses=poses.of(poses.log == log), motion=of_moves.get(log)) for log in (-1, *logs)
+    ]
+    prior, *said = marginals(parts, solution, kept, together=session)
     p[logs] = apart(prior, said, np.searchsorted(kept, common))
     return p
 
 
-def marginal(problem: Problem, at: Solution, kept: Integers, own: bool) -> tuple[Array, Array]:
+def marginals(
+    parts: Sequence[Problem], at: Solution, kept: Integers, *, together: bool
+) -> list[tuple[Array, Array]]:
     """Information on what is kept, the rest integrated out, and its product with the mean; as `told`."""
-    A, g = told(problem, at, own)
-    P = np.linalg.inv(A)
-    information: Array = np.linalg.inv(P[np.ix_(kept, kept)])
-    return information, np.asarray(information @ (P @ g)[kept])
+    out = []
+    for A, g in told(parts, at, together):
+        P = np.linalg.inv(A)
+        information: Array = np.linalg.inv(P[np.ix_(kept, kept)])
+        out.append((information, np.asarray(information @ (P @ g)[kept])))
+    return out
 
 
 def apart(prior: tuple[Array, Array], said: Sequence[tuple[Array, Array]], places: Integers) -> Array:

@@ -1,4 +1,4 @@
-"""Whether a tool may be used, what the data did not tell, and what to do next."""
+"""Whether a tool may be used, and what to do next."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -8,26 +8,23 @@ import numpy as np
 from scipy.special import chdtrc
 
 from truewrench import _core
-from truewrench.estimation.estimate import AGREE
+from truewrench.estimation.estimate import AGREE, odd_log, worst_of
 from truewrench.model.arrays import Array, Integers
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
-from truewrench.tool.agreement import Agreement
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit
-from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, symmetric
-from truewrench.tool.parts import ToolVerdict, Unknown
-from truewrench.tool.poses import Poses
+from truewrench.tool.parts import ToolVerdict
+from truewrench.tool.poses import MOVING, Poses
 from truewrench.tool.setup import mistakes, mistakes_of_motion
 from truewrench.tool.solve import REPEATABILITY, WALK, Solution, solve
+from truewrench.tool.undetermined import directions_in, undetermined
 
 CHANCE = 1e-6  # of a test of the set-up
 WORST_WALK = 50.0  # times its start
 SUSPECT_WALK = 20.0
 FAR = 25.0  # squared distance to a physical body, 4.4 where all is well
-APART = np.radians(10.0)  # of two directions of gravity
-NARROW = np.radians(30.0)
 LIGHT = 0.3  # 1 sigma of the mass, relative: beyond, no weight is felt
 NOISE = 4.0  # found over stated, which people misstate by two
 SLOW = 0.015  # fraction of range: worse than any cable that is guided
@@ -35,7 +32,6 @@ HELD = 1e-6  # [rad] 1 sigma of an angle that was held
 SUSPECTS = 4  # poses, the least likely first, of which one may have been touched
 FEWEST = 8  # poses, of which one can be spared
 CALMER = 0.2  # of the walk's rate: what is left of it without that pose
-OWN = 0.5  # of a variance: what the gain explains of it
 HELD_OUT = 3.0  # squared errors over what was predicted
 
 
@@ -53,24 +49,45 @@ def judge(
     motion: MotionFit | None,
     left: Left,
     *,
-    logs: Sequence[Log] = (),
+    logs: Sequence[Log],
     determined: Mapping[str, Any],
-    agreement: Agreement,
+    p_logs: Array,
 ) -> Judged:
-    """Set-up tests, words and needs of one identification; `logs` those of motion."""
-    moving = bool(logs)
-    figures = _figures(solution, motion, left) | _undone(logs) | {"logs_agree": agreement.p}
-    reasons, needed = _reasons(rig, solution, motion, left, figures, determined, logs)
-    if not agreement.p >= CHANCE:  # NaN, too
-        reasons.append(
-            f"Logs tell different tools or sensors: {agreement.odd} (p = {agreement.p:.1g}). The tool, its "
-            "place on the sensor, or the sensor changed between them."
-            if np.isfinite(agreement.p)
-            else "The logs could not be compared: the motion of one tells nothing by itself."
-        )
-    unknown, more = _undetermined(rig, solution, motion, moving, determined, figures)
-    verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(dict.fromkeys([*needed, *more])))
+    """Set-up tests, words and needs of one identification.
+
+    `p_logs` (L,): how likely chance makes each of the logs differ as much from the others.
+    """
+    moved = [move.record for move in solution.problem.moves]
+    figures = _figures(solution, motion, left) | _undone(moved) | {"logs_agree": worst_of(p_logs)}
+    reasons, needed = _reasons(rig, solution, motion, left, figures, determined, moved)
+    reasons += _differing(p_logs, logs)
+    unknown, more = undetermined(rig, solution, motion, determined, figures)
+    needs = dict.fromkeys([*_unused(solution, logs), *needed, *more])
+    verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(needs))
     return Judged(verdict, figures)
+
+
+def _differing(p_logs: Array, logs: Sequence[Log]) -> list[str]:
+    """Whether a log tells another tool, or another sensor, than the others."""
+    p = worst_of(p_logs)
+    if p >= CHANCE:
+        return []
+    if not np.isfinite(p):
+        return ["The logs could not be compared: the motion of one tells nothing by itself."]
+    return [
+        f"Logs tell different tools or sensors: {odd_log(p_logs, logs)} (p = {p:.1g}). The tool, its place "
+        "on the sensor, or the sensor changed between them."
+    ]
+
+
+def _unused(solution: Solution, logs: Sequence[Log]) -> list[str]:
+    """Logs of which nothing told anything."""
+    told = {move.log for move in solution.problem.moves} | set(solution.problem.poses.log.tolist())
+    return [
+        f"Log anew what {log_name(logs, k)} is for: it holds neither a pose nor {MOVING:g} s of motion."
+        for k in range(len(logs))
+        if k not in told
+    ]
 
 
 def _figures(solution: Solution, motion: MotionFit | None, left: Left) -> dict[str, Any]:
@@ -82,7 +99,7 @@ def _figures(solution: Solution, motion: MotionFit | None, left: Left) -> dict[s
     gain = float(z @ np.linalg.solve(P0 + 1e-9 * np.eye(len(z)), z))
     body = v.layout.body
     distance = nearest_physical(solution.x[body], solution.covariance[body, body])[1]
-    directions, cone, _ = _directions(solution)
+    directions, cone, _ = directions_in(solution)
     return {
         "poses": len(solution.problem.poses),
         "directions": directions,
@@ -107,27 +124,6 @@ def _undone(logs: Sequence[Log]) -> dict[str, list[str]]:
     filters = (found.words for log in logs for found in log.whitened.values())
     vibrations = (found.words for log in logs for found in log.vibrations)
     return {"filters": list(dict.fromkeys(filters)), "vibrations": list(dict.fromkeys(vibrations))}
-
-
-def directions_of(fall: Array) -> tuple[int, float, Array]:
-    """How many directions unit vectors (T, 3) show, half the angle of the cone that holds them, its axis."""
-    if not len(fall):
-        return 0, 0.0, np.zeros(3)
-    apart: list[Array] = []
-    for one in fall:
-        if all(np.arccos(np.clip(one @ other, -1.0, 1.0)) > APART for other in apart):
-            apart.append(one)
-    middle = fall.mean(axis=0)
-    size = float(np.linalg.norm(middle))
-    axis = middle / size if size > 1e-9 else fall[0]
-    return len(apart), float(np.arccos(np.clip(fall @ axis, -1.0, 1.0)).max()), axis
-
-
-def _directions(solution: Solution) -> tuple[int, float, Array]:
-    """The same of the poses: none without gravity."""
-    fall = solution.problem.poses.R_sensor_root @ solution.problem.rig.gravity_array
-    size = np.linalg.norm(fall, axis=1, keepdims=True)
-    return directions_of(fall / size if solution.problem.rig.in_gravity else fall[:0])
 
 
 def _reasons(
@@ -295,112 +291,3 @@ def _jump(solution: Solution) -> int | None:
         if others.rate < CALMER * solution.rate:
             return int(k)
     return None
-
-
-def _undetermined(
-    rig: Rig,
-    solution: Solution,
-    motion: MotionFit | None,
-    moving: bool,
-    determined: Mapping[str, Any],
-    figures: Mapping[str, Any],
-) -> tuple[list[Unknown], list[str]]:
-    out, needed = [], []
-    v, P = solution.problem.vector, solution.covariance
-    layout = v.layout
-    std = np.sqrt(np.diag(P))
-    share = _by_gain(P, layout.gain)
-    if "mass" not in solution.problem.prior.known:
-        words = (
-            "Mass and the sensor's force scale cannot be told apart: the mass is as good as the scale, "
-            f"{100.0 * std[layout.log_mass]:.2g}%. Weigh the tool once, or calibrate the sensor."
-        )
-        out.append(Unknown("mass", words))
-        if share[layout.log_mass] > OWN and std[layout.log_mass] > 0.005:
-            needed.append("Weigh the tool (`--known mass=KG:SIGMA`), or calibrate the sensor.")
-    if not all(determined["inertia"]):
-        lead = (
-            "The tool was not accelerated: its" if not moving else "The tool was hardly turned: part of its"
-        )
-        out.append(Unknown("inertia", f"{lead} inertia is not known. Swing it at 1 rad/s for 5 s."))
-        needed.append("Swing the tool at 1 rad/s for 5 s about all axes.")
-    elif moving:
-        out += _thin(solution)
-    directions, cone, axis = _directions(solution)
-    if directions and cone < NARROW and motion is None:
-        along = "xyz"[int(np.argmax(np.abs(axis)))]
-        words = (
-            f"Gravity stayed within {np.degrees(cone):.0f} deg of one direction: weight and offset along "
-            f"{along} are not separated; tilt it further, opposite if possible."
-        )
-        out.append(Unknown("offset", words))
-        needed.append("Poses at 45 deg of tilt and more, opposite ones in turn.")
-    center = float(std[layout.center_of_mass].max())
-    worst = layout.center_of_mass.start + int(np.argmax(std[layout.center_of_mass]))
-    if share[worst] > OWN and all(determined["center_of_mass"]):
-        words = (
-            f"Centre of mass and the sensor's moment-from-force cross-talk look alike: {1e3 * center:.2g} mm."
-        )
-        out.append(Unknown("center_of_mass", words))
-    prior = np.sqrt(np.diag(solution.prior_covariance)[layout.mounting])
-    turn = float(std[layout.mounting].max())
-    if prior.max() > 1e-6:
-        words = (
-            f"A turn of the sensor on its flange looks like cross-talk: {np.degrees(turn):.2g} deg; measure "
-            "it or calibrate."
-        )
-        out.append(Unknown("mounting", words))
-    out += _moved(rig, solution)
-    if solution.problem.prior.gain_std > 0.0501:
-        words = (
-            f"Gains uncertain by {100 * solution.problem.prior.gain_std:.2g}%: beyond 5% gain times mass "
-            "bends, and every sigma was widened for it."
-        )
-        out.append(Unknown("gain", words))
-    if figures["poses"] and figures["poses"] < 8 and motion is None:
-        needed.append("12 poses and more let some be held out.")
-    return out, needed
-
-
-def _by_gain(P: Array, gain: slice) -> Array:
-    """Share of each parameter's variance that knowing the gain would remove."""
-    scale = np.sqrt(np.maximum(np.diag(P)[gain], 1e-300))
-    inner = P[gain, gain] / np.outer(scale, scale)
-    cross = P[:, gain] / scale
-    explained = np.einsum("pi,ip->p", cross, np.linalg.lstsq(inner, cross.T, rcond=1e-10)[0])
-    return np.asarray(explained / np.maximum(np.diag(P), 1e-300))
-
-
-def _thin(solution: Solution) -> list[Unknown]:
-    layout = solution.problem.vector.layout
-    mass = float(np.exp(solution.x[layout.log_mass]))
-    values, vectors = np.linalg.eigh(symmetric(inertia_of(mass, solution.x[layout.S])))
-    axis = vectors[:, 0]  # u^T I u = m (tr S - u^T S u)
-    same = ROWS == COLUMNS
-    by_S = mass * (same - np.where(same, 1, 2) * axis[ROWS] * axis[COLUMNS])
-    sigma = float(np.sqrt(by_S @ solution.covariance[layout.S, layout.S] @ by_S))
-    if values[0] > 2.0 * sigma:
-        return []
-    most = max(values[0], 0.0) + 2.0 * sigma
-    words = f"The inertia about the long axis is too small to feel: between 0 and {most:.1g} kg m^2."
-    return [Unknown("inertia", words)]
-
-
-def _moved(rig: Rig, solution: Solution) -> list[Unknown]:
-    """How far the offset moved during the poses, where it is worth a word."""
-    if len(solution.walk) < 2:
-        return []
-    place = solution.problem.vector.layout.gain
-    back = np.linalg.pinv(solution.x[place].reshape(-1, 6))
-    moved = np.ptp(solution.walk @ back.T, axis=0)
-    worth = np.ptp(solution.walk, axis=0) / rig.sensor.channel_scale > 10.0 * REPEATABILITY
-    if not worth.any():
-        return []
-    relative = moved / rig.sensor.range_array
-    axis = int(np.argmax(relative))
-    size, unit = moved[axis], "N" if axis < 3 else "N m"
-    words = (
-        f"The offset moved by {size:.2g} {unit} during the poses; the weight was separated from it, but the "
-        "offset holds only for minutes: tare before use."
-    )
-    return [Unknown("offset", words)]

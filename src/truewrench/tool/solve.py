@@ -10,6 +10,7 @@ the body is the one that is likeliest with the gain C integrated out,
     p(b) ~ exp(-Q(b) / 2) |H_CC(b)|^(-1/2),  1/2 d log |H_CC| / db = tr[(1 x dw/db w^-1) H P]
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -101,20 +102,34 @@ def _sums(problem: Problem, at: _Linear, sizes: Array) -> tuple[Array, Array, fl
     return A, g, squares, logdet
 
 
-def told(problem: Problem, at: Solution, own: bool) -> tuple[Array, Array]:
-    """Information and gradient of a part of a problem about the solution of all.
+def told(parts: Sequence[Problem], at: Solution, together: bool) -> list[tuple[Array, Array]]:
+    """Information and gradient of parts of a problem about the solution of all.
 
-    Rate and repeatability are those of the part's own poses, if asked for. In units of the prior's sigma; a
-    slope with the temperature is not within where the part has none.
+    Rate and repeatability are those of a part's own poses, or, `together`, of those of all parts, each of
+    which has a theta of its own. In units of the prior's sigma; a slope with the temperature is not within
+    where a part has none.
     """
-    size = problem.vector.size
-    mean, P = at.prior_mean[:size], at.prior_covariance[:size, :size]
-    scale = np.sqrt(np.diag(P))
-    linear = _linearise(problem, at.x[:size], mean, _inverse(P, scale), scale, problem.walked(linked=True))
-    sizes = np.log([at.rate, at.repeatability])
-    if own:
-        sizes = _sizes(problem, linear, _START) if len(problem.poses) else _START
-    return _sums(problem, linear, sizes)[:2]
+    linear = []
+    for part in parts:
+        size = part.vector.size
+        mean, P = at.prior_mean[:size], at.prior_covariance[:size, :size]
+        scale = np.sqrt(np.diag(P))
+        linear.append(
+            _linearise(part, at.x[:size], mean, _inverse(P, scale), scale, part.walked(linked=True))
+        )
+
+    def sizes(chosen: Sequence[int]) -> Array:
+        posed = [k for k in chosen if len(parts[k].poses)]
+
+        def evidence(s: Array) -> float:
+            again = (len(posed) - 1) * _unlikely(s)
+            return sum(_evidence(parts[k], linear[k], s) for k in posed) - again
+
+        return _least(evidence, _START) if posed else _START
+
+    every = range(len(parts))
+    common = sizes(every) if together else None
+    return [_sums(parts[k], linear[k], sizes([k]) if common is None else common)[:2] for k in every]
 
 
 def _inverse(P: Array, scale: Array) -> Array:
@@ -129,9 +144,12 @@ def _evidence(problem: Problem, at: _Linear, sizes: Array) -> float:
     """-2 log of the marginal likelihood of the sizes, and of their own broad prior."""
     A, g, squares, logdet = _sums(problem, at, sizes)
     quadratic = squares - float(g @ np.linalg.solve(A, g))
-    return (
-        quadratic + logdet + float(np.linalg.slogdet(A)[1]) + float((((sizes - _START) / _SPREAD) ** 2).sum())
-    )
+    return quadratic + logdet + float(np.linalg.slogdet(A)[1]) + _unlikely(sizes)
+
+
+def _unlikely(sizes: Array) -> float:
+    """-2 log of that prior."""
+    return float((((sizes - _START) / _SPREAD) ** 2).sum())
 
 
 def _bounded(sizes: Array) -> Array:
@@ -233,11 +251,15 @@ def _slope(problem: Problem, x: Array, A: Array, at: _Linear, scale: Array) -> A
 
 
 def _sizes(problem: Problem, at: _Linear, start: Array) -> Array:
-    def evidence(s: Array) -> float:
-        return _evidence(problem, at, _bounded(s))
+    return _least(lambda sizes: _evidence(problem, at, sizes), start)
+
+
+def _least(evidence: Callable[[Array], float], start: Array) -> Array:
+    def bounded(sizes: Array) -> float:
+        return evidence(_bounded(sizes))
 
     options: Any = {"xatol": 0.05, "fatol": 0.02, "maxiter": 60, "initial_simplex": start + _SIMPLEX}
-    found = minimize(evidence, start, method="Nelder-Mead", options=options)
+    found = minimize(bounded, start, method="Nelder-Mead", options=options)
     return _bounded(np.asarray(found.x))
 
 
@@ -263,8 +285,7 @@ def _mixed(
             g -= slope
             inverse = np.linalg.inv(A)
             step = inverse @ g
-            prior = float((((where - _START) / _SPREAD) ** 2).sum())
-            weights.append(squares - g @ step + logdet + np.linalg.slogdet(A)[1] + prior)
+            weights.append(squares - g @ step + logdet + np.linalg.slogdet(A)[1] + _unlikely(where))
             means.append(step)
             parts.append(inverse)
     share = np.exp(-0.5 * (np.array(weights) - np.min(weights)))

@@ -29,9 +29,10 @@ from truewrench.planning.tool.directions import abba, spread, spread_among
 from truewrench.planning.tool.path import Timed, joint_path, route, twist_path
 from truewrench.planning.tool.postures import Reach, Stand, postures_towards, reach_of
 from truewrench.planning.tool.prediction import ToolPrediction, predict_motion, predict_poses
-from truewrench.tool.judge import LIGHT, NARROW, directions_of
+from truewrench.tool.judge import LIGHT
 from truewrench.tool.poses import DWELL
 from truewrench.tool.prior import settings_of
+from truewrench.tool.undetermined import NARROW, directions_of
 
 Progress = Callable[[str, float | None], None]
 
