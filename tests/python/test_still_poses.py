@@ -194,11 +194,22 @@ def test_a_log_with_another_payload_than_stated_is_told_by_the_others(names: str
         logs, _ = poses(rig, seed, 24)
         if names == "aa":
             logs = [rows_of(logs[0], slice(12)), rows_of(logs[0], slice(12, 24))]
-        assert agreement_of_still(rig, logs, estimate_still(rig, logs)).min() > 1e-4
+        assert np.min(agreement_of_still(rig, logs, estimate_still(rig, logs))) > 1e-4
         raw = logs[1].raw + 0.05 * (logs[1].raw - logs[1].raw.mean(axis=0))
         spoilt = [logs[0], replace(logs[1], raw=raw), *logs[2:]]
         (reason,) = [x for x in tw.calibrate(rig, spoilt).verdict.reasons if "tell different gains" in x]
         assert ("log 2 and the others" if names == "abcd" else "one log and the other") in reason
+
+
+def test_a_payload_that_slips_between_poses_is_told() -> None:
+    rig = Rig.from_mapping(settings_of(ONE, FORCE, uncertainty=1e-3) | {"gravity_tilt_prior": 0})
+    for seed in range(3):
+        (log,), _ = poses(rig, seed, 24)
+        assert tw.calibrate(rig, log).verdict.usable
+        raw = log.raw.copy()
+        raw[12:] += 0.05 * (raw[12:] - raw.mean(axis=0))
+        reasons = tw.calibrate(rig, replace(log, raw=raw)).verdict.reasons
+        assert any("the first and the last poses of the log tell different gains" in x for x in reasons)
 
 
 def test_mistakes_of_the_set_up_are_refused() -> None:

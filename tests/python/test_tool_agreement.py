@@ -90,6 +90,19 @@ def test_p_is_spread_evenly_where_all_is_well() -> None:
         assert low <= np.count_nonzero(np.array(p) < share) <= high
 
 
+@pytest.mark.parametrize("walk", [1e-4, 1e-3], ids=["ordinary", "restless"])
+def test_a_tool_that_slips_between_poses_is_told_and_an_offset_that_walks_is_none(walk: float) -> None:
+    for seed in range(4):
+        log = pose_log(PLAIN, MASS, CENTER, poses=16, walk=walk, seed=seed)[0]
+        assert tw.identify_tool(PLAIN, log).figures["halves_agree"] > 1e-4
+        assert log.gravity is not None
+        change = 2.0 * MASS * 0.1 * np.column_stack([log.gravity, np.cross(CENTER, log.gravity)])
+        change[:8] = 0.0
+        tool = tw.identify_tool(PLAIN, replace(log, raw=log.raw + PLAIN.sensor.sign * change))
+        assert tool.figures["halves_agree"] < CHANCE
+        assert any("first and the last poses of the log" in x for x in tool.verdict.reasons)
+
+
 def test_logs_of_one_session_share_their_offset_and_are_told_all_the_same() -> None:
     """The sizes of their walk are found with a body for each: with one for both they would grow."""
     rig = tool_rig(a_rig(sensor={"pool_offsets": True}))

@@ -26,7 +26,7 @@ from truewrench.judging.validation.comparison import Comparison
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import BlindTo, LogReport
 from truewrench.model.errors import UnsupportedError
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import own_roots
 from truewrench.tool.bodies import weight
@@ -157,17 +157,25 @@ def misfit_of_still(found: StillEstimate) -> list[str]:
 
 
 def judge_still(
-    rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: Comparison, p_logs: Array
+    rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: Comparison, p: tuple[Array, Array]
 ) -> Judgement:
     """The verdict on what static poses say of the gain: of the one function that decides.
 
-    `p_logs` (L,): how likely chance makes each log differ as much from the others.
+    `p`: how likely chance makes each log differ as much from the others (L,), and its last poses from the
+    first (L,).
     """
+    p_logs, p_halves = p
     known, reasons = known_logs(rig, logs), [*scale_unknown(rig, logs), *misfit_of_still(found)]
     if not worst_of(p_logs) >= AGREE:
         reasons.append(
             f"{odd_log(p_logs, logs)} tell different gains (p = {worst_of(p_logs):.1g}): sensor or payload "
             "changed between logs"
+        )
+    if not worst_of(p_halves) >= AGREE:
+        reasons.append(
+            f"the first and the last poses of {log_name(logs, int(np.argmin(p_halves)))} tell different "
+            f"gains (p = {worst_of(p_halves):.1g}): the payload slipped, something hung on it, or the sensor "
+            "changed"
         )
     spare = sum(len(s.problem.poses) - s.problem.vector.logs for s in found.solutions.values())
     if spare < FREEDOM + 3 * len(found.solutions):

@@ -12,6 +12,7 @@ from truewrench.tool.motion import motion_information
 from truewrench.tool.poses import Move
 from truewrench.tool.solve import Solution, told
 
+FEWEST = 8  # poses of a log, which are compared by halves
 _LEAST = 1e-9  # of the prior's variance: a direction of which two parts know no more is none
 
 
@@ -37,23 +38,46 @@ def agreement_of_logs(solution: Solution, threads: int) -> Array:
     common = np.setdiff1d(np.arange(v.slope.start), offsets)
     kept = np.arange(v.slope.start) if session else common
     parts = [
-        replace(problem, poses=poses.of(poses.log == log), motion=of_moves.get(log)) for log in (-1, *logs)
+        (replace(problem, poses=poses.of(poses.log == log), motion=of_moves.get(log)), solution.x)
+        for log in (-1, *logs)
     ]
-    prior, *said = marginals(parts, solution, kept, together=session)
-    p[logs] = apart(prior, said, np.searchsorted(kept, common))
+    p[logs] = differences(parts, kept, common)
     return p
 
 
-def marginals(
-    parts: Sequence[Problem], at: Solution, kept: Integers, *, together: bool
-) -> list[tuple[Array, Array]]:
-    """Information on what is kept, the rest integrated out, and its product with the mean; as `told`."""
-    out = []
-    for A, g in told(parts, at, together):
-        P = np.linalg.inv(A)
-        information: Array = np.linalg.inv(P[np.ix_(kept, kept)])
-        out.append((information, np.asarray(information @ (P @ g)[kept])))
-    return out
+def agreement_of_halves(solution: Solution) -> Array:
+    """(L,) the same of the poses of the first and the second half of each log; 1: too few to be parted.
+
+    With an offset each, as if the log had been cut.
+    """
+    problem = solution.problem
+    v, poses, p = problem.vector, problem.poses, np.ones(problem.vector.logs)
+    offsets = np.r_[v.layout.offset, v.carried, v.before.stop : v.slope.start]
+    common = np.setdiff1d(np.arange(v.slope.start), offsets)
+    for log in range(v.logs):
+        own = np.flatnonzero(poses.log == log)
+        if own.size >= FEWEST:
+            chosen = own[:0], own[: own.size // 2], own[own.size // 2 :]
+            parts = [(replace(problem, poses=poses.of(one), motion=None), solution.x) for one in chosen]
+            p[log] = differences(parts, common, common)[0]
+    return p
+
+
+def differences(parts: Sequence[tuple[Problem, Array]], kept: Integers, common: Integers) -> Array:
+    """(K,) p of each of several parts of a problem, each about an x, against the others.
+
+    Parts as of `told`, before them one without data; `kept` of x, the rest integrated out, and of these what
+    is compared; over what rate and repeatability may be.
+    """
+    p = np.zeros(len(parts) - 1)
+    for share, says in told(parts):
+        said = []
+        for A, g in says:
+            P = np.linalg.inv(A)
+            information: Array = np.linalg.inv(P[np.ix_(kept, kept)])
+            said.append((information, np.asarray(information @ (P @ g)[kept])))
+        p += share * apart(said[0], said[1:], np.searchsorted(kept, common))
+    return p
 
 
 def apart(prior: tuple[Array, Array], said: Sequence[tuple[Array, Array]], places: Integers) -> Array:

@@ -20,7 +20,7 @@ from truewrench.model.rig import Rig
 from truewrench.robot.compensation import uncompensated, with_weight_on_time
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
-from truewrench.tool.agreement import agreement_of_logs
+from truewrench.tool.agreement import agreement_of_halves, agreement_of_logs
 from truewrench.tool.bodies import inertia_std, joined, nearest_physical
 from truewrench.tool.checks import check_known, check_logs, check_options, check_session
 from truewrench.tool.held_out import held_out
@@ -140,6 +140,7 @@ def identify_tool(
         logs=records,
         determined=_determined(solution),
         p_logs=agreement_of_logs(solution, threads or 0),
+        p_halves=agreement_of_halves(solution),
     )
     if on is not None and not on.verdict.usable:  # whose gain is the prior here: nothing would contradict it
         why = " ".join(on.verdict.reasons)

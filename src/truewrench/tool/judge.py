@@ -52,15 +52,24 @@ def judge(
     logs: Sequence[Log],
     determined: Mapping[str, Any],
     p_logs: Array,
+    p_halves: Array,
 ) -> Judged:
     """Set-up tests, words and needs of one identification.
 
-    `p_logs` (L,): how likely chance makes each of the logs differ as much from the others.
+    `p_logs`, `p_halves` (L,): how likely chance makes each of the logs differ as much from the others, and
+    the poses of its halves from each other.
     """
     moved = [move.record for move in solution.problem.moves]
-    figures = _figures(solution, motion, left) | _undone(moved) | {"logs_agree": worst_of(p_logs)}
+    figures = (
+        _figures(solution, motion, left)
+        | _undone(moved)
+        | {
+            "logs_agree": worst_of(p_logs),
+            "halves_agree": worst_of(p_halves),
+        }
+    )
     reasons, needed = _reasons(rig, solution, motion, left, figures, determined, moved)
-    reasons += _differing(p_logs, logs)
+    reasons += [*_differing(p_logs, logs), *_slipped(p_halves, logs)]
     unknown, more = undetermined(rig, solution, motion, determined, figures)
     needs = dict.fromkeys([*_unused(solution, logs), *needed, *more])
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(needs))
@@ -77,6 +86,16 @@ def _differing(p_logs: Array, logs: Sequence[Log]) -> list[str]:
     return [
         f"Logs tell different tools or sensors: {odd_log(p_logs, logs)} (p = {p:.1g}). The tool, its place "
         "on the sensor, or the sensor changed between them."
+    ]
+
+
+def _slipped(p_halves: Array, logs: Sequence[Log]) -> list[str]:
+    """Whether the poses of a log begin with another tool than they end with."""
+    if worst_of(p_halves) >= CHANCE:
+        return []
+    return [
+        f"The first and the last poses of {log_name(logs, int(np.argmin(p_halves)))} tell different tools "
+        f"(p = {worst_of(p_halves):.1g}): the tool slipped, something hung on it, or the sensor changed."
     ]
 
 

@@ -10,7 +10,7 @@ the body is the one that is likeliest with the gain C integrated out,
     p(b) ~ exp(-Q(b) / 2) |H_CC(b)|^(-1/2),  1/2 d log |H_CC| / db = tr[(1 x dw/db w^-1) H P]
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -102,34 +102,31 @@ def _sums(problem: Problem, at: _Linear, sizes: Array) -> tuple[Array, Array, fl
     return A, g, squares, logdet
 
 
-def told(parts: Sequence[Problem], at: Solution, together: bool) -> list[tuple[Array, Array]]:
-    """Information and gradient of parts of a problem about the solution of all.
+def told(parts: Sequence[tuple[Problem, Array]]) -> Iterator[tuple[float, list[tuple[Array, Array]]]]:
+    """Information and gradient of parts of a problem, each about an x, in units of the prior's sigma.
 
-    Rate and repeatability are those of a part's own poses, or, `together`, of those of all parts, each of
-    which has a theta of its own. In units of the prior's sigma; a slope with the temperature is not within
-    where a part has none.
+    For one rate and repeatability after the other, which the poses of all parts have in common, as far as
+    they are likely where each part has a theta of its own; with the share that each is of all. A slope with
+    the temperature, the last of x, is not within where a part has none.
     """
     linear = []
-    for part in parts:
-        size = part.vector.size
-        mean, P = at.prior_mean[:size], at.prior_covariance[:size, :size]
+    for part, x in parts:
+        mean, P = part.prior_of_all()
         scale = np.sqrt(np.diag(P))
-        linear.append(
-            _linearise(part, at.x[:size], mean, _inverse(P, scale), scale, part.walked(linked=True))
+        linear.append(_linearise(part, x[: mean.size], mean, _inverse(P, scale), scale, part.walked(True)))
+    posed = [k for k, (part, _) in enumerate(parts) if len(part.poses)]
+
+    def evidence(s: Array) -> float:
+        return sum(_evidence(parts[k][0], linear[k], s) - _unlikely(s) for k in posed) + _unlikely(s)
+
+    where = _likely(evidence, _least(evidence, _START)) if posed else [_START]
+    weights = np.array([evidence(s) for s in where])
+    shares = np.exp(-0.5 * (weights - weights.min()))
+    for s, share in zip(where, shares / shares.sum(), strict=True):
+        yield (
+            float(share),
+            [_sums(part, at, s)[:2] for (part, _), at in zip(parts, linear, strict=True)],
         )
-
-    def sizes(chosen: Sequence[int]) -> Array:
-        posed = [k for k in chosen if len(parts[k].poses)]
-
-        def evidence(s: Array) -> float:
-            again = (len(posed) - 1) * _unlikely(s)
-            return sum(_evidence(parts[k], linear[k], s) for k in posed) - again
-
-        return _least(evidence, _START) if posed else _START
-
-    every = range(len(parts))
-    common = sizes(every) if together else None
-    return [_sums(parts[k], linear[k], sizes([k]) if common is None else common)[:2] for k in every]
 
 
 def _inverse(P: Array, scale: Array) -> Array:
@@ -274,20 +271,15 @@ def _mixed(
     own = np.linalg.inv(A)
     if held or not len(problem.poses):
         return x, own * np.outer(scale, scale)
-    width = np.array([_width(problem, at, sizes, k) for k in range(2)])
     means, parts, weights = [], [], []
-    for a in _GRID:
-        for b in _GRID:
-            where = sizes + width * [a, b]
-            if (where > _bounded(where) + 1e-9).any():
-                continue
-            A, g, squares, logdet = _sums(problem, at, where)
-            g -= slope
-            inverse = np.linalg.inv(A)
-            step = inverse @ g
-            weights.append(squares - g @ step + logdet + np.linalg.slogdet(A)[1] + _unlikely(where))
-            means.append(step)
-            parts.append(inverse)
+    for where in _likely(lambda s: _evidence(problem, at, s), sizes):
+        A, g, squares, logdet = _sums(problem, at, where)
+        g -= slope
+        inverse = np.linalg.inv(A)
+        step = inverse @ g
+        weights.append(squares - g @ step + logdet + np.linalg.slogdet(A)[1] + _unlikely(where))
+        means.append(step)
+        parts.append(inverse)
     share = np.exp(-0.5 * (np.array(weights) - np.min(weights)))
     share /= share.sum()
     mean = np.einsum("k,kp->p", share, np.array(means))
@@ -296,11 +288,18 @@ def _mixed(
     return x + scale * mean, P * np.outer(scale, scale)
 
 
-def _width(problem: Problem, at: _Linear, sizes: Array, k: int) -> float:
+def _likely(evidence: Callable[[Array], float], sizes: Array) -> list[Array]:
+    """Sizes on a grid about the likeliest, as far as they may be."""
+    width = np.array([_width(evidence, sizes, k) for k in range(2)])
+    grid = [sizes + width * [a, b] for a in _GRID for b in _GRID]
+    return [where for where in grid if (where <= _bounded(where) + 1e-9).all()]
+
+
+def _width(evidence: Callable[[Array], float], sizes: Array, k: int) -> float:
     """1 sigma of the logarithm of a size, by the curvature of the evidence."""
     step = np.zeros(2)
     step[k] = 0.5
-    lower, here, upper = (_evidence(problem, at, sizes + s * step) for s in (-1.0, 0.0, 1.0))
+    lower, here, upper = (evidence(sizes + s * step) for s in (-1.0, 0.0, 1.0))
     curvature = 0.5 * (lower + upper - 2.0 * here) / 0.25
     return float(np.clip(1.0 / np.sqrt(max(curvature, 1e-9)), 0.1, _SPREAD))
 
