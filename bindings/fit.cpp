@@ -145,6 +145,7 @@ void bind_fit(nb::module_& m) {
       .def_prop_ro("stated", [](const Fit& f) { return f.stated(); })
       .def_prop_ro("active", [](const Fit& f) { return f.active_places(); })
       .def_prop_ro("P", &Fit::P)
+      .def_prop_ro("covariance", &Fit::covariance)
       .def_prop_ro("S", &Fit::S)
       .def_prop_ro("step", &Fit::step)
       .def("columns", [](const Fit& f, std::size_t l) { return f.layout().log(l); })

@@ -938,6 +938,9 @@ class Fit:
     def P(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]: ...
 
     @property
+    def covariance(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]: ...
+
+    @property
     def S(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]: ...
 
     @property

@@ -100,7 +100,28 @@ def test_a_tool_that_slips_between_poses_is_told_and_an_offset_that_walks_is_non
         change[:8] = 0.0
         tool = tw.identify_tool(PLAIN, replace(log, raw=log.raw + PLAIN.sensor.sign * change))
         assert tool.figures["halves_agree"] < CHANCE
-        assert any("first and the last poses of the log" in x for x in tool.verdict.reasons)
+        assert any("first and the second half of the log" in x for x in tool.verdict.reasons)
+
+
+def test_a_tool_that_slips_while_it_moves_is_told() -> None:
+    """5 mm: the body found lay between, 4 to 6 of its sigma from either, and both halves told one gain."""
+    for seed in range(3):
+        log = swing_log(PLAIN, MASS, CENTER, INERTIA, seed=seed, seconds=12.0)
+        assert tw.identify_tool(PLAIN, log).figures["halves_agree"] > 1e-4
+        slipped = swing_log(PLAIN, MASS, CENTER + [0.005, 0.0, 0.0], INERTIA, seed=seed, seconds=12.0)
+        raw = np.where(np.arange(len(log.raw))[:, None] < 600, log.raw, slipped.raw)
+        tool = tw.identify_tool(PLAIN, replace(log, raw=raw))
+        assert tool.figures["halves_agree"] < CHANCE
+        assert not tool.verdict.usable
+
+
+def test_two_motions_of_a_rod_agree() -> None:
+    """Its inertia about the long axis is none: gain and inertia, as a product, must be linear about one body."""
+    rod = np.diag([0.012, 0.012, 0.0])
+    for seed in range(6):
+        logs = [swing_log(PLAIN, MASS, CENTER, rod, seed=10 * seed + k, seconds=8.0) for k in (0, 1)]
+        figures = tw.identify_tool(PLAIN, logs).figures
+        assert min(figures["logs_agree"], figures["halves_agree"]) > 1e-4
 
 
 def test_logs_of_one_session_share_their_offset_and_are_told_all_the_same() -> None:

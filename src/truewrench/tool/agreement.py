@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 from truewrench.model.arrays import Array, Integers
 from truewrench.tool.model_rows import MotionInformation, Problem
 from truewrench.tool.motion import motion_information
-from truewrench.tool.poses import Move
+from truewrench.tool.poses import APART, MOVING, Move
 from truewrench.tool.solve import Solution, told
 
 FEWEST = 8  # poses of a log, which are compared by halves
@@ -30,7 +30,7 @@ def agreement_of_logs(solution: Solution, threads: int) -> Array:
     p = np.ones(v.logs)
     if len(logs) < 2:
         return p
-    of_moves = {log: _motion(solution, move, threads) for log, move in moves.items()}
+    of_moves = {log: _motion(solution, move, move, threads) for log, move in moves.items()}
     if None in of_moves.values():
         return np.full(v.logs, np.nan)
     session = problem.rig.sensor.pool_offsets
@@ -45,22 +45,47 @@ def agreement_of_logs(solution: Solution, threads: int) -> Array:
     return p
 
 
-def agreement_of_halves(solution: Solution) -> Array:
-    """(L,) the same of the poses of the first and the second half of each log; 1: too few to be parted.
+def agreement_of_halves(solution: Solution, threads: int) -> Array:
+    """(L,) the same of the first and the second half of each log: of its poses, or of its motion without any.
 
-    With an offset each, as if the log had been cut.
+    With offsets of their own, as if the log had been cut. 1: too little to be parted. Of poses and the moves
+    between them a half is too little to tell what follows the pose, as hysteresis: 9 of 18 such logs, sound
+    but for that, were told apart.
     """
     problem = solution.problem
     v, poses, p = problem.vector, problem.poses, np.ones(problem.vector.logs)
     offsets = np.r_[v.layout.offset, v.carried, v.before.stop : v.slope.start]
     common = np.setdiff1d(np.arange(v.slope.start), offsets)
+    moves = {move.log: move for move in problem.moves}
     for log in range(v.logs):
         own = np.flatnonzero(poses.log == log)
-        if own.size >= FEWEST:
-            chosen = own[:0], own[: own.size // 2], own[own.size // 2 :]
-            parts = [(replace(problem, poses=poses.of(one), motion=None), solution.x) for one in chosen]
-            p[log] = differences(parts, common, common)[0]
+        halves = own[: own.size // 2], own[own.size // 2 :]
+        motion: list[MotionInformation | None] = [None, None]
+        if not own.size and log in moves:
+            motion = _halves(solution, moves[log], threads)
+        if own.size < FEWEST and None in motion:
+            continue
+        parts = [
+            (replace(problem, poses=poses.of(chosen), motion=says), solution.x)
+            for chosen, says in zip((own[:0], *halves), (None, *motion), strict=True)
+        ]
+        p[log] = differences(parts, common, common)[0]
     return p
+
+
+def _halves(solution: Solution, move: Move, threads: int) -> list[MotionInformation | None]:
+    """What a log's motion says before and after its middle; None: too little of it moves."""
+    sensed = np.isfinite(move.record.raw).any(axis=1)
+    time = move.record.time
+    later = time >= np.mean(time[sensed][[0, -1]])
+    out: list[MotionInformation | None] = []
+    for half in (~later, later):
+        step = np.diff(time[half & sensed])
+        raw = np.where(half[:, None], move.record.raw, np.nan)
+        enough = float(step[step < APART].sum()) >= MOVING
+        part = replace(move, record=replace(move.record, raw=raw))
+        out.append(_motion(solution, part, move, threads) if enough else None)
+    return out
 
 
 def differences(parts: Sequence[tuple[Problem, Array]], kept: Integers, common: Integers) -> Array:
@@ -100,22 +125,29 @@ def apart(prior: tuple[Array, Array], said: Sequence[tuple[Array, Array]], place
     return p
 
 
-def _motion(solution: Solution, move: Move, threads: int) -> MotionInformation | None:
-    """What one move alone says, at the places of all."""
+def _motion(solution: Solution, part: Move, move: Move, threads: int) -> MotionInformation | None:
+    """What a move, or a part of it, says alone, at the places of all."""
     problem = solution.problem
     gain, body = problem.motion_of(solution.x)
     gain_std, tilt_std = problem.priors_of_motion
     found = motion_information(
-        problem.rig, [move], gain, gain_std, body, tilt_std, walk=solution.rate, threads=threads
+        problem.rig,
+        [part],
+        gain,
+        gain_std,
+        body,
+        tilt_std,
+        walk=solution.rate,
+        threads=threads,
+        linear_there=True,
     )
     if found is None:
         return None
     n, says = problem.vector.n, found.information
     counts = [n * max(one.knots.size, 1) for one in problem.moves]
-    first = 6 * n + 10
-    start = first + sum(counts[: problem.moves.index(move)])
-    size = first + sum(counts) + 2
-    at = np.r_[:first, start : start + counts[problem.moves.index(move)], size - 2 : size]
+    first, k = 6 * n + 10, problem.moves.index(move)
+    start, size = first + sum(counts[:k]), first + sum(counts) + 2
+    at = np.r_[:first, start : start + counts[k], size - 2 : size]
     out = MotionInformation(np.zeros(size), np.zeros((size, size)), np.zeros(size))
     out.at[at], out.information[np.ix_(at, at)], out.gradient[at] = says.at, says.information, says.gradient
     return out

@@ -140,7 +140,7 @@ def identify_tool(
         logs=records,
         determined=_determined(solution),
         p_logs=agreement_of_logs(solution, threads or 0),
-        p_halves=agreement_of_halves(solution),
+        p_halves=agreement_of_halves(solution, threads or 0),
     )
     if on is not None and not on.verdict.usable:  # whose gain is the prior here: nothing would contradict it
         why = " ".join(on.verdict.reasons)

@@ -57,7 +57,7 @@ def judge(
     """Set-up tests, words and needs of one identification.
 
     `p_logs`, `p_halves` (L,): how likely chance makes each of the logs differ as much from the others, and
-    the poses of its halves from each other.
+    its halves from each other.
     """
     moved = [move.record for move in solution.problem.moves]
     figures = (
@@ -90,11 +90,11 @@ def _differing(p_logs: Array, logs: Sequence[Log]) -> list[str]:
 
 
 def _slipped(p_halves: Array, logs: Sequence[Log]) -> list[str]:
-    """Whether the poses of a log begin with another tool than they end with."""
+    """Whether a log begins with another tool than it ends with."""
     if worst_of(p_halves) >= CHANCE:
         return []
     return [
-        f"The first and the last poses of {log_name(logs, int(np.argmin(p_halves)))} tell different tools "
+        f"The first and the second half of {log_name(logs, int(np.argmin(p_halves)))} tell different tools "
         f"(p = {worst_of(p_halves):.1g}): the tool slipped, something hung on it, or the sensor changed."
     ]
 

@@ -54,8 +54,12 @@ def motion_information(
     *,
     walk: float,
     threads: int = 0,
+    linear_there: bool = False,
 ) -> MotionFit | None:
     """Run the estimator about a gain and a body; None where it finds nothing that could be solved.
+
+    With `linear_there` its sizes are its own, and what it says is linear about this gain and body, as what
+    parts say that are to be compared: a gain of moments and an inertia are a product.
 
     The rig is that of `settings_of`, the gain (n, 6) in raw units, mounting within; the body (10,) log m, c,
     inertia; 1 sigma of gravity's tilt in rad. Moves of one log have one clock; `walk` is the rate of the
@@ -87,21 +91,31 @@ def motion_information(
     found = _core.estimate(shared, streams, settings)
     if found.status != _core.Status.ok:
         return None
-    stated = streams[0].payload
-    return _taken(rig, moves, found, stated, units, assumed.tilt_prior > 0.0)
+    P, stated = np.asarray(found.covariance), streams[0].payload
+    if linear_there:
+        fit, gains, at = found.fit, slice(0, 6 * rig.sensor.n), found.fit.columns(0).body_in_theta
+        theta = np.array(fit.theta)
+        theta[gains], theta[at : at + 10] = np.asarray(fit.mean)[gains], body - _of_payload(stated)
+        fit.theta = theta
+        fit.predict()
+        if not (fit.linearise() and fit.solve(frozen=True)):
+            return None
+        P = np.asarray(fit.covariance)
+    return _taken(rig, moves, found, P, stated, units, assumed.tilt_prior > 0.0)
 
 
 def _taken(
     rig: Rig,
     moves: Sequence[Move],
     found: _core.Estimate,
+    P: Array,
     stated: _core.Payload,
     units: Array,
     tilts: bool,
 ) -> MotionFit:
     fit, n, scale = found.fit, rig.sensor.n, rig.sensor.channel_scale
     # where the last linearisation has its top: steps end early along what the data hardly tell
-    theta, P = np.asarray(fit.theta) + np.asarray(fit.step), np.asarray(found.covariance)
+    theta = np.asarray(fit.theta) + np.asarray(fit.step)
     prior, mean = np.asarray(fit.prior), np.asarray(fit.mean)
     columns = [fit.columns(k) for k in range(len(moves))]
     rows = [np.eye(theta.size)[: 6 * n] * units[:, None]]
@@ -134,16 +148,20 @@ def _taken(
     data = (told * values[values > _TOLD]) @ told.T
     added = np.zeros_like(data)
     gains, inertia = slice(0, 6 * n), slice(6 * n + 4, 6 * n + 10)
-    added[gains, gains] = (np.asarray(found.gain_covariance) - P[: 6 * n, : 6 * n]) * np.outer(units, units)
+    beyond = np.asarray(found.gain_covariance) - np.asarray(found.covariance)[: 6 * n, : 6 * n]
+    added[gains, gains] = beyond * np.outer(units, units)
     added[inertia, inertia] = _taken_for_acceleration(fit, body[4:])
     data, pull = _widened(data, pull, added / np.outer(root, root))
     count = len(pick)
     information[:count, :count] = data / np.outer(root, root)
     gradient[:count] = pull / root
-    y = np.append(pick @ theta, np.zeros(size - count))
+    y = np.append(pick @ np.asarray(fit.theta), np.zeros(size - count))
     y[6 * n : 6 * n + 10] += _of_payload(stated)
     # offsets at knots are sums of priors of mean zero: the gradient above holds for them, too
     at_center, by_y = about_center(y, n)
+    step = pick @ np.asarray(fit.step)
+    at_center += by_y[:, :count] @ step  # in which the step was linear
+    y[:count] += step
     back = np.linalg.inv(by_y)
     clock = columns[-1].clock[0]
     s = np.array(columns[-1].at)[clock]
