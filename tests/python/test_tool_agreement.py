@@ -116,7 +116,7 @@ def test_a_tool_that_slips_while_it_moves_is_told() -> None:
 
 
 def test_two_motions_of_a_rod_agree() -> None:
-    """Its inertia about the long axis is none: gain and inertia, as a product, must be linear about one body."""
+    """No inertia about the long axis: gain and inertia, a product, must be linear about one body."""
     rod = np.diag([0.012, 0.012, 0.0])
     for seed in range(6):
         logs = [swing_log(PLAIN, MASS, CENTER, rod, seed=10 * seed + k, seconds=8.0) for k in (0, 1)]
