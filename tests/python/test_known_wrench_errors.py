@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.estimation.lasting_errors import ErrorSize
+from truewrench.estimation.log_agreement import agreement_of_known_halves
 from truewrench.estimation.wrench_errors import FoundErrors
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -287,3 +289,20 @@ def test_outliers_that_are_few_are_not_too_many() -> None:
         some += found.outliers[0].size > 0
     assert few == 0
     assert some > 0
+
+
+@pytest.mark.parametrize("kind", ["moving", "held"])
+def test_a_gain_that_changes_within_a_log_is_told_by_its_halves(kind: str) -> None:
+    """Errors that last would hold half a percent of range; sound logs agree by chance."""
+    least = []
+    for seed in range(4):
+        rig, log, *_ = example(kind, seed, size=2e-3)
+        found = estimate_from_known_wrench(rig, [log])
+        least.append(agreement_of_known_halves(rig, [log], found, [None])[0])
+        assert log.reference is not None
+        change = 0.02 * np.random.default_rng(seed).normal(size=(6, 6)) * SPAN[:, None] / SPAN
+        later = np.arange(len(log.raw)) >= len(log.raw) // 2
+        raw = log.raw + later[:, None] * (log.reference @ change.T)
+        reasons = calibrate(rig, replace(log, raw=raw)).verdict.reasons
+        assert any("the first and the second half of the log tell different gains" in x for x in reasons)
+    assert min(least) > 1e-3

@@ -16,7 +16,7 @@ from truewrench.judging.validation.comparison import Comparison
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, AxisImprovement, LogReport
 from truewrench.model.errors import InputError, UnsupportedError
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
 
@@ -50,12 +50,18 @@ def wrench_is_known(rig: Rig, logs: Sequence[Log], estimator: str) -> bool:
 
 
 def judge_known_wrench(
-    rig: Rig, logs: Sequence[Log], estimate: KnownWrenchEstimate, compared: Comparison, p_logs: Array
+    rig: Rig,
+    logs: Sequence[Log],
+    estimate: KnownWrenchEstimate,
+    compared: Comparison,
+    p: tuple[Array, Array],
 ) -> Judgement:
     """The verdict on what reference wrenches say of the gain: of the one function that decides.
 
-    `p_logs` (L,): how likely chance makes each log differ as much from the others.
+    `p`: how likely chance makes each log differ as much from the others (L,), and its second half from the
+    first (L,).
     """
+    p_logs, p_halves = p
     reasons = []
     if not estimate.converged:
         reasons.append("the estimate did not converge")
@@ -69,6 +75,11 @@ def judge_known_wrench(
         reasons.append(
             f"{odd_log(p_logs, logs)} tell different gains (p = {worst_of(p_logs):.1g}): sensor or reference "
             "changed between logs"
+        )
+    if not worst_of(p_halves) >= AGREE:
+        reasons.append(
+            f"the first and the second half of {log_name(logs, int(np.argmin(p_halves)))} tell different "
+            f"gains (p = {worst_of(p_halves):.1g}): sensor or reference changed"
         )
     if min(estimate.spare) < FREEDOM:
         rows = "plateaus" if any(found.stepped for found in estimate.errors) else "rows"

@@ -34,7 +34,7 @@ from truewrench.estimation.ekf import estimate_ekf
 from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.known_wrench import estimate_from_known_wrench
 from truewrench.estimation.least_squares import least_squares
-from truewrench.estimation.log_agreement import agreement_of_known_wrenches
+from truewrench.estimation.log_agreement import agreement_of_known_halves, agreement_of_known_wrenches
 from truewrench.estimation.reference_clock import with_reference_on_time
 from truewrench.judging import of_references
 from truewrench.judging.channels import motion_columns
@@ -131,7 +131,8 @@ def _from_known_wrench(
     clock.append(time.perf_counter())
     report("judging", None)
     p_logs = agreement_of_known_wrenches(rig, logs, estimate, clocks)
-    judgement = judge_known_wrench(rig, logs, estimate, compared, p_logs)
+    p_halves = agreement_of_known_halves(rig, logs, estimate, clocks)
+    judgement = judge_known_wrench(rig, logs, estimate, compared, (p_logs, p_halves))
     clock.append(time.perf_counter())
     show(Evidence(tuple(logs), estimate))
     stated = np.diag(estimate.normalised_covariance)[: 6 * rig.sensor.n]
