@@ -25,6 +25,7 @@ from truewrench.tool.poses import Move
 
 _LOG_MASS, _CENTER, _GYRATION = 1.0, 0.1, 0.01  # 1 sigma of the broad body: 1, [m], [m^2] times the mass
 _LEAST_GAIN = 1e-4  # 1 sigma of the gains that the estimator is given at least, normalised
+_EXACT = 1e-9  # variance of a direction in units of its parts' priors, at most, of which nothing can be told
 _TOLD = 1e-6  # information of a direction in units of its prior: below, it is rounding
 _WINDOW = 0.15  # [s] of the derivative for the start
 _GAP = 0.1  # [s] across which a stream is read on the rows of another, for the start: tolerance
@@ -141,10 +142,15 @@ def _taken(
     information, gradient = np.zeros((size, size)), np.zeros(size)
     # in units of the prior, where directions that nothing was learnt of are told from rounding
     root = np.sqrt(np.diag(Pi))
-    data = np.linalg.inv(own / np.outer(root, root)) - np.linalg.inv(Pi / np.outer(root, root))
+    own, Pi, away = own / np.outer(root, root), Pi / np.outer(root, root), pick @ (theta - mean) / root
+    values, vectors = np.linalg.eigh(Pi)
+    # offsets that are stated as none, at knots after a step that was found, differ by nothing: no part of y
+    free = vectors[:, values > _EXACT] if values[0] <= _EXACT else np.eye(len(Pi))
+    own, Pi = free.T @ own @ free, free.T @ Pi @ free
+    data = free @ (np.linalg.inv(own) - np.linalg.inv(Pi)) @ free.T
     values, vectors = np.linalg.eigh(0.5 * (data + data.T))
     told = vectors[:, values > _TOLD]
-    pull = told @ (told.T @ (root * np.linalg.solve(Pi, pick @ (theta - mean))))
+    pull = told @ (told.T @ free @ np.linalg.solve(Pi, free.T @ away))
     data = (told * values[values > _TOLD]) @ told.T
     added = np.zeros_like(data)
     gains, inertia = slice(0, 6 * n), slice(6 * n + 4, 6 * n + 10)
