@@ -49,6 +49,25 @@ def wrench_is_known(rig: Rig, logs: Sequence[Log], estimator: str) -> bool:
     return True
 
 
+def differing(
+    logs: Sequence[Log], p: tuple[Array, Array], between: str, halves: str, within: str
+) -> list[str]:
+    """Reasons, where one log, or a half of one, tells another gain than the rest by (10.11).
+
+    By `p`, of logs (L,) and of halves (L,); in words what happened `between` logs, how halves are called, and
+    what happened `within`.
+    """
+    reasons = []
+    of_logs, of_halves = map(worst_of, p)
+    if not of_logs >= AGREE:  # NaN, too
+        names = odd_log(p[0], logs)
+        reasons.append(f"{names} tell different gains (p = {of_logs:.1g}): {between}")
+    if not of_halves >= AGREE:
+        name = log_name(logs, int(np.argmin(p[1])))
+        reasons.append(f"{halves} {name} tell different gains (p = {of_halves:.1g}): {within}")
+    return reasons
+
+
 def judge_known_wrench(
     rig: Rig,
     logs: Sequence[Log],
@@ -61,7 +80,6 @@ def judge_known_wrench(
     `p`: how likely chance makes each log differ as much from the others (L,), and its second half from the
     first (L,).
     """
-    p_logs, p_halves = p
     reasons = []
     if not estimate.converged:
         reasons.append("the estimate did not converge")
@@ -71,16 +89,8 @@ def judge_known_wrench(
             f"{estimate.contradicting} of {total} rows contradict the others by more than the stated noise: "
             "too many to be left out as outliers"
         )
-    if not worst_of(p_logs) >= AGREE:
-        reasons.append(
-            f"{odd_log(p_logs, logs)} tell different gains (p = {worst_of(p_logs):.1g}): sensor or reference "
-            "changed between logs"
-        )
-    if not worst_of(p_halves) >= AGREE:
-        reasons.append(
-            f"the first and the second half of {log_name(logs, int(np.argmin(p_halves)))} tell different "
-            f"gains (p = {worst_of(p_halves):.1g}): sensor or reference changed"
-        )
+    between, within = "sensor or reference changed between logs", "sensor or reference changed"
+    reasons += differing(logs, p, between, "the first and the second half of", within)
     if min(estimate.spare) < FREEDOM:
         rows = "plateaus" if any(found.stepped for found in estimate.errors) else "rows"
         reasons.append(

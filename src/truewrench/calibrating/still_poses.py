@@ -15,18 +15,25 @@ from typing import Any
 
 import numpy as np
 
-from truewrench.calibrating.known_wrench import BLOCKS, FOLDS, FREEDOM, improvement_by_axis, worse_on_rows
+from truewrench.calibrating.known_wrench import (
+    BLOCKS,
+    FOLDS,
+    FREEDOM,
+    differing,
+    improvement_by_axis,
+    worse_on_rows,
+)
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
 from truewrench.estimation.assembly import log_report
-from truewrench.estimation.estimate import AGREE, Estimate, odd_log, of_joint, without_motion, worst_of
+from truewrench.estimation.estimate import Estimate, of_joint, without_motion
 from truewrench.estimation.unknowns import horizontal_axes
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation.comparison import Comparison
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import BlindTo, LogReport
 from truewrench.model.errors import UnsupportedError
-from truewrench.model.log import Log, log_name
+from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import own_roots
 from truewrench.tool.bodies import weight
@@ -164,19 +171,10 @@ def judge_still(
     `p`: how likely chance makes each log differ as much from the others (L,), and its last poses from the
     first (L,).
     """
-    p_logs, p_halves = p
     known, reasons = known_logs(rig, logs), [*scale_unknown(rig, logs), *misfit_of_still(found)]
-    if not worst_of(p_logs) >= AGREE:
-        reasons.append(
-            f"{odd_log(p_logs, logs)} tell different gains (p = {worst_of(p_logs):.1g}): sensor or payload "
-            "changed between logs"
-        )
-    if not worst_of(p_halves) >= AGREE:
-        reasons.append(
-            f"the first and the last poses of {log_name(logs, int(np.argmin(p_halves)))} tell different "
-            f"gains (p = {worst_of(p_halves):.1g}): the payload slipped, something hung on it, or the sensor "
-            "changed"
-        )
+    between = "sensor or payload changed between logs"
+    slipped = "the payload slipped, something hung on it, or the sensor changed"
+    reasons += differing(logs, p, between, "the first and the last poses of", slipped)
     spare = sum(len(s.problem.poses) - s.problem.vector.logs for s in found.solutions.values())
     if spare < FREEDOM + 3 * len(found.solutions):
         reasons.append(

@@ -43,11 +43,9 @@ def agreement_of_known_halves(
         cut = _between(log, rows, np.array(rig.reference_noise))
         parts = [np.isin(np.arange(log.time.size), half) for half in (rows[:cut], rows[cut:])]
         halves = [_alone(rig, rows_of(log, part), k, found, clocks[k]) for part in parts]
-        stepped = {kind.stepped for kind in found.errors if k in kind.logs}
-        if all(
-            {kind.stepped for kind in half.errors} == stepped for half in halves
-        ):  # whose errors were found
-            told = [_told(rig, half) for half in halves]
+        kinds = [{kind.stepped for kind in one.errors} for one in halves]
+        if all(kind == {one.stepped for one in found.errors if k in one.logs} for kind in kinds):
+            told = [_told(rig, half) for half in halves]  # by the sizes of its kind
             p[k] = Shared(told).agreement(np.array([True, False]), 6 * rig.sensor.n)
     return p
 

@@ -33,15 +33,12 @@ def agreement_of_logs(solution: Solution, threads: int) -> Array:
     of_moves = {log: _motion(solution, move, move, threads) for log, move in moves.items()}
     if None in of_moves.values():
         return np.full(v.logs, np.nan)
-    session = problem.rig.sensor.pool_offsets
-    offsets = np.r_[v.layout.offset, v.carried, v.before.stop : v.slope.start]
-    common = np.setdiff1d(np.arange(v.slope.start), offsets)
-    kept = np.arange(v.slope.start) if session else common
+    kept = np.arange(v.slope.start) if problem.rig.sensor.pool_offsets else v.shared
     parts = [
         (replace(problem, poses=poses.of(poses.log == log), motion=of_moves.get(log)), solution.x)
         for log in (-1, *logs)
     ]
-    p[logs] = differences(parts, kept, common)
+    p[logs] = differences(parts, kept, v.shared)
     return p
 
 
@@ -54,8 +51,6 @@ def agreement_of_halves(solution: Solution, threads: int) -> Array:
     """
     problem = solution.problem
     v, poses, p = problem.vector, problem.poses, np.ones(problem.vector.logs)
-    offsets = np.r_[v.layout.offset, v.carried, v.before.stop : v.slope.start]
-    common = np.setdiff1d(np.arange(v.slope.start), offsets)
     moves = {move.log: move for move in problem.moves}
     for log in range(v.logs):
         own = np.flatnonzero(poses.log == log)
@@ -69,7 +64,7 @@ def agreement_of_halves(solution: Solution, threads: int) -> Array:
             (replace(problem, poses=poses.of(chosen), motion=says), solution.x)
             for chosen, says in zip((own[:0], *halves), (None, *motion), strict=True)
         ]
-        p[log] = differences(parts, common, common)[0]
+        p[log] = differences(parts, v.shared, v.shared)[0]
     return p
 
 
@@ -94,15 +89,16 @@ def differences(parts: Sequence[tuple[Problem, Array]], kept: Integers, common: 
     Parts as of `told`, before them one without data; `kept` of x, the rest integrated out, and of these what
     is compared; over what rate and repeatability may be.
     """
-    p = np.zeros(len(parts) - 1)
-    for share, says in told(parts):
+    p, total = np.zeros(len(parts) - 1), 0.0
+    for weight, says in told(parts):
         said = []
         for A, g in says:
             P = np.linalg.inv(A)
             information: Array = np.linalg.inv(P[np.ix_(kept, kept)])
             said.append((information, np.asarray(information @ (P @ g)[kept])))
-        p += share * apart(said[0], said[1:], np.searchsorted(kept, common))
-    return p
+        p += weight * apart(said[0], said[1:], np.searchsorted(kept, common))
+        total += weight
+    return p / total
 
 
 def apart(prior: tuple[Array, Array], said: Sequence[tuple[Array, Array]], places: Integers) -> Array:

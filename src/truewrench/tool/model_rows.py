@@ -12,7 +12,7 @@ from itertools import count
 import numpy as np
 
 from truewrench import _core
-from truewrench.model.arrays import Array
+from truewrench.model.arrays import Array, Integers
 from truewrench.model.motion.spatial import cross, cross_matrix
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import total_body, weight
@@ -66,6 +66,12 @@ class Vector:
         """Of the offset, per K: n."""
         start = self.knot(self.knots).start
         return slice(start, start + self.n * self.warm)
+
+    @property
+    def shared(self) -> Integers:
+        """Of what all logs have in common, a slope apart: all but offsets."""
+        own = np.r_[self.layout.offset, self.before.stop : self.slope.start]
+        return np.setdiff1d(np.arange(self.slope.start), own)
 
     @property
     def size(self) -> int:

@@ -106,8 +106,8 @@ def told(parts: Sequence[tuple[Problem, Array]]) -> Iterator[tuple[float, list[t
     """Information and gradient of parts of a problem, each about an x, in units of the prior's sigma.
 
     For one rate and repeatability after the other, which the poses of all parts have in common, as far as
-    they are likely where each part has a theta of its own; with the share that each is of all. A slope with
-    the temperature, the last of x, is not within where a part has none.
+    they are likely where each part has a theta of its own; with its weight among them. A slope with the
+    temperature, the last of x, is not within where a part has none.
     """
     linear = []
     for part, x in parts:
@@ -119,14 +119,12 @@ def told(parts: Sequence[tuple[Problem, Array]]) -> Iterator[tuple[float, list[t
     def evidence(s: Array) -> float:
         return sum(_evidence(parts[k][0], linear[k], s) - _unlikely(s) for k in posed) + _unlikely(s)
 
-    where = _likely(evidence, _least(evidence, _START)) if posed else [_START]
-    weights = np.array([evidence(s) for s in where])
-    shares = np.exp(-0.5 * (weights - weights.min()))
-    for s, share in zip(where, shares / shares.sum(), strict=True):
-        yield (
-            float(share),
-            [_sums(part, at, s)[:2] for (part, _), at in zip(parts, linear, strict=True)],
-        )
+    top = _least(evidence, _START) if posed else _START
+    best = evidence(top)
+    for s in _likely(evidence, top) if posed else [top]:
+        sums = [_sums(part, at, s) for (part, _), at in zip(parts, linear, strict=True)]
+        worse = sum(_deviance(*sums[k]) for k in posed) + _unlikely(s) - best
+        yield float(np.exp(-0.5 * worse)), [(A, g) for A, g, *_ in sums]
 
 
 def _inverse(P: Array, scale: Array) -> Array:
@@ -139,9 +137,12 @@ _START = np.log([WALK, REPEATABILITY])
 
 def _evidence(problem: Problem, at: _Linear, sizes: Array) -> float:
     """-2 log of the marginal likelihood of the sizes, and of their own broad prior."""
-    A, g, squares, logdet = _sums(problem, at, sizes)
-    quadratic = squares - float(g @ np.linalg.solve(A, g))
-    return quadratic + logdet + float(np.linalg.slogdet(A)[1]) + _unlikely(sizes)
+    return _deviance(*_sums(problem, at, sizes)) + _unlikely(sizes)
+
+
+def _deviance(A: Array, g: Array, squares: float, logdet: float) -> float:
+    """-2 log of that likelihood, from the sums."""
+    return squares - float(g @ np.linalg.solve(A, g)) + logdet + float(np.linalg.slogdet(A)[1])
 
 
 def _unlikely(sizes: Array) -> float:
