@@ -13,7 +13,6 @@ from truewrench import _core
 from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.assumptions import Assumptions
 from truewrench.estimation.record import recorded_logs
-from truewrench.judging.validation import comparison
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.motion.trajectory import Trajectory, attitude
@@ -222,16 +221,6 @@ def test_imu_log_gives_the_gain_within_its_sigma(settings: dict[str, Any], gravi
     columns, theta = found.fit.columns(0), np.asarray(found.fit.theta)
     assert Assumptions.of(rig, [log]).tilt_prior == 0.0
     assert theta[columns.at[columns.clock[1]]] == pytest.approx(-truth.time_offset, abs=1e-3)
-
-
-def test_an_imu_is_not_calibrated_again_for_a_part_that_cannot_be_judged(
-    settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The second run took as long as the first, and said: `motion.source: found `imu`, expected ...`."""
-    rig, log, _ = imu_log(settings, G)
-    monkeypatch.setattr(comparison, "held_out", None)
-    (note,) = [x for x in calibrate(rig, log).figures["notes"] if "held out" in x]
-    assert note == "not compared on data held out: of an IMU, the motion is not known without an estimate"
 
 
 def test_imu_axes_are_two_streams_with_errors_of_their_own(settings: dict[str, Any]) -> None:

@@ -134,8 +134,6 @@ def _compare_on_unseen(
     rig: Rig, logs: Sequence[Log], pooled: Pooled, estimator: Literal["map", "online"], threads: int
 ) -> Comparison | str:
     """With a part held out, of the logs that move with a known payload."""
-    if rig.motion.source == "imu":
-        return "of an IMU, the motion is not known without an estimate"
     known = [k for k in pooled.moving if known_payload(rig, logs[k])]
 
     def assembled(of: Sequence[Log], again: Estimate) -> Calibration | None:

@@ -1,8 +1,8 @@
 """The payload's wrench by a motion estimated from its measurements alone, and how uncertain that makes it.
 
 No raw sample enters: what the sensor reads can be held against it. Each component of the twist (of joints, of
-the displacement that the encoders show) is a quintic spline, linear in its samples, so that their noise is
-carried through to the wrench exactly, in time, too.
+the displacement that the encoders show; of an IMU, of specific force and rate of turn) is a quintic spline,
+linear in its samples, so that their noise is carried through to the wrench exactly, in time, too.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from truewrench import _core
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.arrays import Array, Integers
-from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.motion.smooth import DEGREE, segments, smooth_twist, uniform_knots, uniform_spline
 from truewrench.model.motion.spatial import twist_adjoint
@@ -43,9 +43,9 @@ class InertialChunk:
     rows: Integers  # (M,) rows of the log with every raw channel
     wrench: Array  # (M, 6) with the sign of the rig [N, N m]
     rate: Array  # (M, 6) its derivative by time [N/s, N m/s]
-    twist: Array  # (M, 6) of the logged point
+    twist: Array  # (M, 6) of the logged point; by an IMU, of a frame that moves with it
     acceleration: Array  # (M, 6)
-    gravity: Array  # (M, 3)
+    gravity: Array  # (M, 3); by an IMU 0: it is in the specific force
     variance: Array  # (M, 6) of the wrench, by the noise of the velocities
     lagged: Integers  # (S,) positions among the rows
     covariance: Array  # (S, H + 1, 6) of the wrench there with that 0 ... H rows later
@@ -55,18 +55,16 @@ class InertialMotion:
     """The motion of a log by its measurements: a spline per component and chunk, fitted once for all times.
 
     With `body`, what the payload was found to be; else as stated. Refused: a log without a twist, or without
-    gravity where gravity acts, and a rig with an IMU.
+    gravity where gravity acts; of an IMU, one without its columns.
     """
 
     def __init__(self, rig: Rig, log: Log, body: _core.Payload | None = None) -> None:
-        if rig.motion.source == "imu":
-            expected = "`twist` or `joints`: of an IMU, the motion is not known without an estimate"
-            raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
-        if log.twist is None:
-            raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
-        if log.gravity is None and rig.in_gravity:
-            expected = "gx gy gz, which a twist in gravity needs"
-            raise InputError.at(log.path, "", "no gravity columns", expected)
+        if rig.motion.source != "imu":
+            if log.twist is None:
+                raise InputError.at(log.path, "", "no twist columns", "vx vy vz wx wy wz")
+            if log.gravity is None and rig.in_gravity:
+                expected = "gx gy gz, which a twist in gravity needs"
+                raise InputError.at(log.path, "", "no gravity columns", expected)
         self._rig, self._payload = rig, log.payload
         self._body = body or core_payload(rig.payloads[log.payload])
         self._sensed = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
@@ -118,6 +116,8 @@ class InertialMotion:
         shift = _core.twist_shift(lever(rig, payload, body))
         by_a, by_nu = _core.payload_jacobians(body, np.ascontiguousarray(nu @ shift.T))
         by_a, by_nu = by_a @ shift, by_nu @ shift
+        if self._coordinates.felt:
+            by_nu[..., :3], by_a[..., :3] = by_a[..., :3], 0.0
         variance = np.zeros((at.size, 6))
         lagged = np.unique(np.linspace(0, at.size - lags - 1, _LAGGED).astype(int))
         later = lagged[:, None] + np.arange(lags + 1)  # (S, H + 1)
@@ -143,11 +143,14 @@ class _Coordinates:
     noise: Array  # (6,) 1 sigma, the components' correlation left out
     widest: float  # knots that the splines may have [s]
     order: int  # of the derivative that is the twist
+    felt: bool  # the first three are the specific force, which stands where the twist's derivative does
     # of times (M,), to which the coordinates and their next two derivatives (3, M, 6) add
     motion: Callable[[Array, Array], tuple[Array, Array, Array]]
 
 
 def _coordinates(rig: Rig, log: Log) -> _Coordinates:
+    if rig.motion.source == "imu":
+        return _of_imu(rig, log)
     tracking = log.tracking
     if tracking is None or tracking.reference is None or tracking.position_sigma is not None:
         assert log.twist is not None
@@ -157,7 +160,7 @@ def _coordinates(rig: Rig, log: Log) -> _Coordinates:
         def plain(t: Array, s: Array) -> tuple[Array, Array, Array]:
             return s[0], s[1], np.zeros((t.size, 3)) if gravity is None else np.asarray(gravity(t))
 
-        return _Coordinates(log.time[rows], log.twist[rows], twist_noise(rig, log), np.inf, 0, plain)
+        return _Coordinates(log.time[rows], log.twist[rows], twist_noise(rig, log), np.inf, 0, False, plain)
     reference = tracking.reference
     origin = 1e-9 * float(log.time_ns[0] - reference.origin_ns)
     encoders = tracked_streams(rig, log)[0]
@@ -174,7 +177,24 @@ def _coordinates(rig: Rig, log: Log) -> _Coordinates:
 
     noise = np.sqrt(np.mean(np.diagonal(encoders.covariance, axis1=1, axis2=2), axis=0))
     widest = 0.5 * reference.spacing  # docs/method.md, "Joints"
-    return _Coordinates(log.time[encoders.rows], encoders.value, noise, widest, 1, displaced)
+    return _Coordinates(log.time[encoders.rows], encoders.value, noise, widest, 1, False, displaced)
+
+
+def _of_imu(rig: Rig, log: Log) -> _Coordinates:
+    """In a frame at the sensor's origin, at rest at every moment: a_s = vdot + Omega x v - g (10.6)."""
+    force, omega, still = log.specific_force, log.angular_velocity, np.zeros(3)
+    if force is None or omega is None:
+        expected = "accel_x accel_y accel_z wx wy wz"
+        raise InputError.at(log.path, "", "no columns of an IMU", expected)
+    rows = np.flatnonzero(np.isfinite(force).all(axis=1) & np.isfinite(omega).all(axis=1))
+    noise = np.concatenate([rig.motion.acceleration_noise or (), rig.motion.noise_array])
+
+    def felt(t: Array, s: Array) -> tuple[Array, Array, Array]:
+        none = np.broadcast_to(still, (t.size, 3))
+        return np.hstack([none, s[0, :, 3:]]), np.hstack([s[0, :, :3], s[1, :, 3:]]), none
+
+    values = np.hstack([force, omega])[rows]
+    return _Coordinates(log.time[rows], values, noise, np.inf, 0, True, felt)
 
 
 def _times(matrices: Array, vectors: Array) -> Array:

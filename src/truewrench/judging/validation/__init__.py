@@ -223,7 +223,7 @@ def _of_gravity(
                 f"{angle / stated:.2g} sigma of `gravity_tilt_prior`"
             )
     departing = [name for name, axis in axes.items() if _reasons("", axis)]
-    if reasons or not departing or not rig.in_gravity:
+    if reasons or not departing or not rig.in_gravity or rig.motion.source == "imu":
         return reasons
     free = rig.model_copy(update={"gravity_tilt_prior": ANY_TILT})
     parts = [residuals(calibration, free, log) for log in logs]
@@ -343,7 +343,7 @@ def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
     found, expected, total = np.zeros(LAGS + 1), np.zeros(LONGEST_LAG + 1), 0
     for part in parts:
         size = len(part.new)
-        uncertain = part.by_tilt[:, i]
+        uncertain = part.by_own[:, i]
         if part.carried is not None:
             of_payload = part.by_payload[:, i] @ factor(part.carried.covariance)
             uncertain = np.column_stack([uncertain, of_payload])

@@ -21,7 +21,7 @@ from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
-from truewrench.model.payload import payload_wrench
+from truewrench.model.payload import lever, payload_wrench
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import at_reference_temperature
 from truewrench.robot.compensation import subtracted, uncompensated
@@ -44,8 +44,8 @@ class Residuals:
     payload: str  # that it carries
     carried: Carried | None  # the same as the calibration knows it; None where it brings no error
     by_payload: Array  # (M, 6, 10 or none) derivative of the wrench by it, without its mean
-    # (M, 6, 2R) of 1 sigma of what is left of gravity's tilt in each root frame, likewise
-    by_tilt: Array
+    # (M, 6, k) of 1 sigma of what is left of the log's own: gravity's tilt by root frame, or an IMU's biases
+    by_own: Array
     begin: tuple[int, ...]  # where chunks begin
     lagged: Array  # (LONGEST_LAG + 1, 6) mean of the motion's covariance at 0, 1, ... rows over the noise
     period: float  # [s]
@@ -71,12 +71,12 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     sensor = rig.sensor
     inverse = np.nan_to_num(calibration.inverse)
     nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
-    wrench, by_payload, by_tilt = known.wrench, known.by_payload, known.by_tilt
+    wrench, by_payload, by_own = known.wrench, known.by_payload, known.by_own
     old = (log.raw[known.rows] + known.weight) @ nominal_inverse.T - wrench
     new = (compensated.raw[known.rows] + known.weight) @ inverse.T - wrench
     if tared(rig):
-        old, new, wrench, by_payload, by_tilt = (
-            x - x.mean(axis=0) for x in (old, new, wrench, by_payload, by_tilt)
+        old, new, wrench, by_payload, by_own = (
+            x - x.mean(axis=0) for x in (old, new, wrench, by_payload, by_own)
         )
     else:
         new = new - calibration.offset @ inverse.T
@@ -89,7 +89,7 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
         log.payload,
         known.carried,
         by_payload,
-        by_tilt,
+        by_own,
         known.begin,
         known.lagged,
         float(np.median(np.diff(log.time[known.rows]))),
@@ -111,13 +111,13 @@ class _Known:
     lagged: Array
     time_offset: float
     by_payload: Array
-    by_tilt: Array
+    by_own: Array
     tilt: Array = field(default_factory=lambda: np.zeros((1, 2)))
     carried: Carried | None = None
 
 
 def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
-    """With gravity's tilt and the clock as the log's own residuals ask for them, under their priors."""
+    """With tilt of gravity or biases of an IMU, and the clock, as the residuals ask for, under priors."""
     sensor, inverse = rig.sensor, np.nan_to_num(calibration.inverse)
     body = carried(calibration, rig, log.payload)
     at = calibration.time_offset + log.advance()
@@ -126,31 +126,30 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     of_sensor = inverse**2 @ sensor.noise_array**2
     moved = _moved(rig, log, motion, body, at, of_sensor)
     rate = moved.rate - subtracted(rig, moved.fall_rate) @ inverse.T
-    tilts = [rig.gravity_tilt_prior] * moved.by_tilt.shape[2]
-    prior = np.array([*tilts, sensor.time_offset_prior])
+    prior = np.array([*_own_prior(rig, moved), sensor.time_offset_prior])
     own, P = fitted(
         joint_covariance(calibration, [body]),
         prior,
         whole.raw[moved.rows] @ inverse.T - moved.wrench,
         moved.wrench,
         moved.by_payload,
-        np.concatenate([moved.by_tilt, rate[..., None]], axis=2),
+        np.concatenate([moved.by_own, rate[..., None]], axis=2),
         moved.variance + of_sensor,
     )
-    tilt, later = own[:-1], float(own[-1])
+    own, later = own[:-1], float(own[-1])
     if later != 0.0:
         moved = _moved(rig, log, motion, body, at + later, of_sensor)
     return _Known(
         moved.rows,
         (whole.raw - log.raw)[moved.rows] + later * subtracted(rig, moved.fall_rate),
-        moved.wrench + moved.by_tilt @ tilt,
+        moved.wrench + moved.by_own @ own,
         moved.variance,
         moved.begin,
         moved.lagged,
         at + later,
         moved.by_payload,
-        moved.by_tilt @ factor(P[:-1, :-1]),
-        tilt.reshape(-1, 2),
+        moved.by_own @ factor(P[:-1, :-1]),
+        np.zeros((1, 2)) if rig.motion.source == "imu" else own.reshape(-1, 2),
         body if body.covariance.any() else None,
     )
 
@@ -182,7 +181,7 @@ class _Moved:
     rate: Array  # (M, 6) by time
     fall_rate: Array  # (M, 3) of free fall in sensor axes, likewise
     by_payload: Array  # (M, 6, 10)
-    by_tilt: Array  # (M, 6, 2R) by gravity's tilt, zero on orbit
+    by_own: Array  # (M, 6, 2R) by gravity's tilt, zero on orbit; (M, 6, 6) by an IMU's readings
     begin: tuple[int, ...]
     lagged: Array
 
@@ -203,14 +202,18 @@ def _moved(
         weights=[len(chunk.rows) for chunk in chunks],
     )
     by_payload = payload_rates(rig, log.payload, twist, acceleration, gravity)
-    by_tilt = np.zeros((rows.size, 6, 2))
-    if rig.in_gravity:
+    by_own = np.zeros((rows.size, 6, 2))
+    if rig.motion.source == "imu":
+        shift = _core.twist_shift(lever(rig, log.payload, body.body))
+        by_a, by_nu = _core.payload_jacobians(body.body, np.ascontiguousarray(twist @ shift.T))
+        by_own = np.concatenate([(by_a @ shift)[..., :3], (by_nu @ shift)[..., 3:]], axis=2) * rig.sensor.sign
+    elif rig.in_gravity:
         at = log.time[rows] + time_offset
 
         def felt(nu: Array, a: Array, g: Array) -> Array:
             return payload_wrench(rig, log.payload, nu, a, g, body.body)
 
-        by_tilt = tilt_rates(rig, log, at, twist, acceleration, gravity, felt)
+        by_own = tilt_rates(rig, log, at, twist, acceleration, gravity, felt)
     return _Moved(
         rows,
         wrench,
@@ -218,10 +221,19 @@ def _moved(
         rate,
         np.cross(gravity, twist[:, 3:]),
         by_payload * rig.sensor.range_array[:, None],
-        by_tilt,
+        by_own,
         tuple(np.cumsum([0, *(len(chunk.rows) for chunk in chunks)])[:-1].tolist()),
         lagged,
     )
+
+
+def _own_prior(rig: Rig, moved: _Moved) -> Array:
+    """1 sigma of each of the log's own parameters."""
+    count = moved.by_own.shape[2]
+    if rig.motion.source != "imu":
+        return np.full(count, rig.gravity_tilt_prior)
+    biases = rig.motion.accelerometer_bias_prior or 0.0, rig.motion.gyro_bias_prior or 0.0
+    return np.repeat(biases, count // 2)
 
 
 def _correlation(chunk: InertialChunk, of_sensor: Array, lags: int) -> Array:
@@ -265,21 +277,21 @@ def _compared(motion: InertialMotion, log: Log, time_offset: float) -> list[Iner
 def systematic_columns(calibration: Calibration, parts: Sequence[Residuals]) -> Iterator[Array]:
     """Of each wrench axis (M, k) of all logs: columns whose squares add up to the variance by what is common.
 
-    Errors of the gain are common to all logs, those of a payload to all that carry it, those of gravity's
-    tilt to one.
+    Errors of the gain are common to all logs, those of a payload to all that carry it, those of a log's own
+    parameters to one.
     """
     payloads = {part.payload: part.carried for part in parts if part.carried is not None}
     names, joint = list(payloads), joint_covariance(calibration, list(payloads.values()))
     rows = np.cumsum([0, *(len(part.new) for part in parts)])
-    tilts = np.cumsum([0, *(part.by_tilt.shape[2] for part in parts)])
+    owns = np.cumsum([0, *(part.by_own.shape[2] for part in parts)])
     for axis in range(6):
         L = factor(axis_covariance(joint, axis))
-        columns: Array = np.zeros((rows[-1], L.shape[1] + tilts[-1]))
+        columns: Array = np.zeros((rows[-1], L.shape[1] + owns[-1]))
         for i, part in enumerate(parts):
             own = columns[rows[i] : rows[i + 1]]
             own[:, : L.shape[1]] = part.wrench @ L[:6]
             if part.carried is not None:
                 first = 6 + 10 * names.index(part.payload)
                 own[:, : L.shape[1]] += part.by_payload[:, axis] @ L[first : first + 10]
-            own[:, L.shape[1] + tilts[i] : L.shape[1] + tilts[i + 1]] = part.by_tilt[:, axis]
+            own[:, L.shape[1] + owns[i] : L.shape[1] + owns[i + 1]] = part.by_own[:, axis]
         yield columns
