@@ -14,11 +14,11 @@ from tool_cases import a_rig, pose_log, tensor_of
 
 from truewrench import _core
 from truewrench.estimation.estimator import estimate
+from truewrench.estimation.static_poses import split_poses
 from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.simulation.free_body import simulate
 from truewrench.tool.model_rows import Problem
-from truewrench.tool.poses import split_poses
 from truewrench.tool.prior import make_prior
 from truewrench.tool.solve import solve
 

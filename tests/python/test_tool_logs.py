@@ -14,6 +14,7 @@ from tool_cases import Array, a_rig, apart, as_imu, pose_log, swing_log, tour_lo
 
 import truewrench as tw
 from truewrench.correction.contact.apply import apply_contact
+from truewrench.estimation.static_poses import split_poses
 from truewrench.io.tables import write_table
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -21,7 +22,6 @@ from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.model.split import rows_of
 from truewrench.robot.track import track
 from truewrench.tool.identify import Evidence
-from truewrench.tool.poses import split_poses
 
 MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
 INERTIA = np.diag([0.012, 0.010, 0.006])

@@ -30,12 +30,12 @@ from truewrench.estimation.estimate import AGREE, Estimate, no_rows, of_joint
 from truewrench.estimation.estimator import estimate as estimate_motion
 from truewrench.estimation.joint import Joint, body_part, explained
 from truewrench.estimation.parts import InParts, is_long
+from truewrench.estimation.static_poses import stands_still
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import LogReport
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import own_roots
-from truewrench.tool.poses import stands_still
 
 T = TypeVar("T")
 

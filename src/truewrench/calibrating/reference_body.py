@@ -15,12 +15,12 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimation.joint import EXACT, Joint, body_part
+from truewrench.estimation.static_poses import Poses
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import total_body
 from truewrench.tool.model_rows import MotionInformation, Problem, about_center
 from truewrench.tool.parameters import Layout, second_moments, symmetric
-from truewrench.tool.poses import Poses
 from truewrench.tool.prior import S_STD, Prior
 from truewrench.tool.solve import Solution
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
+from truewrench.estimation.static_poses import APART, MOVING, Move
 from truewrench.model.arrays import Array, Integers
 from truewrench.tool.model_rows import MotionInformation, Problem
 from truewrench.tool.motion import motion_information
-from truewrench.tool.poses import APART, MOVING, Move
 from truewrench.tool.solve import Solution, told
 
 FEWEST = 8  # poses of a log, which are compared by halves

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from truewrench.estimation.far_clock import with_clock_set
+from truewrench.estimation.static_poses import Split, split_poses
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
@@ -29,7 +30,6 @@ from truewrench.tool.model import Body, Tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.motion import MotionFit, body_start, motion_information
 from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, second_moments
-from truewrench.tool.poses import Split, split_poses
 from truewrench.tool.prior import make_prior, settings_of, widening, with_known_wrenches
 from truewrench.tool.setup import mistakes_of_motion
 from truewrench.tool.solve import Solution, solve

@@ -9,6 +9,7 @@ from scipy.special import chdtrc
 
 from truewrench import _core
 from truewrench.estimation.estimate import AGREE, odd_log, worst_of
+from truewrench.estimation.static_poses import MOVING, Poses
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
@@ -16,7 +17,6 @@ from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit
 from truewrench.tool.parts import ToolVerdict
-from truewrench.tool.poses import MOVING, Poses
 from truewrench.tool.setup import mistakes, mistakes_of_motion
 from truewrench.tool.solve import REPEATABILITY, WALK, Solution, solve
 from truewrench.tool.undetermined import directions_in, undetermined

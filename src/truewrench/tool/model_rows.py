@@ -12,12 +12,12 @@ from itertools import count
 import numpy as np
 
 from truewrench import _core
+from truewrench.estimation.static_poses import Move, Poses
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.motion.spatial import cross, cross_matrix
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import total_body, weight
 from truewrench.tool.parameters import ELEMENTS, Layout, channel_turn, symmetric, tilted
-from truewrench.tool.poses import Move, Poses
 from truewrench.tool.prior import Prior
 
 _EXACT = 1e-6  # of range: 1 sigma of a link beside the walk, which a knot at the end of its log has none of

@@ -12,6 +12,7 @@ import numpy as np
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions, statement
 from truewrench.estimation.record import recorded
+from truewrench.estimation.static_poses import Move
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
@@ -21,7 +22,6 @@ from truewrench.model.rig import Rig
 from truewrench.tool.bodies import nearest_physical
 from truewrench.tool.model_rows import MotionInformation, about_center
 from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, second_moments, symmetric
-from truewrench.tool.poses import Move
 
 _LOG_MASS, _CENTER, _GYRATION = 1.0, 0.1, 0.01  # 1 sigma of the broad body: 1, [m], [m^2] times the mass
 _LEAST_GAIN = 1e-4  # 1 sigma of the gains that the estimator is given at least, normalised

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truewrench.estimation.static_poses import Poses
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.motion.spatial import cross
 from truewrench.model.rig import Rig
-from truewrench.tool.poses import Poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)

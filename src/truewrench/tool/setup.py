@@ -10,12 +10,12 @@ from itertools import permutations, product
 
 import numpy as np
 
+from truewrench.estimation.static_poses import Poses, attitudes
 from truewrench.model.arrays import Array
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import attitude_at, free_fall
 from truewrench.tool.motion import measured_motions, on_rows, regressor
-from truewrench.tool.poses import Poses, attitudes
 from truewrench.tool.recipe import Recipe, recipe
 
 _FITS = 0.5  # of what is left as stated: an explanation leaves less

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import chdtr, chdtrc
+from scipy.special import betainc, chdtr, chdtrc, ndtri
 
 from truewrench.judging.validation.errors import factor, was_seen
 from truewrench.judging.validation.residuals import LONGEST_LAG, Residuals, residuals, systematic_columns
@@ -61,7 +61,7 @@ class AxisValidation:
         nis_std: 1 sigma of that, by what is claimed.
         nis_probability: of one so large or small, by what is claimed.
         coverage: share of the samples within 1.96 claimed sigma.
-        coverage_deviate: how far below 95% that is, in units of what chance brings; 0 where the claimed
+        coverage_deviate: how far below 95% that is, in sigma of chance; 0 above it, and where the claimed
             sigma is mostly the gain's own.
         autocorrelation: the largest of the residual's at the first lags, beyond what the motion explains.
         white_probability: of autocorrelations at the first lags as large as found.
@@ -303,7 +303,6 @@ def _axis(
     nis = float(np.mean(new**2 / variance))
     lag, probability = _whiteness(found, expected, len(new))
     coverage = float(np.mean(np.abs(new) <= SIGMA_95 * np.sqrt(variance)))
-    below = (0.95 - coverage) * float(np.sqrt(freedom / (0.95 * 0.05)))
     axis = AxisValidation(
         nominal,
         rms,
@@ -315,11 +314,19 @@ def _axis(
         float(np.sqrt(spread)),
         _probability(nis, spread, skew, share, freedom),
         coverage,
-        below if share > NOISE_SHARE else 0.0,
+        _deviate(coverage, freedom) if share > NOISE_SHARE else 0.0,
         lag,
         probability,
     )
     return replace(axis, keep=not _reasons("", axis))
+
+
+def _deviate(coverage: float, rows: float) -> float:
+    """Sigma of a normal variable that chance takes as far as so few of independent rows within 95% limits."""
+    if coverage >= 0.95:
+        return 0.0
+    tail = float(betainc(rows * (1.0 - coverage), rows * coverage + 1.0, 0.05))  # binomial
+    return -float(ndtri(max(tail, np.finfo(np.float64).tiny)))
 
 
 def _probability(nis: float, spread: float, skew: float, share: float, freedom: float) -> float:
@@ -340,9 +347,13 @@ def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
     What can be done to it by the gain's own error, a constant and a share of every wrench axis, and by those
     of payload and tilt as far as they are uncertain, is taken out before.
     """
-    found, expected, total = np.zeros(LAGS + 1), np.zeros(LONGEST_LAG + 1), 0
-    for part in parts:
-        size = len(part.new)
+    sizes = [len(part.new) for part in parts]
+    expected = np.average([part.lagged[:, i] for part in parts], axis=0, weights=sizes)
+    expected[0] = 1.0
+    found, total = np.zeros(LAGS + 1), 0
+    for part, size in zip(parts, sizes, strict=True):
+        if part.at_rest:
+            continue
         uncertain = part.by_own[:, i]
         if part.carried is not None:
             of_payload = part.by_payload[:, i] @ factor(part.carried.covariance)
@@ -361,11 +372,8 @@ def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
                 count += end - begin - lag
             pairs[lag] /= max(1, count)
         found += size * pairs
-        expected += size * part.lagged[:, i]
         total += size
-    expected /= total
-    expected[0] = 1.0
-    return found / total, expected
+    return found / total if total else expected[: LAGS + 1], expected
 
 
 def _whiteness(found: Array, expected: Array, size: int) -> tuple[float, float]:

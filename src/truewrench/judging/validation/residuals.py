@@ -8,7 +8,9 @@ import numpy as np
 from truewrench import _core
 from truewrench.estimation.inertial import InertialChunk, InertialMotion
 from truewrench.estimation.reference_clock import with_reference_on_time
+from truewrench.estimation.static_poses import stands_still
 from truewrench.estimation.unknowns import payload_rates, tilt_rates
+from truewrench.judging.validation.at_rest import at_rest, poses_of
 from truewrench.judging.validation.errors import (
     Carried,
     axis_covariance,
@@ -47,11 +49,14 @@ class Residuals:
     # (M, 6, k) of 1 sigma of what is left of the log's own: gravity's tilt by root frame, or an IMU's biases
     by_own: Array
     begin: tuple[int, ...]  # where chunks begin
-    lagged: Array  # (LONGEST_LAG + 1, 6) mean of the motion's covariance at 0, 1, ... rows over the noise
+    # (LONGEST_LAG + 1, 6) mean of the motion's covariance at 0, 1, ... rows over the noise; of the walk of an
+    # offset the root mean square: it has (tr V)^2 / sum V_tu^2 degrees of freedom
+    lagged: Array
     period: float  # [s]
     time_offset: float
     tilt: Array  # (R, 2) of gravity, that the residuals ask for, under its prior [rad]
     rows: Integers  # (M,) of the log
+    at_rest: bool  # static poses, a row each
 
 
 def tared(rig: Rig) -> bool:
@@ -62,12 +67,18 @@ def tared(rig: Rig) -> bool:
 def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     """Residuals of one log with the nominal and the calibration's gain.
 
-    Against the wrench by the motion, or against reference wrenches where the log has them.
+    Against the wrench by the motion, the weight in static poses, or reference wrenches where a log has them.
     """
     log, _ = with_reference_on_time(rig, log)
-    by_another = _by_motion if log.reference is None else _by_reference
     compensated = at_reference_temperature(calibration.offset_temperature, calibration.rig, log)
-    known = by_another(calibration, rig, compensated)
+    still = log.reference is None and rig.in_gravity and stands_still(rig, log)
+    if log.reference is not None:
+        known = _by_reference(calibration, rig, compensated)
+    elif still:
+        known = _by_weight(calibration, rig, compensated)
+        log, compensated = poses_of(rig, log)[0], poses_of(rig, compensated)[0]
+    else:
+        known = _by_motion(calibration, rig, compensated)
     sensor = rig.sensor
     inverse = np.nan_to_num(calibration.inverse)
     nominal_inverse = _core.generalised_inverse(sensor.nominal_gain_array, sensor.noise_array)
@@ -84,8 +95,8 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
         old,
         new,
         wrench,
-        known.variance + inverse**2 @ sensor.noise_array**2,
-        known.variance + nominal_inverse**2 @ sensor.noise_array**2,
+        known.variance + known.channels @ (inverse**2).T,
+        known.variance + known.channels @ (nominal_inverse**2).T,
         log.payload,
         known.carried,
         by_payload,
@@ -96,15 +107,17 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
         known.time_offset,
         known.tilt,
         known.rows,
+        still,
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Known:
-    """The payload's wrench at M rows of a log, by something else than the sensor."""
+    """The payload's wrench at M rows of a log, of poses one each, by something else than the sensor."""
 
     rows: Integers
     weight: Array  # (M, n) channels of what the driver subtracted
+    channels: Array  # (n,), or (M, n), variance of the channels
     wrench: Array  # (M, 6)
     variance: Array  # (M, 6)
     begin: tuple[int, ...]
@@ -142,6 +155,7 @@ def _by_motion(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     return _Known(
         moved.rows,
         (whole.raw - log.raw)[moved.rows] + later * subtracted(rig, moved.fall_rate),
+        sensor.noise_array**2,
         moved.wrench + moved.by_own @ own,
         moved.variance,
         moved.begin,
@@ -168,7 +182,54 @@ def _by_reference(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     lagged = np.zeros((LONGEST_LAG + 1, 6))  # white
     none = np.zeros((rows.size, 6, 0))
     wrench, time_offset, weight = log.reference[rows], calibration.time_offset, (whole.raw - log.raw)[rows]
-    return _Known(rows, weight, wrench, variance, (0,), lagged, time_offset, none, none)
+    channels = rig.sensor.noise_array**2
+    return _Known(rows, weight, channels, wrench, variance, (0,), lagged, time_offset, none, none)
+
+
+def _by_weight(calibration: Calibration, rig: Rig, log: Log) -> _Known:
+    """In static poses, with gravity's tilt as their residuals ask for it, under its prior."""
+    inverse = np.nan_to_num(calibration.inverse)
+    body = carried(calibration, rig, log.payload)
+    [whole] = uncompensated(rig, [log])
+    (short, _), (bare, _) = poses_of(rig, whole), poses_of(rig, log)
+    fall, still = short.gravity, np.zeros((len(short.raw), 6))
+    assert fall is not None
+
+    def weighed(g: Array) -> Array:
+        return payload_wrench(rig, log.payload, still, still, g, body.body)
+
+    wrench = weighed(fall)
+    rest = at_rest(rig, whole, wrench)
+    by_tilt = np.stack([weighed(fall + change) - wrench for change in rest.by_tilt], axis=2)
+    size, spread = len(fall), inverse**2 @ rig.sensor.channel_scale**2
+    walk = np.diag(rest.walk)[:, None] * spread
+    noise = walk + rest.variance @ (inverse**2).T
+    by_payload = payload_rates(rig, log.payload, still, still, fall) * rig.sensor.range_array[:, None]
+    tilt = np.zeros(2)
+    if rest.common:
+        residual, joint = short.raw @ inverse.T - wrench, joint_covariance(calibration, [body])
+        tilt, P = fitted(joint, np.ones(2), residual, wrench, by_payload, by_tilt, noise)
+        wrench, by_own = wrench + by_tilt @ tilt, by_tilt @ factor(P)
+    else:  # nothing tells how a pose is turned about gravity: to each its own
+        by_own = np.zeros((size, 6, size, 2))
+        by_own[np.arange(size), :, np.arange(size)] = by_tilt
+    lagged = np.zeros((LONGEST_LAG + 1, 6))
+    for lag in range(min(size, LONGEST_LAG + 1)):
+        lagged[lag] = np.sqrt(np.sum(np.diagonal(rest.walk, lag) ** 2) / size) * spread / noise.mean(axis=0)
+    return _Known(
+        np.arange(size),
+        short.raw - bare.raw,
+        rest.variance,
+        wrench,
+        walk,
+        (0,),
+        lagged,
+        0.0,
+        by_payload,
+        by_own.reshape(size, 6, -1),
+        rig.gravity_tilt_prior * tilt[None],
+        body if body.covariance.any() else None,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

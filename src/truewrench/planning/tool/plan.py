@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from truewrench.estimation.static_poses import DWELL
 from truewrench.io.plans import joint_table
 from truewrench.io.table import ACCELERATION, GRAVITY, TWIST
 from truewrench.model.arrays import Array
@@ -30,7 +31,6 @@ from truewrench.planning.tool.path import Timed, joint_path, route, twist_path
 from truewrench.planning.tool.postures import Reach, Stand, postures_towards, reach_of
 from truewrench.planning.tool.prediction import ToolPrediction, predict_motion, predict_poses
 from truewrench.tool.judge import LIGHT
-from truewrench.tool.poses import DWELL
 from truewrench.tool.prior import settings_of
 from truewrench.tool.undetermined import NARROW, directions_of
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from truewrench.estimation.static_poses import SETTLE, Poses
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
@@ -18,7 +19,6 @@ from truewrench.tool.bodies import inertia_std
 from truewrench.tool.identify import DETERMINED, identify_tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.parameters import ELEMENTS, second_moments
-from truewrench.tool.poses import SETTLE, Poses
 from truewrench.tool.prior import Prior, make_prior, widening
 from truewrench.tool.solve import REPEATABILITY, WALK, solve
 
