@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from truewrench.estimation.bound import bound, information
 from truewrench.model.log import Log
 from truewrench.model.motion.trajectory import Body, HarmonicTwist, attitude
 from truewrench.model.rig import Rig
+from truewrench.model.split import rows_of
 from truewrench.robot.arm import robot_of
 from truewrench.robot.track import track
 from truewrench.simulation.arm.motion import default_motion
@@ -333,3 +335,11 @@ def test_bound_of_joints_agrees_with_a_dense_one_in_joint_space(
     found = bound(rig, [log], np.eye(6))
     assert found.rms == pytest.approx(expected, rel=0.05)  # not on the same knots
     assert found.rms > (1.3 if accurate else 1.0) * found.oracle_rms  # it is the motion that counts
+
+
+def test_no_duration_leaves_the_last_sample_outside() -> None:
+    """Of 250 durations, 25 did, by rounding: the last knot was before it."""
+    rig = rig_of(0.1, 1e-3)
+    log = simulate(rig, replace(MOTION, duration=12.0)).log
+    for count in range(600, 680):
+        assert np.isfinite(bound(rig, [rows_of(log, slice(count))], np.eye(6)).rms)

@@ -296,6 +296,15 @@ def test_weight_beyond_the_range_is_said_before_anything_moves(
     assert promised["predicted_gain_std"] is None
 
 
+def test_a_workspace_without_the_start_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No motion that is drawn keeps to it, not even rest: one start is all that there is to search from."""
+    status, said = run(tmp_path, changed(limits={"workspace": [[1.0, 2.0], [-1, 1], [-1, 1]]}), capsys)
+    assert status == 3
+    assert "workspace" in said
+    promised = yaml.safe_load((tmp_path / "plan.csv.plan.yaml").read_text())
+    assert promised["feasible"] is False
+
+
 def test_payload_that_shows_no_moments_is_said_before_anything_moves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

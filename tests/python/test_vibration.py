@@ -16,6 +16,7 @@ from truewrench.estimation.vibration import without_vibrations
 from truewrench.model.log import Log
 from truewrench.model.motion.trajectory import HarmonicTwist
 from truewrench.model.motion.trajectory_joint import SplineJoints
+from truewrench.model.split import rows_of
 from truewrench.simulation.arm.run import ArmRun
 from truewrench.simulation.free_body import SimulatedRun
 
@@ -57,6 +58,24 @@ def test_a_log_without_vibrations_is_left_as_it_is() -> None:
     for seed in range(12):
         log = simulated(seed).log
         assert without_vibrations(RIG, log) is log
+
+
+@pytest.mark.parametrize("seconds", [4.2, 5.1, 5.7, 7.5])
+def test_a_short_log_without_vibrations_is_left_as_it_is(seconds: float) -> None:
+    """Of one segment, the density of white noise is four times that of a few bins in every second log."""
+    changed = 0
+    for seed in range(24):
+        log = simulated(seed).log
+        short = rows_of(log, log.time < seconds)
+        changed += without_vibrations(RIG, short) is not short
+    assert changed <= 1
+
+
+def test_a_line_too_weak_to_matter_takes_nothing_with_it() -> None:
+    """It is far above the density of the noise, and a sixth of its variance: no reason to leave all out."""
+    for seed in range(12):
+        weak = shaken(simulated(seed).log, 31.0, 0.4 * RIG.sensor.noise[0])
+        assert not any(band.open for band in without_vibrations(RIG, weak).vibrations)
 
 
 @pytest.mark.parametrize("hz", [12.0, 27.0, 40.0, 60.0])

@@ -209,9 +209,9 @@ def _cut(stream: _Stream, begin: float, end: float) -> _Stream:
 
 def _uniform(time: Array, spacing: float) -> Array:
     intervals = max(1, round((time[-1] - time[0]) / spacing))
-    return np.asarray(
-        time[0] + (time[-1] - time[0]) / intervals * np.arange(-_DEGREE, intervals + _DEGREE + 1)
-    )
+    knots = time[0] + (time[-1] - time[0]) / intervals * np.arange(-_DEGREE, intervals + _DEGREE + 1)
+    knots[-1 - _DEGREE] = time[-1]  # rounding may leave it before the last sample
+    return np.asarray(knots)
 
 
 def _piece_information(

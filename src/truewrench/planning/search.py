@@ -87,7 +87,7 @@ def search(
     for k, candidate in enumerate(drawn[: effort.starts]):
         progress(f"optimum {k + 1} of {effort.starts}", k / steps)
         optima.append(solve(problem, candidate, limits, iterations=effort.first, rounds=effort.rounds))
-    for k in range(effort.finalists):
+    for k in range(min(effort.finalists, len(optima))):
         progress(f"further from the best, {k + 1} of {effort.finalists}", (effort.starts + k) / steps)
         optima.sort(key=lambda optimum: optimum.merit)
         optima[k] = solve(
