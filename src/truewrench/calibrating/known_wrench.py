@@ -125,6 +125,7 @@ def _as_estimate(rig: Rig, found: KnownWrenchEstimate) -> Estimate:
         offsets=found.offsets,
         offsets_std=found.offsets_std,
         offset_temperature=found.offset_temperature,
+        slope_covariance=found.slope_covariance,
         converged=True,
         iterations=found.iterations,
         fits=1,

@@ -150,6 +150,7 @@ def _from_known_wrench(
         judgement.verdict,
         known_wrench_reports(logs, estimate),
         offset_temperature=estimate.offset_temperature,
+        offset_temperature_covariance=estimate.slope_covariance,
         time_offset_std=rig.sensor.time_offset_prior,  # of a motion: nothing was learnt of it
         axes=judgement.axes,
         assumed=(*of_references(logs, clocks), *estimate.findings),

@@ -122,6 +122,9 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
         offset_temperature=found.offset_temperature
         if found.offset_temperature is not None
         else still.estimate.offset_temperature,
+        slope_covariance=told["slope_covariance"]
+        if found.offset_temperature is not None
+        else still.estimate.slope_covariance,
         sources=_sources(rig, joint, told["normalised_covariance"]),
         joint=joint,
     )

@@ -135,11 +135,14 @@ def _as_estimate(rig: Rig, logs: Sequence[Log], solutions: dict[str, Solution], 
     n, count = rig.sensor.n, len(logs)
     last = list(solutions.values())[-1]
     v = last.problem.vector
+    places = np.r_[v.layout.gain, v.offset(v.logs - 1), v.slope]
+    told = of_joint(rig, known.plain(rig), [f"pose offset {k}" for k in range(count)], {"tilt": range(count)})
+    told["slope_covariance"] = last.covariance[v.slope, places] if v.warm else None
     return without_motion(
         n,
         count,
         solved=True,
-        **of_joint(rig, known.plain(rig), [f"pose offset {k}" for k in range(count)], {"tilt": range(count)}),
+        **told,
         gain_prior=np.full(6 * n, rig.sensor.gain_prior),
         offset_temperature=last.x[v.slope].copy() if v.warm else None,
         converged=True,

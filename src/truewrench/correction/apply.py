@@ -15,6 +15,7 @@ from truewrench.io.tables import TimeReader, named_payload, open_table, raw_colu
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.model.errors import InputError
+from truewrench.model.temperature import where_apart
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
@@ -106,11 +107,13 @@ class Run:
         time = self._time.read(chunk)
         raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
         new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
-        compensated = raw
+        compensated, celsius = raw, np.full(chunk.rows, self._warmth.reference)
         if self._celsius:
-            compensated = self._warmth.without(raw, numbers(chunk.column("temperature"))[0])
+            celsius = self._warmth.held(numbers(chunk.column("temperature"))[0])
+            compensated = self._warmth.without(raw, celsius)
         complete = ~np.isnan(compensated).any(axis=1)
-        new[complete] = np.hstack(self._corrector.correct(compensated[complete]))
+        wrench, std = self._corrector.correct(compensated[complete])
+        new[complete] = np.hstack([wrench, self._warmth.widened(std, celsius[complete])])
         self._rows += chunk.rows
         self._corrected += int(np.isfinite(new[:, 0]).sum())
         new[:, self._withheld] = np.nan
@@ -146,6 +149,8 @@ def without_weight(calibration: Calibration) -> tuple[str, ...]:
 def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
     """What turns raw samples into wrenches and their 1 sigma: of noise, gain, offset, u (10.3), d (10.2).
 
+    An offset that follows temperature is as well known as in the middle of the temperatures that told it.
+
     The gain is the tangent at no wrench; what a channel departs from it is part of sigma, and not corrected.
     A gain that cannot be inverted is an InputError, which names the source of the samples.
     """
@@ -155,10 +160,15 @@ def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
         quadratic = np.hypot(calibration.quadratic, calibration.quadratic_std) / scale
     if calibration.discrepancy is not None:
         discrepancy = calibration.discrepancy * scale
-    noise = calibration.rig.sensor.noise_array
+    noise, covariance, n = calibration.rig.sensor.noise_array, calibration.covariance, calibration.n
+    if (
+        calibration.offset_temperature_covariance is not None
+    ):  # what is further from there is `Warmth.widened`
+        slope = calibration.offset_temperature_covariance
+        covariance = where_apart(covariance, slice(6 * n, 7 * n), slope, scale)[1]
     try:
         return _core.Corrector(
-            calibration.gain, calibration.offset, noise, calibration.covariance, quadratic, discrepancy
+            calibration.gain, calibration.offset, noise, covariance, quadratic, discrepancy
         )
     except ValueError as error:
         raise InputError(f"{source}: cannot be corrected: {error}") from error

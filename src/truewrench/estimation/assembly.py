@@ -34,6 +34,7 @@ def assemble_motion(
         verdict,
         [_motion_report(log, k, estimate) for k, log in enumerate(logs)],
         offset_temperature=estimate.offset_temperature,
+        offset_temperature_covariance=estimate.slope_covariance,
         time_offset=float(estimate.time_offsets[-1]),
         time_offset_std=float(estimate.time_offsets_std[-1]),
         payload_posterior={

@@ -196,10 +196,13 @@ class Estimate:
     history_log: Integers  # (B,) which log each belongs to
     history_gain: Array  # (B, n, 6) the gain after it
     # `gain`, `tilt K` of each root frame by the first log that has it, of each payload that is not exact its
-    # `body_part` and the departure of its inertia, `inertia NAME` [kg m^2], and `offset K` of each log,
-    # together; None where nothing moved
+    # `body_part` and the departure of its inertia, `inertia NAME` [kg m^2], `offset K` of each log, and
+    # `slope` where the offset has one, together; None where nothing moved
     joint: Joint | None = None
     notes: tuple[str, ...] = ()  # what of the logs was not read
+    # (n, 8n) covariance of `offset_temperature` with [gain row by row, offset of the last log, itself]; None
+    # without a slope
+    slope_covariance: Array | None = None
     deviance: float = math.nan  # -2 log L of `map` (10.7), nan of `online` and of parts
 
     @property
@@ -307,6 +310,7 @@ def of_joint(
     return {
         "gain": mean[: 6 * n].reshape(n, 6),
         "covariance": P,
+        "slope_covariance": slope_covariance(joint, offsets[-1]),
         "normalised_covariance": normalised,
         "before_pose": normalised[: 6 * n, : 6 * n],
         "offsets": np.array([offset for offset, _ in pairs]),
@@ -321,6 +325,14 @@ def of_joint(
             for part, logs in roots.items()
         ),
     }
+
+
+def slope_covariance(joint: Joint, offset: str) -> Array | None:
+    """Of the slope with gain, an offset and itself, (n, 8n); None where the offset has none."""
+    if "slope" not in joint.places:
+        return None
+    own = joint.at(["slope"])
+    return np.asarray(joint.covariance[np.ix_(own, joint.at(["gain", offset, "slope"]))])
 
 
 def payload_departure(spec: PayloadSpec, joint: Joint, name: str) -> PayloadDeparture:

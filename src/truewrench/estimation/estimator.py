@@ -19,6 +19,7 @@ from truewrench.estimation.estimate import (
     Step,
     Tilt,
     payload_departure,
+    slope_covariance,
     without_motion,
 )
 from truewrench.estimation.joint import EXACT, Joint, body_part, explained
@@ -142,6 +143,7 @@ def solved(
         history_log=np.zeros(0, np.int64) if history is None else history.log,
         history_gain=np.zeros((0, n, 6)) if history is None else history.gain * unit,
         joint=joint,
+        slope_covariance=slope_covariance(joint, f"offset {len(logs) - 1}"),
         deviance=float(fit.deviance),
     )
 
@@ -300,6 +302,8 @@ def _joint(
         stated[name] = np.append(np.log(spec.mass), spec.center_of_mass_array)
     for k, c in enumerate(columns):
         rows[f"offset {k}"] = scale[:, None] * sum(unit[np.array(c.at)[b : b + n]] for b in (c.b, *c.steps))
+    if columns[0].slope >= 0:
+        rows["slope"] = scale[:, None] * unit[np.array(columns[0].at)[columns[0].slope :][:n]]
     whole = np.vstack(list(rows.values()))
     P = whole @ P_theta @ whole.T
     P[np.diag_indices_from(P)] += EXACT**2 * (np.diag(P) == 0.0)

@@ -43,6 +43,7 @@ class KnownWrenchEstimate:
     offsets_std: Array  # (L, n)
     # (n,) slope of the offset per K, None without a temperature column or prior
     offset_temperature: Array | None
+    slope_covariance: Array | None  # (n, 8n) of it with [gain row by row, offset of the last log, itself]
     converged: bool  # whether the iterations ended below their tolerance
     iterations: int  # how many
     rows: tuple[Integers, ...]  # per log, the rows with all channels and the whole reference that were used
@@ -176,6 +177,7 @@ def _result(
         row_noise[list(found.logs)] = solution.noise * np.outer(wider, wider)
     rows = tuple(own[taken[log_of == k]] for k, own in enumerate(complete))
     outliers = tuple(own[~fit.used[log_of == k]] for k, own in enumerate(complete))
+    slope, by_slope = index[:, -1], np.append(units, scale)
     return KnownWrenchEstimate(
         gain=solution.parameters[:, :6] * scale[:, None] / span,
         covariance=normalised * units[:, None] * units,
@@ -183,6 +185,9 @@ def _result(
         offsets=(solution.parameters[:, 6 + offset_of] * scale[:, None]).T,
         offsets_std=(std[:, 6 + offset_of] * scale[:, None]).T,
         offset_temperature=solution.parameters[:, -1] * scale if with_slope else None,
+        slope_covariance=whole[np.ix_(slope, np.append(kept, slope))] * np.outer(scale, by_slope)
+        if with_slope
+        else None,
         converged=solution.converged,
         iterations=solution.iterations,
         rows=rows,

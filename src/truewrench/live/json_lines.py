@@ -113,7 +113,7 @@ def correct_lines(
         else:
             sample[0] = row.raw
             wrench, std = correct(sample - warmth.shift if warmth.follows else sample)
-            values = [*wrench[0].tolist(), *std[0].tolist()]
+            values = [*wrench[0].tolist(), *warmth.widened(std[0], warmth.latest).tolist()]
             if not all(map(math.isfinite, values)):
                 raise LineError("found channels of such a size that no wrench can be told")
             values = [math.nan if held else x for held, x in zip(withheld, values, strict=True)]

@@ -107,7 +107,8 @@ class _Wrenches:
         values = wrench[0].tolist()
         if not math.isfinite(sum(values)):
             raise InputError("found channels of such a size that no wrench can be told")
-        told = np.where(self.withheld, np.nan, [values, std[0]])
+        spread = std[0] if self.warmth is None else self.warmth.widened(std[0], self.warmth.latest)
+        told = np.where(self.withheld, np.nan, [values, spread])
         self._wrench.write(WrenchStamped.of(header, told[0].tolist()))
         if with_std:
             self._std.write(WrenchStamped.of(header, told[1].tolist()))

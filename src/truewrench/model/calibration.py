@@ -67,6 +67,7 @@ class Calibration:
         improvement: per wrench axis; empty when it was not judged.
         bound: None for estimators that do not compute it.
         offset_temperature: (n,) slope of the offset per K, None without a temperature column.
+        offset_temperature_covariance: (n, 8n) of it with [gain row by row, offset, itself].
         time_offset: of the last log [s].
         time_offset_std: its 1 sigma [s].
         payload_posterior: what the data say of each payload, by name; empty when payloads are taken as exact.
@@ -96,6 +97,7 @@ class Calibration:
     improvement: Mapping[str, AxisImprovement] = field(default_factory=dict)
     bound: Bound | None = None
     offset_temperature: Array | None = None
+    offset_temperature_covariance: Array | None = None
     time_offset: float = 0.0
     time_offset_std: float = 0.0
     payload_posterior: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -195,6 +197,7 @@ class Calibration:
             "created": self.created,
             "rig": self.rig.to_mapping(),
             "covariance": self.covariance,
+            "offset_temperature_covariance": self.offset_temperature_covariance,
         }
 
 
@@ -261,6 +264,9 @@ def _from_fields(top: Fields) -> Calibration:
         offset_temperature=None
         if top.get("offset_temperature") is None
         else top.array("offset_temperature", (n,)),
+        offset_temperature_covariance=None
+        if top.data.get("offset_temperature_covariance") is None
+        else top.array("offset_temperature_covariance", (n, 8 * n)),
         time_offset=top.number("time_offset"),
         time_offset_std=top.number("time_offset_std"),
         payload_posterior=_payload_posterior(top.section("payload_posterior"), n),

@@ -9,6 +9,22 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 
 
+def where_apart(P: Array, offset: slice, slope: Array, scale: Array) -> tuple[float, Array, Array]:
+    """Where offset and slope tell nothing of each other: the middle of the temperatures that told them.
+
+    P (p, p) is the covariance of parameters, the offset at the reference temperature among them, `slope`
+    (n, p + n) that of the slope with these and itself, `scale` (n,) the channels' full scale. Given are how
+    far above the reference it is [K], P with the offset there, and the slope's 1 sigma (n,) [per K].
+    """
+    p, n = len(P), len(slope)
+    own = np.diag(slope[:, p:]) / scale**2
+    above = -float(np.sum(np.diag(slope[:, offset]) / scale**2) / max(own.sum(), np.finfo(np.float64).tiny))
+    A = np.eye(p, p + n)
+    A[offset, p:] = above * np.eye(n)
+    whole = np.block([[P, slope[:, :p].T], [slope]])
+    return above, A @ whole @ A.T, np.sqrt(np.maximum(np.diag(slope[:, p:]), 0.0))
+
+
 def temperature_at(log: Log, time_ns: Integers) -> Array | None:
     """(M,) temperatures [degC] at these stamps, linear between readings; None where the log has none."""
     if log.temperature is None:

@@ -142,8 +142,9 @@ def _motion(solution: Solution, part: Move, move: Move, threads: int) -> MotionI
     n, says = problem.vector.n, found.information
     counts = [n * max(one.knots.size, 1) for one in problem.moves]
     first, k = 6 * n + 10, problem.moves.index(move)
-    start, size = first + sum(counts[:k]), first + sum(counts) + 2
-    at = np.r_[:first, start : start + counts[k], size - 2 : size]
+    last = 2 + n * problem.warm_moves
+    start, size = first + sum(counts[:k]), first + sum(counts) + last
+    at = np.r_[:first, start : start + counts[k], size - last : size]
     out = MotionInformation(np.zeros(size), np.zeros((size, size)), np.zeros(size))
     out.at[at], out.information[np.ix_(at, at)], out.gradient[at] = says.at, says.information, says.gradient
     return out

@@ -285,7 +285,8 @@ def _tool(
         held_out=left,
         flange=place,
         housing=shell,
-        offset_temperature=_slope(solution),
+        offset_temperature=solution.x[v.slope].copy() if v.warm else None,
+        offset_temperature_covariance=solution.covariance[v.slope, np.r_[:size, v.slope]] if v.warm else None,
         time_offset=0.0 if motion is None else motion.time_offset[0],
         time_offset_std=rig.sensor.time_offset_prior if motion is None else motion.time_offset[1],
         logs=tuple(
@@ -305,12 +306,6 @@ def _tool(
     carried, of_body = tool.whole, layout.body
     physical = exported_body(carried.theta[of_body], carried.covariance[of_body, of_body], told, shell)
     return replace(tool, exported=physical)
-
-
-def _slope(solution: Solution) -> Array | None:
-    """Slope of the offset per K (n,), None where it was not asked for."""
-    v = solution.problem.vector
-    return solution.x[v.slope].copy() if v.warm else None
 
 
 def exported_body(body: Array, P: Array, inertia: bool, housing: Array) -> Body:

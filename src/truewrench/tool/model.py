@@ -66,6 +66,7 @@ class Tool:
         flange: (6,) x, y, z, roll, pitch, yaw of the sensor frame on the flange [m, rad].
         housing: (4,) mass and centre of mass of the sensor's housing, sensor axes [kg, m]; zeros: none.
         offset_temperature: (n,) slope of the offset per K, None where no temperature was logged.
+        offset_temperature_covariance: (n, p + n) of it with what `covariance` (p, p) is of, and itself.
         time_offset: of the last log of motion [s].
         time_offset_std: its 1 sigma [s].
         logs: per log: path, sha256, poses, moving seconds.
@@ -100,6 +101,7 @@ class Tool:
     flange: Array = field(default_factory=lambda: np.zeros(6))
     housing: Array = field(default_factory=lambda: np.zeros(4))
     offset_temperature: Array | None = None
+    offset_temperature_covariance: Array | None = None
     time_offset: float = 0.0
     time_offset_std: float = 0.0
     logs: tuple[Mapping[str, Any], ...] = ()
@@ -141,6 +143,7 @@ class Tool:
         P = T @ self.covariance @ T.T
         P = 0.5 * (P + P.T)
         mass, std = float(np.exp(body[0])), np.sqrt(np.diag(P))
+        S = self.offset_temperature_covariance
         return replace(
             self,
             mass=mass,
@@ -150,6 +153,9 @@ class Tool:
             inertia=inertia_of(mass, body[4:]),
             inertia_std=inertia_std(body, P[layout.body, layout.body]),
             covariance=P,
+            offset_temperature_covariance=None
+            if S is None
+            else np.hstack([S[:, : T.shape[1]] @ T.T, S[:, T.shape[1] :]]),
             below=None,
         )
 
@@ -211,6 +217,7 @@ class Tool:
             "offset_time_ns": self.offset_time_ns,
             "offset_walk": self.offset_walk,
             "offset_temperature": self.offset_temperature,
+            "offset_temperature_covariance": self.offset_temperature_covariance,
             "pose_repeatability": self.pose_repeatability,
             "mounting": self.mounting,
             "mounting_std": self.mounting_std,
@@ -318,6 +325,9 @@ def _from_fields(top: Fields) -> Tool:
         offset_temperature=None
         if top.get("offset_temperature") is None
         else top.array("offset_temperature", (n,)),
+        offset_temperature_covariance=None
+        if top.data.get("offset_temperature_covariance") is None
+        else top.array("offset_temperature_covariance", (n, len(_names(Layout(n), "below" in top.data)) + n)),
         time_offset=top.number("time_offset"),
         time_offset_std=top.size("time_offset_std"),
         logs=tuple(log.data for log in top.sections("logs")),

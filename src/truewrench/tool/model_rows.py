@@ -106,9 +106,10 @@ def about_center(y: Array, n: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionInformation:
-    """What moves say of y = [gain with mounting (6n), log m, c, inertia, offsets of moves, tilt (2)].
+    """What moves say of y = [gain with mounting (6n), log m, c, inertia, offsets of moves, slope, tilt (2)].
 
-    The first of these as `about_center` has them; offsets at the knots of each log, or its own.
+    The first of these as `about_center` has them; offsets at the knots of each log, or its own; the slope (n)
+    with the temperature where `warm_moves`.
 
     log p(data | y) = -(y - at)^T information (y - at) / 2 + gradient^T (y - at)
     """
@@ -147,9 +148,17 @@ class Problem:
     def vector(self) -> Vector:
         """Places in x."""
         warm = self.rig.temperature.prior > 0.0 and bool(np.isfinite(self.poses.temperature).any())
+        warm |= self.warm_moves
         session = self.prior.session_ns is not None
         knots = sum(move.knots.size for move in self.moves)
         return Vector(self.rig.sensor.n, len(self.end_ns), self.prior.on, warm, session, knots)
+
+    @property
+    def warm_moves(self) -> bool:
+        """Whether motion tells how the offset follows the temperature."""
+        told = (move.record.temperature for move in self.moves)
+        known = any(celsius is not None and np.isfinite(celsius).any() for celsius in told)
+        return known and self.rig.temperature.prior > 0.0
 
     @property
     def priors_of_motion(self) -> tuple[Array, float]:
@@ -286,7 +295,8 @@ class Problem:
             gain[:, layout.mounting.start + k] = (C @ turn).ravel()
         body, by_x = self.total(x)
         parts, jacobians = [(C @ R6).ravel(), body], [gain, by_x]
-        for place in (*self.offsets_of_moves(), layout.tilt):
+        slope = [v.slope] if self.warm_moves else []
+        for place in (*self.offsets_of_moves(), *slope, layout.tilt):
             parts.append(x[place])
             jacobians.append(np.eye(v.size)[place])
         y, by_y = about_center(np.concatenate(parts), n)

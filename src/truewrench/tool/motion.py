@@ -35,7 +35,7 @@ _GAP = 0.1  # [s] across which a stream is read on the rows of another, for the 
 class MotionFit:
     """What the estimator found in the logs of motion."""
 
-    information: MotionInformation  # on gain, body, offsets and tilt
+    information: MotionInformation  # on gain, body, offsets, their slope and tilt
     body: Array  # (10,) log m, c, inertia at its estimate
     time_offset: tuple[float, float]  # of the last log's clock as it is logged, and its 1 sigma [s]
     masked: float  # share of the samples that were left out as contacts and outliers
@@ -130,6 +130,8 @@ def _taken(
             for b in (c.b, *c.ramps[:j], *steps):
                 pick[np.arange(n), np.array(c.at)[b : b + n]] += 1.0
             rows.append(pick * scale[:, None])
+    if columns[0].slope >= 0:
+        rows.append(np.eye(theta.size)[at[columns[0].slope :][:n]] * scale[:, None])
     # a tool has the tilt of one root frame: where each log has its own, they are integrated out
     one = len({tuple(c.at[c.tilt : c.tilt + 2]) for c in columns}) == 1 and len(columns[0].roots) < 2
     tilt = columns[0].tilt if tilts and one else -1

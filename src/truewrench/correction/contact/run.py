@@ -15,6 +15,7 @@ from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
+from truewrench.model.temperature import where_apart
 from truewrench.robot.compensation import subtracted
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import channel_turn
@@ -289,6 +290,17 @@ def contact_settings(
     if slope is not None:
         settings.temperature_slope = slope
         settings.temperature_reference = tool.rig.temperature.reference
+        if tool.offset_temperature_covariance is not None:
+            scale, at = sensor.channel_scale, tool.layout.offset
+            found = where_apart(tool.covariance, at, tool.offset_temperature_covariance, scale)
+            above, settings.covariance, settings.temperature_slope_std = found
+            settings.temperature_reference += above
+            offset = tool.offset + above * slope
+            gain, feels = np.ascontiguousarray(tool.gain), sensor.feels == "payload_on_sensor"
+            settings.set_sensor(gain, offset, sensor.noise_array, feels)
+        elif calibration is not None and calibration.offset_temperature_covariance is not None:
+            own = np.diag(calibration.offset_temperature_covariance[:, 7 * tool.n :])
+            settings.temperature_slope_std = np.sqrt(np.maximum(own, 0.0))
     return settings
 
 
