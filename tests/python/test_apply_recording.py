@@ -21,7 +21,7 @@ from truewrench.correction.apply_recording import CORRECTED, PREDICTED, RAW, STD
 from truewrench.inspection.recording import inspect_recording
 from truewrench.io.recordings import reader, spool
 from truewrench.io.tables import write_table
-from truewrench.model.calibration import Calibration
+from truewrench.model.calibration import AXES, Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.motion.trajectory import Body
 from truewrench.model.rig import Rig
@@ -164,6 +164,38 @@ def test_motion_or_payload_that_is_missing_leaves_the_prediction_out(
     assert done.notes[0].startswith("no /truewrench/predicted: ")
     assert "no column `vx`" in done.notes[0]
     assert set(by_rosbags(tmp_path / "out.mcap")) == {RAW, CORRECTED, STD}
+
+
+def test_a_calibration_without_payloads_leaves_the_prediction_out(
+    calibration: Calibration, settings: dict[str, Any], tmp_path: Path
+) -> None:
+    calibration, run = exact(calibration, settings)
+    bare = replace(calibration, rig=calibration.rig.model_copy(update={"payloads": {}}))
+    reference = {f"ref_{axis}": np.ones(len(run.log.time_ns)) for axis in AXES}
+    write_table(tmp_path / "run.csv", columns_of(run) | reference)
+    done = apply_to_recording(bare, tmp_path / "run.csv", tmp_path / "out.mcap")
+    assert done.corrected > 0
+    assert "found no `default`, expected a payload" in done.notes[0]
+
+
+@pytest.mark.parametrize("size", [5.0, 65535.0])
+def test_one_cell_that_is_no_velocity_does_not_spoil_the_prediction(
+    calibration: Calibration, settings: dict[str, Any], tmp_path: Path, size: float
+) -> None:
+    calibration, run = exact(calibration, settings)
+    found = {}
+    for name, value in (("sound", None), ("spoiled", 40.0 * size)):
+        columns = columns_of(run)
+        if value is not None:
+            row = int(np.flatnonzero(np.isfinite(columns["vx"]))[100])
+            columns["vx"] = np.where(np.arange(len(columns["vx"])) == row, value, columns["vx"])
+        write_table(tmp_path / "run.csv", columns)
+        apply_to_recording(calibration, tmp_path / "run.csv", tmp_path / f"{name}.mcap")
+        found[name] = dict(by_rosbags(tmp_path / f"{name}.mcap")[PREDICTED])
+    common = found["sound"].keys() & found["spoiled"].keys()
+    assert len(common) > 0.95 * len(found["sound"])
+    apart = np.array([found["sound"][k] for k in common]) - [found["spoiled"][k] for k in common]
+    assert np.abs(apart).max() < 0.05 * np.abs(np.array(list(found["sound"].values()))).max()
 
 
 def test_eight_gauges_are_an_array(

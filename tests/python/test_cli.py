@@ -439,3 +439,16 @@ def test_control_characters_are_shown_escaped(
     status, _, err = run("inspect", tmp_path / "no\x1b[2Jne.csv")
     assert status == 2
     assert "no\\x1b[2Jne.csv: cannot be read" in err
+
+
+def test_a_reader_that_goes_away_takes_no_status_with_it(
+    rig_file: Path, csv_of: Callable[..., Path], cells: Cells, tmp_path: Path
+) -> None:
+    """`truewrench inspect LOG | head -1`: rich ends the program with 1 where nothing catches it."""
+    words = [sys.executable, "-m", "truewrench", "inspect", str(csv_of(cells))]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        assert process.stderr.read() == b""
+    assert process.returncode == 0

@@ -12,13 +12,14 @@ import pyarrow.parquet as pq
 import pytest
 from contact_cases import Swing, columns_of, raw_of, tool_of, write_log
 from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
 from tool_cases import a_rig
 
 from truewrench.cli import main
 from truewrench.correction.contact.apply import apply_contact
 from truewrench.correction.contact.log import contact
 from truewrench.correction.contact.run import NEW_COLUMNS, ContactRun
-from truewrench.io.tables import read_log
+from truewrench.io.tables import read_log, write_table
 from truewrench.live.contact_lines import contact_lines
 from truewrench.live.lines import Output
 from truewrench.live.stop import Stop
@@ -149,6 +150,47 @@ def test_words_for_what_is_wrong(
     assert status_of([*base, "--tool", str(tool), "--at", "0.1,0,0,0,0,0", "--axes", "base"]) == 0
     assert status_of(["apply", str(rig), str(out), "-o", str(tmp_path / "two.csv"), "--tool", str(tool)]) == 2
     assert "a log without it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"gravity": [0, 0, -1.62]}, "rig.gravity"),
+        ({"sensor": {"range": [5, 5, 5, 1, 1, 1]}}, "rig.sensor.range"),
+        ({"temperature": {"reference": 100}}, "rig.temperature.reference"),
+        ({"motion": {"source": "imu", "noise": [1e-3] * 3, "acceleration_noise": [1e-2] * 3}}, "rig.motion"),
+    ],
+)
+def test_a_rig_of_another_sensor_or_arm_is_refused(
+    files: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str], change: dict[str, Any], said: str
+) -> None:
+    _, tool, log = files
+    other, out = log.with_name("other.yaml"), log.with_name("out.csv")
+    motion = {"source": "twist", "of": "sensor", "noise": [1e-3] * 6}
+    write_yaml(other, a_rig(**{"motion": motion, **change}))
+    assert status_of(["apply", str(other), str(log), "-o", str(out), "--tool", str(tool)]) == 2
+    message = capsys.readouterr().err
+    assert said in message
+    assert str(tool) in message
+    assert str(other) in message
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(("names", "factor"), [(("gx", "gy", "gz"), 1 / 9.81), (("wx", "wy", "wz"), 57.3)])
+def test_other_units_are_refused_and_no_contact(
+    files: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str], names: tuple[str, ...], factor: float
+) -> None:
+    rig, tool, log = files
+    table = pacsv.read_csv(log)
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    fall = Rotation.from_quat(np.column_stack([columns[q] for q in ("qx", "qy", "qz", "qw")])).inv()
+    columns |= dict(zip(("gx", "gy", "gz"), fall.apply([0.0, 0.0, -9.81]).T, strict=True))
+    columns |= {name: factor * columns[name] for name in names}
+    other, out = log.with_name("other.csv"), log.with_name("out.csv")
+    write_table(other, columns)
+    assert status_of(["apply", str(rig), str(other), "-o", str(out), "--tool", str(tool)]) == 2
+    assert " ".join(names) in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_a_recording_has_the_wrench_and_its_sigma(files: tuple[Path, Path, Path]) -> None:

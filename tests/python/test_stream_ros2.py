@@ -470,8 +470,17 @@ def test_environment_of_ros_decides_who_is_met(monkeypatch: pytest.MonkeyPatch) 
     assert "127.0.0.1" not in configuration()
     monkeypatch.setenv("ROS_STATIC_PEERS", "192.0.2.1;robot.local")
     assert '<Peer Address="192.0.2.1"/><Peer Address="robot.local"/>' in configuration()
+    chosen = configuration("192.0.2.7")
+    assert '<NetworkInterface address="192.0.2.7"/>' in chosen
+    assert '<Peer Address="192.0.2.1"/>' in chosen
+    assert '<NetworkInterface name="eth0"/>' in configuration("eth0")
+    with pytest.raises(InputError, match="--interface"):
+        configuration('a"b')
     monkeypatch.setenv("CYCLONEDDS_URI", "file:///etc/cyclone.xml")
     assert configuration().endswith(",file:///etc/cyclone.xml")
+    _, uri, over = configuration("192.0.2.7").split(",")
+    assert uri == "file:///etc/cyclone.xml"
+    assert "192.0.2.7" in over
     assert "robot.local" not in configuration()
     monkeypatch.setenv("ROS_DOMAIN_ID", "300")
     with pytest.raises(InputError, match="0 to 232"):

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from truewrench.io import csv_table
+from truewrench.io import csv_table, table
 from truewrench.io.tables import REFERENCE, read_log, split_payload, write_table
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
@@ -49,6 +49,23 @@ def test_csv_and_parquet_give_the_same_log(cells: Cells, csv_of: CsvOf, rig: Rig
         assert log.dropped_rows == 0
     assert logs[0].sha256 == hashlib.sha256((tmp_path / "run.csv").read_bytes()).hexdigest()
     np.testing.assert_allclose(logs[0].time, np.arange(10) * 0.01, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_log_beyond_what_is_allowed_is_refused(
+    cells: Cells, csv_of: CsvOf, rig: Rig, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = csv_of(cells) if kind == "csv" else parquet_of(cells, tmp_path / "run.parquet")
+    with pytest.raises(InputError, match="found more than 9 rows, expected fewer, or more by --max-rows N"):
+        read_log(path, rig, max_rows=9)
+    assert len(read_log(path, rig, max_rows=10).time_ns) == 10
+    monkeypatch.setattr(table, "MOST_BYTES", 10 * 8 * 5)
+    with pytest.raises(InputError, match="of numbers in 10 rows"):
+        read_log(path, rig)
+    assert len(read_log(path, rig, max_rows=10).time_ns) == 10
+    monkeypatch.setattr(table, "MOST_ROWS", 4)
+    with pytest.raises(InputError, match="more than 4 rows"):
+        read_log(path, rig)
 
 
 def test_rows_without_any_measurement_are_dropped_and_counted(cells: Cells, csv_of: CsvOf, rig: Rig) -> None:

@@ -334,6 +334,39 @@ def test_what_cannot_be_compared_is_refused() -> None:
     assert flat.verdict.reasons == ("the gain of the calibration has no inverse",)
 
 
+def test_a_cell_that_is_no_sample_of_a_channel_is_left_out() -> None:
+    rig, gain = rig_of(), gain_of(np.random.default_rng(3))
+    log = log_of(rig, gain)
+    raw = log.raw.copy()
+    raw[np.flatnonzero(np.isfinite(raw[:, 0]))[200], 0] = 65535.0
+    found = validate(calibrated(rig, gain), rig, replace(log, raw=raw))
+    assert found.verdict.usable, found.verdict.reasons
+
+
+@pytest.mark.parametrize("name", ["raw", "twist"])
+def test_numbers_that_cannot_be_counted_with_are_named(name: str) -> None:
+    rig, gain = rig_of(), gain_of(np.random.default_rng(3))
+    log = log_of(rig, gain)
+    huge = replace(log, **{name: 1e200 * getattr(log, name)})
+    with pytest.raises(InputError, match=f"{name}: found .*, expected numbers of at most 1e\\+100"):
+        validate(calibrated(rig, gain), rig, huge)
+
+
+def test_known_wrenches_need_no_payload() -> None:
+    """A calibration by motion is judged by a rig that states none."""
+    gain = gain_of(np.random.default_rng(3))
+    settings = rig_of().to_mapping() | {"reference_noise": (1e-3 * SPAN).tolist()}
+    rig = Rig.from_mapping({key: value for key, value in settings.items() if key != "payloads"})
+    rng = np.random.default_rng(4)
+    w = 0.3 * SPAN * rng.standard_normal((400, 6))
+    raw = w @ gain.T + rng.standard_normal((400, 6)) * rig.sensor.noise_array
+    reference = w + 1e-3 * SPAN * rng.standard_normal((400, 6))
+    log = Log(None, "default", "", np.arange(400) * 10**7, raw, reference=reference)
+    found = validate(calibrated(rig_of(), gain), rig, log)
+    assert found.verdict.usable, found.verdict.reasons
+    assert not found.payload_seen
+
+
 def test_two_logs_are_pooled_and_the_result_is_written(good: Validation, tmp_path: Path) -> None:
     rig, rng = rig_of(), np.random.default_rng(7)
     gain = gain_of(rng)

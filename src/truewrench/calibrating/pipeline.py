@@ -88,6 +88,8 @@ def calibrate(
     records = [logs] if isinstance(logs, Log) else list(logs)
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
+    for log in records:
+        log.check_sizes(raw=False)  # whose outliers are found
     if estimator not in _REFERENCES:  # `tracked` unwraps those of the others
         records = [without_repeats(unwrapped(rig, log)) for log in records]
     _check_sensor(rig, estimator)

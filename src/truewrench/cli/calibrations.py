@@ -15,6 +15,7 @@ from truewrench.cli.common import (
     DebugOption,
     JsonOption,
     LogsArgument,
+    MaxRowsOption,
     Outcome,
     OutputFolderOption,
     OutputLogOption,
@@ -52,6 +53,7 @@ def calibrate(
         typer.Option("--held-out/--no-held-out", help="Compare with the nominal gain on unseen data."),
     ] = True,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Write report.html.")] = True,
+    max_rows: MaxRowsOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -66,7 +68,7 @@ def calibrate(
     settings = load_rig(rig)
     found: list[Evidence] = []
     with progress_bar() as update:
-        records = [read_log(log, settings) for log in logs]
+        records = [read_log(log, settings, max_rows=max_rows) for log in logs]
         check_distinct(records)
         calibration = run(
             settings,
@@ -137,6 +139,7 @@ def validate(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of validation.yaml.")
     ] = None,
+    max_rows: MaxRowsOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -151,7 +154,7 @@ def validate(
         check_folder(output)
     loaded, settings = load_calibration(calibration), load_rig(rig)
     with progress_bar() as update:
-        records = [read_log(log, settings) for log in logs]
+        records = [read_log(log, settings, max_rows=max_rows) for log in logs]
         check_distinct(records)
         update("validating", None)
         validation = run(loaded, settings, records)
@@ -199,6 +202,7 @@ def apply(
     axes: Annotated[
         Literal["sensor", "base"] | None, typer.Option(help="--tool: axes of the sensor, or of the root.")
     ] = None,
+    max_rows: MaxRowsOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -210,7 +214,7 @@ def apply(
     if tool is not None:
         from truewrench.cli.contacts import apply_tool
 
-        return apply_tool(calibration, log, output, tool, delay, at, axes, wrench_topic)
+        return apply_tool(calibration, log, output, tool, delay, at, axes, wrench_topic, max_rows)
     for name, value in {"--delay": delay, "--at": at, "--axes": axes}.items():
         if value is not None:
             raise UnsupportedError.at(None, name, "without --tool", "this option with --tool only")
@@ -225,9 +229,9 @@ def apply(
         if output.suffix.lower() == ".mcap":
             from truewrench.correction.apply_recording import apply_to_recording
 
-            done = apply_to_recording(loaded, log, output, predict=predict, progress=show)
+            done = apply_to_recording(loaded, log, output, predict=predict, progress=show, max_rows=max_rows)
         else:
-            done = run(loaded, log, output, progress=show)
+            done = run(loaded, log, output, progress=show, max_rows=max_rows)
     report_notes(log, done.notes)
     return Outcome(
         outputs=[output],

@@ -49,6 +49,10 @@ OutputFolderOption = Annotated[
 OutputLogOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="FILE", help="CSV, or Parquet by its name.")
 ]
+MaxRowsOption = Annotated[
+    int | None,
+    typer.Option("--max-rows", metavar="N", min=1, help="Of a log; 2^25, and 4 GB, by default."),
+]
 LogsArgument = Annotated[
     list[str], typer.Argument(metavar="LOG...", help="CSV, Parquet or a recording; LOG@PAYLOAD.")
 ]

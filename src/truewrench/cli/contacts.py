@@ -27,7 +27,8 @@ def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool,
 
     sensor, found = read_sensor(source), read_tool(tool)
     made = None if isinstance(sensor, Rig) else sensor
-    check_same_sensor(found, sensor if isinstance(sensor, Rig) else sensor.rig)
+    of_rig = isinstance(sensor, Rig)
+    check_same_sensor(found, sensor if isinstance(sensor, Rig) else sensor.rig, tool, arm=of_rig)
     reasons = [*found.verdict.reasons, *(() if made is None else made.verdict.reasons)]
     usable = found.verdict.usable and (made is None or made.verdict.usable)
     return made, found, {"usable": usable, "reasons": reasons}
@@ -57,6 +58,7 @@ def apply_tool(
     at: str | None,
     axes: Literal["sensor", "base"] | None,
     wrench_topic: str | None,
+    max_rows: int | None,
 ) -> Outcome:
     """`apply --tool`."""
     from truewrench.correction.contact.apply import apply_contact
@@ -74,6 +76,7 @@ def apply_tool(
             delay=DELAY if delay is None else delay,
             view=view_of(at, axes),
             progress=lambda rows: update(f"{rows} rows", None),
+            max_rows=max_rows,
         )
     report_notes(log, done.notes)
     return Outcome(

@@ -53,6 +53,10 @@ def stream(
     reliable: Annotated[
         bool, typer.Option("--reliable", help="--ros2: lose no message, where publishers are reliable.")
     ] = False,
+    interface: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="--ros2: of the network; by default what the environment says."),
+    ] = None,
     seconds: Annotated[
         float | None, typer.Option("--duration", min=0.0, help="--ros2: end after so many seconds.")
     ] = None,
@@ -79,12 +83,13 @@ def stream(
         {"--output": output, "--payload": payload, "--joint-topic": joint_topic},
     )
     of_ros = {"--wrench-topic": wrench_topic, "--joint-topic": joint_topic, "--output-topic": output_topic}
+    of_ros |= {"--interface": interface}
     _check_belongs("--ros2", ros2, {**of_ros, "--reliable": reliable or None, "--duration": seconds})
     _check_belongs("--tool", tool is not None, {"--delay": delay})
     if tool is not None:
         if rig is not None or calibration is None:
             raise UnsupportedError.at(None, "--tool", "--calibrate", "CALIBRATION or RIG as the argument")
-        named = (wrench_topic, joint_topic, reliable) if ros2 else None
+        named = (wrench_topic, joint_topic, reliable, interface) if ros2 else None
         return _contact(calibration, tool, delay, as_json, named, math.inf if seconds is None else seconds)
     from truewrench.model.calibration import load_calibration
     from truewrench.model.rig import load_rig
@@ -101,6 +106,7 @@ def stream(
             joint_topic or settings.recording.joint_topic or settings.recording.twist_topic,
             output_topic or OUTPUT,
             reliable,
+            interface,
         )
     limit = math.inf if seconds is None else seconds
     if made is not None:
@@ -121,7 +127,7 @@ def _contact(
     tool: Path,
     delay: float | None,
     as_json: bool,
-    named: tuple[str | None, str | None, bool] | None,
+    named: tuple[str | None, str | None, bool, str | None] | None,
     seconds: float,
 ) -> Outcome:
     from truewrench.cli.contacts import sensor_and_tool
@@ -137,7 +143,7 @@ def _contact(
             from truewrench.live.ros2 import Topics
             from truewrench.live.ros2_contact import contact_topics
 
-            topics = Topics(named[0], named[1], reliable=named[2])
+            topics = Topics(named[0], named[1], reliable=named[2], interface=named[3])
             counts = contact_topics(run, found.rig, topics, stop, _Complaints(), seconds)
             figures = dataclasses.asdict(counts)
         else:

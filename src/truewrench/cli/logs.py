@@ -9,6 +9,7 @@ import typer
 from truewrench.cli.common import (
     DebugOption,
     JsonOption,
+    MaxRowsOption,
     Outcome,
     progress_bar,
     report_notes,
@@ -17,6 +18,7 @@ from truewrench.cli.common import (
 
 def inspect(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV, Parquet, or a recording.")],
+    max_rows: MaxRowsOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -27,7 +29,7 @@ def inspect(
 
     if log.exists() and is_recording(log):
         return _inspect_recording(log)
-    content = inspect_log(log)
+    content = inspect_log(log, max_rows=max_rows)
     return Outcome(figures=dataclasses.asdict(content), words=lambda: log_summary(content))
 
 

@@ -17,6 +17,14 @@ from truewrench.cli.common import Outcome
 _LINES = 15  # of why a command failed
 
 
+class _Words(Console):
+    """Of which a reader that goes away is told to `main`, which knows the status."""
+
+    def on_broken_pipe(self) -> None:
+        """Not the end of the program with status 1, which it is by default."""
+        raise BrokenPipeError
+
+
 def show_outcome(outcome: Outcome, as_json: bool) -> None:
     """Print what a command did."""
     if as_json:
@@ -26,7 +34,7 @@ def show_outcome(outcome: Outcome, as_json: bool) -> None:
 
         to = sys.stderr if outcome.aside else sys.stdout
         # a pipe has no width: do not break lines for it
-        show(Console(file=to, highlight=False, width=None if to.isatty() else 160), outcome.words())
+        show(_Words(file=to, highlight=False, width=None if to.isatty() else 160), outcome.words())
         for output in outcome.outputs:
             print(f"wrote {output}", file=to)
     sys.stdout.flush()

@@ -12,6 +12,7 @@ import typer
 from truewrench.cli.common import (
     DebugOption,
     JsonOption,
+    MaxRowsOption,
     Outcome,
     OutputFolderOption,
     check_distinct,
@@ -56,6 +57,7 @@ def tool(
     ] = None,
     export: Annotated[str | None, typer.Option(metavar="LIST", help="ur,franka,urdf,abb,kuka,ros.")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="No effect on the result.")] = None,
+    max_rows: MaxRowsOption = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:
@@ -101,7 +103,7 @@ def tool(
         check_output(path, source, *logs, on, settings.urdf_path, table=False)
     evidence: list[Evidence] = []
     with progress_bar() as update:
-        records = [read_log(log, settings) for log in logs]
+        records = [read_log(log, settings, max_rows=max_rows) for log in logs]
         check_distinct(records)
         found_tool = identify_tool(
             sensor,

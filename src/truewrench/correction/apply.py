@@ -35,6 +35,7 @@ def apply(
     output: str | Path,
     *,
     progress: Callable[[int], object] | None = None,
+    max_rows: int | None = None,
 ) -> Applied:
     """Write a log with the columns fx ... mz and fx_std ... mz_std added [N, N m].
 
@@ -43,10 +44,11 @@ def apply(
     sample get empty cells. An offset that follows temperature is that of the latest reading in the column
     `temperature`; before the first one no wrench is told, and without the column it is that of the reference.
     The rows of a recording are the union of the stamps of its streams. The output, CSV, or Parquet where its
-    name ends so, appears whole or not at all; `progress` is told the number of rows done so far.
+    name ends so, appears whole or not at all; `progress` is told the number of rows done so far. `max_rows`
+    is that of `read_log`.
     """
     source = named_payload(log, calibration.rig)[0]
-    run = Run(calibration, source, output, progress)
+    run = Run(calibration, source, output, progress, max_rows)
     check_added(output, run.table, NEW_COLUMNS)
     write_added(output, run.table, NEW_COLUMNS, run.read, run.added)
     return run.applied
@@ -61,8 +63,9 @@ class Run:
         source: Path,
         output: str | Path,
         progress: Callable[[int], object] | None,
+        max_rows: int | None = None,
     ) -> None:
-        self.table: Table = open_table(source, calibration.rig, whole=False)
+        self.table: Table = open_table(source, calibration.rig, whole=False, max_rows=max_rows)
         check_added(output, self.table)
         self._rows = 0
         self._corrected = 0

@@ -15,6 +15,7 @@ from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
+from truewrench.model.repeats import without_repeats
 from truewrench.model.split import rows_of
 
 RAW = "/truewrench/raw"
@@ -33,6 +34,7 @@ def apply_to_recording(
     *,
     predict: bool = True,
     progress: Callable[[int], object] | None = None,
+    max_rows: int | None = None,
 ) -> Applied:
     """Write the raw channels, the true wrench, its 1 sigma and the payload's wrench by the motion as MCAP.
 
@@ -40,15 +42,15 @@ def apply_to_recording(
     motion alone, with the payload (`LOG@PAYLOAD` where there are several) as it was found, else as the rig
     states it; where motion or payload is not known, it is left out, and a note says why. Without it, memory
     does not grow with the log. The output appears whole or not at all; `progress` is told the number of rows
-    done so far.
+    done so far. `max_rows` is that of `read_log`.
     """
     rig = calibration.rig
-    run = Run(calibration, named_payload(log, rig)[0], output, progress)
+    run = Run(calibration, named_payload(log, rig)[0], output, progress, max_rows)
     notes: tuple[str, ...] = ()
     predicted_time, predicted = np.empty(0, dtype=np.int64), np.empty((0, 6))
     if predict:
         try:
-            predicted_time, predicted = _predicted(calibration, read_log(log, rig))
+            predicted_time, predicted = _predicted(calibration, read_log(log, rig, max_rows=max_rows))
         except InputError as error:
             notes = (f"no {PREDICTED}: {error}",)
     frame = rig.motion.robot.sensor_frame if rig.motion.robot is not None else "sensor"
@@ -69,6 +71,8 @@ def apply_to_recording(
 def _predicted(calibration: Calibration, log: Log) -> tuple[Integers, Array]:
     """Stamps (M,) and wrenches (M, 6) where the motion tells the acceleration."""
     rig, body = calibration.rig, carried(calibration, calibration.rig, log.payload).body
+    log.check_sizes()
+    log = without_repeats(log)
     times, wrenches = [np.empty(0, dtype=np.int64)], [np.empty((0, 6))]
     margin = _ROWS // 10  # where parts meet, neither ends
     for start in range(0, len(log.time_ns), _ROWS):

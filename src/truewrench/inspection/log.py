@@ -76,9 +76,9 @@ class LogContent:
     unknown: tuple[str, ...]
 
 
-def inspect_log(path: str | Path) -> LogContent:
-    """Read a table once and say what is in it; no rig is needed."""
-    table = open_table(path)
+def inspect_log(path: str | Path, *, max_rows: int | None = None) -> LogContent:
+    """Read a table once and say what is in it; no rig is needed. `max_rows` is that of `read_log`."""
+    table = open_table(path, max_rows=max_rows)
     groups = {
         name: [column for column in table.names if re.fullmatch(pattern, column)]
         for name, pattern in _STREAMS

@@ -75,7 +75,7 @@ class CsvTable(Table):
         self.header = line.rstrip(b"\r\n")  # as it stands in the file
         super().__init__(path, names)
 
-    def chunks(self, names: Sequence[str] | None = None) -> Iterator[CsvChunk]:
+    def blocks(self, names: Sequence[str] | None) -> Iterator[CsvChunk]:
         """Blocks of whole lines; blank lines are skipped."""
         with self.path.open("rb") as file:
             _check_end(self.path, file)

@@ -47,7 +47,7 @@ class ParquetTable(Table):
         except (pa.ArrowException, OSError) as error:
             raise InputError.at(path, "", f"a broken file ({error})", "Parquet") from error
 
-    def chunks(self, names: Sequence[str] | None = None) -> Iterator[Chunk]:
+    def blocks(self, names: Sequence[str] | None) -> Iterator[Chunk]:
         """Batches of rows."""
         row = 0
         columns = None if names is None else list(names)

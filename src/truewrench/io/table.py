@@ -36,11 +36,16 @@ class Chunk(ABC):
         """All columns, with the types that a table file would give them."""
 
 
+MOST_ROWS = 1 << 25  # of a log, unless more are asked for
+MOST_BYTES = 4_000_000_000  # of the numbers in its columns, likewise
+
+
 class Table(ABC):
-    """A table file, of any size."""
+    """A table file, of any size; one larger than a log should be is refused once it is read so far."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         self.path = path
+        self.max_rows: int | None = None  # None: `MOST_ROWS` and `MOST_BYTES`
         self.names = tuple(names)  # of the columns, each once, in order
         self.notes: tuple[str, ...] = ()  # what is no fault but worth a look
         for i, name in enumerate(self.names):
@@ -53,6 +58,19 @@ class Table(ABC):
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
-    @abstractmethod
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[Chunk]:
         """The rows in order, in chunks of bounded size; with `names`, these columns alone."""
+        width, rows = 8 * len(self.names if names is None else names), 0
+        for chunk in self.blocks(names):
+            rows += chunk.rows
+            most = MOST_ROWS if self.max_rows is None else self.max_rows
+            if rows > most:
+                raise InputError.at(self.path, "", f"more than {most} rows", "fewer, or more by --max-rows N")
+            if self.max_rows is None and rows * width > MOST_BYTES:
+                found = f"more than {MOST_BYTES // 10**9} GB of numbers in {rows} rows"
+                raise InputError.at(self.path, "", found, "fewer, or as many rows as --max-rows N allows")
+            yield chunk
+
+    @abstractmethod
+    def blocks(self, names: Sequence[str] | None) -> Iterator[Chunk]:
+        """The same, whatever their number."""

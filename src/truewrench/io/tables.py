@@ -38,13 +38,21 @@ from truewrench.robot.attitude import free_fall
 from truewrench.robot.track import track
 
 
-def open_table(path: str | Path, rig: Rig | None = None, *, whole: bool = True) -> Table:
+def open_table(
+    path: str | Path, rig: Rig | None = None, *, whole: bool = True, max_rows: int | None = None
+) -> Table:
     """A table file or a recording, its format recognised by its first bytes.
 
     A recording, the file or the folder of rosbag2, is read by the rig; unless `whole`, motion that cannot be
-    read from it is left out, and no error.
+    read from it is left out, and no error. More than `max_rows` are refused, by default more than `MOST_ROWS`
+    or `MOST_BYTES`.
     """
-    path = Path(path)
+    table = _opened(Path(path), rig, whole)
+    table.max_rows = max_rows
+    return table
+
+
+def _opened(path: Path, rig: Rig | None, whole: bool) -> Table:
     if exists(path) and is_recording(path):
         if rig is None:
             raise InputError.at(path, "", "a recording", "a table: CSV or Parquet")
@@ -141,7 +149,7 @@ class TimeReader:
         return time
 
 
-def read_log(source: str | Path, rig: Rig) -> Log:
+def read_log(source: str | Path, rig: Rig, *, max_rows: int | None = None) -> Log:
     """Read a log.
 
     The motion is required, of a twist rig in gravity its direction too, unless there are reference columns.
@@ -150,6 +158,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     Args:
         source: path of a CSV or Parquet file or of a recording, or `path@payload`.
         rig: says how many raw channels there are and whether gravity acts; of a recording, its topics too.
+        max_rows: that are read; None: 2^25, and 4 GB of numbers. A log of more is refused.
 
     Raises:
         InputError: naming file, row and column, what was found and what was expected.
@@ -157,7 +166,7 @@ def read_log(source: str | Path, rig: Rig) -> Log:
     path, payload = split_payload(source, rig)
     if exists(path) and is_recording(path):
         rig.check_motion("which a recording is read by")
-    table = open_table(path, rig)
+    table = open_table(path, rig, max_rows=max_rows)
     groups = _groups(table, rig)
     time_ns, columns, nan_counts = read_columns(table, [name for names in groups.values() for name in names])
     if len(time_ns) < 2:

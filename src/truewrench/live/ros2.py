@@ -61,6 +61,7 @@ class Topics:
     motion: str | None = None
     output: str = OUTPUT
     reliable: bool = False
+    interface: str | None = None  # of the network, None: what the environment says
 
 
 @dataclass(slots=True)
@@ -136,7 +137,7 @@ def correct_topic(
     for note in (*warmth.note_until, *without_weight(calibration), *used_in_part(calibration)):
         complain(note)
     sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
-    node = Node()
+    node = Node(topics.interface)
     name = _sensor_topic(node, sensor, topics, stop)
     wrenches = _Wrenches(node, topics.output, calibration.n)
     wrenches.withheld, wrenches.warmth = calibration.withheld, warmth
@@ -230,7 +231,7 @@ def calibrate_topics(
     """
     rig, counts = session.rig, Counts()
     sensor, others = SensorSource(rig), motion_sources(rig)
-    node = Node()
+    node = Node(topics.interface)
     names = [_sensor_topic(node, sensor, topics, stop)]
     for k, source in enumerate(others):
         given = getattr(rig.recording, KEYS[source.role]) if k else topics.motion

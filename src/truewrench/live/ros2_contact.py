@@ -88,7 +88,7 @@ def contact_topics(
     """
     for note in run.notes:
         complain(note)
-    node, counts, live = Node(), Counts(), LiveContact(run)
+    node, counts, live = Node(topics.interface), Counts(), LiveContact(run)
     sources = [SensorSource(rig), *motion_sources(rig)]
     names = []
     for k, source in enumerate(sources):

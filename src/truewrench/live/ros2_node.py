@@ -48,17 +48,19 @@ def domain_id() -> int:
     return int(text)
 
 
-def configuration() -> str:
+def configuration(interface: str | None = None) -> str:
     """Cyclone's settings for ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and ROS_STATIC_PEERS.
 
-    CYCLONEDDS_URI comes before all of these.
+    CYCLONEDDS_URI comes before all of these, and an `interface`, the address or the name of a network's,
+    before that.
     """
     common = f"<Compatibility><IgnoreTypeInformation>{_UNREADABLE}</IgnoreTypeInformation></Compatibility>"
-    given = os.environ.get("CYCLONEDDS_URI", "")
+    given, chosen = os.environ.get("CYCLONEDDS_URI", ""), "" if interface is None else _chosen(interface)
     if given:
-        return f"{_settings(common)},{given}"
+        return ",".join([_settings(common), given, *([_settings(chosen)] if chosen else [])])
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
     local = reach == "LOCALHOST" or (not reach and os.environ.get("ROS_LOCALHOST_ONLY") == "1")
+    local, common = local and not chosen, common + chosen
     peers = [peer.strip() for peer in os.environ.get("ROS_STATIC_PEERS", "").split(";") if peer.strip()]
     for peer in peers:
         if not re.fullmatch(r"[\w.:%-]+", peer):
@@ -75,6 +77,14 @@ def configuration() -> str:
     return _settings(common)
 
 
+def _chosen(interface: str) -> str:
+    if not re.fullmatch(r"[\w.:%-]+", interface):
+        expected = "the address of one of this machine's networks, or its name"
+        raise InputError.at(None, "--interface", f"`{interface}`", expected)
+    key = "address" if re.search(r"[.:]", interface) else "name"
+    return f'<General><Interfaces><NetworkInterface {key}="{interface}"/></Interfaces></General>'
+
+
 def _settings(of_domain: str) -> str:
     return f'<CycloneDDS><Domain Id="any">{of_domain}</Domain></CycloneDDS>'
 
@@ -89,16 +99,20 @@ def _as_ros(dds_type: str) -> str:
 
 
 class Node:
-    """Readers and writers of ROS topics in the domain of ROS_DOMAIN_ID; InputError if it cannot be joined."""
+    """Readers and writers of ROS topics in the domain of ROS_DOMAIN_ID; InputError if it cannot be joined.
 
-    def __init__(self) -> None:
-        domain, settings = domain_id(), configuration()
+    `interface` is that of `configuration`.
+    """
+
+    def __init__(self, interface: str | None = None) -> None:
+        domain, settings = domain_id(), configuration(interface)
         try:
             self._domain = _configured(domain, settings)
             self._participant = DomainParticipant(domain, qos=Qos(Policy.Userdata(b"enclave=/;")))
             self._publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         except DDSException as error:
-            raise InputError(f"ROS 2: domain {domain} cannot be joined: {error}") from error
+            by = "" if interface is None else f" by --interface {interface}"
+            raise InputError(f"ROS 2: domain {domain} cannot be joined{by}: {error}") from error
         self._waitset = WaitSet(self._participant)
         self._found: dict[str, set[str]] = {}
 

@@ -87,6 +87,12 @@ def without_repeats(log: Log) -> Log:
     return replace(log, **changed, notes=(*log.notes, *notes)) if changed else log
 
 
+def without_marks(log: Log) -> Log:
+    """The log without cells of its channels, alone, by which a driver marks that it has no sample."""
+    marks = _marks(log.raw)
+    return replace(log, raw=np.where(marks, np.nan, log.raw)) if marks.any() else log
+
+
 def _marks(values: Array) -> Mask:
     """Cells (N, n) that stand off the two rows before and after as nothing else in their column does."""
     marks: Mask = np.zeros(values.shape, dtype=np.bool_)

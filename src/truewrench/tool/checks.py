@@ -18,8 +18,8 @@ KNOWN = ("mass", *(f"center_of_mass.{axis}" for axis in "xyz"), *(f"inertia.{nam
 """What may be stated of a tool."""
 
 _OTHER_GRAVITY = 0.02  # of its size: no drift of an accelerometer, but another planet or unit
-_TURNS = 4.0 * np.pi  # [rad] no joint of an arm is beyond
-_FASTEST = 40.0  # [rad/s]
+TURNS = 4.0 * np.pi  # [rad] no joint of an arm is beyond
+FASTEST = 40.0  # [rad/s]
 _NEXT = 0.3  # [s] between rows whose attitudes are compared
 _CLEARLY = 20.0  # times the noise: a turn that differences of rows show
 _FAR = 1.0  # [rad] that gravity's direction should have gone
@@ -80,11 +80,11 @@ def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
                 expected = f"{stated:.4g} m/s^2, the size of the rig's `gravity`"
                 raise InputError.at(log.path, "gx gy gz", f"free fall of {size:.4g} m/s^2", expected)
         turned = None if log.position is None else np.nanmax(np.abs(log.position), initial=0.0)
-        if turned is not None and turned > _TURNS and rig.motion.source == "joints":
+        if turned is not None and turned > TURNS and rig.motion.source == "joints":
             raise InputError.at(log.path, "q_*", f"a joint at {turned:.4g}", "radians (degrees?)")
         omega = log.angular_velocity if log.twist is None else log.twist[:, 3:]
         fastest = 0.0 if omega is None else float(np.nanmax(np.abs(omega), initial=0.0))
-        if fastest > _FASTEST:
+        if fastest > FASTEST:
             raise InputError.at(log.path, "wx wy wz", f"a turn of {fastest:.4g}", "rad/s (degrees?)")
         _check_turns(rig, log)
     for log in logs:

@@ -99,6 +99,8 @@ def identify_tool(
     check_options(flange, housing, {"mounting-sigma": mounting_sigma, "tilt-sigma": tilt_sigma})
     rig = settings_of(rig_or_calibration)
     records = [replace(log, payload=next(iter(rig.payloads))) for log in records]
+    for log in records:
+        log.check_sizes()
     records = [without_repeats(unwrapped(rig, log)) for log in records]
     check_known(known or {})
     check_logs(rig, records)

@@ -58,6 +58,7 @@ def apply_contact(
     delay: float = DELAY,
     view: View | None = None,
     progress: Callable[[int], object] | None = None,
+    max_rows: int | None = None,
 ) -> ContactApplied:
     """Write a log with the columns cfx ... cmz, cfx_std ... cmz_std and contact_chi2 added.
 
@@ -72,12 +73,13 @@ def apply_contact(
         delay: half the length of the kernels [s], 0: they end at the row.
         view: where and how to express the wrench; the sensor's origin and axes by default.
         progress: called with the number of rows done so far.
+        max_rows: that of `read_log`.
 
     Raises:
         InputError: naming file, row and column.
     """
     source = named_payload(log, tool.rig)[0]
-    table: Table = open_table(source, tool.rig)
+    table: Table = open_table(source, tool.rig, max_rows=max_rows)
     check_added(output, table, NEW_COLUMNS)
     run = ContactRun(tool, table.names, calibration=calibration, delay=delay, view=view, place=source)
     done = _Pass(table, run, tool.n, progress)

@@ -304,10 +304,19 @@ def contact_settings(
     return settings
 
 
-def check_same_sensor(tool: Tool, rig: Rig) -> None:
-    """Refuse a tool that was identified on another sensor: channels or sign differ."""
-    for key in ("channels", "feels"):
-        of_tool, given = getattr(tool.rig.sensor, key), getattr(rig.sensor, key)
+def check_same_sensor(tool: Tool, rig: Rig, place: Path | None = None, *, arm: bool = False) -> None:
+    """Refuse a tool, of the file `place`, of another sensor than the rig's, or with `arm` on another arm.
+
+    What a calibration was made with need not be the arm, or the place, that the tool was identified on.
+    """
+    keys = ["channels", "feels", "range", "nominal_gain", "compensated"]
+    theirs, ours = tool.rig, rig
+    pairs = {f"sensor.{key}": (getattr(theirs.sensor, key), getattr(ours.sensor, key)) for key in keys}
+    pairs["temperature.reference"] = theirs.temperature.reference, ours.temperature.reference
+    if arm:
+        pairs["gravity"] = theirs.gravity, ours.gravity
+        pairs["motion.source"] = theirs.motion.source, ours.motion.source
+    for key, (of_tool, given) in pairs.items():
         if of_tool != given:
-            found, expected = f"{of_tool} of the tool", f"{given}, as the rig says"
-            raise InputError.at(None, f"--tool: sensor.{key}", found, expected)
+            by = rig.path or "the rig beside it"
+            raise InputError.at(place, f"rig.{key}", f"{of_tool}", f"{given}, as {by} says")

@@ -63,7 +63,7 @@ class RecordingTable(Table):
         """Of the file, or of the folder as `sha256sum * | sha256sum` would give it."""
         return sha256_of(self.path)
 
-    def chunks(self, names: Sequence[str] | None = None) -> Iterator[Chunk]:
+    def blocks(self, names: Sequence[str] | None) -> Iterator[Chunk]:
         """Rows in order of time; with `names`, those in which one of these columns has a sample."""
         wanted = [name for name in (self.places if names is None else names) if name in self.places]
         needed = sorted({self.places[name][0] for name in wanted})

@@ -24,7 +24,7 @@ from truewrench.model.calibration import AXES, AxisImprovement, Calibration, Ver
 from truewrench.model.errors import InputError
 from truewrench.model.files import write_yaml
 from truewrench.model.log import Log
-from truewrench.model.repeats import without_repeats
+from truewrench.model.repeats import without_marks, without_repeats
 from truewrench.model.rig import Rig
 from truewrench.robot.track import tracked
 
@@ -156,9 +156,12 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     Raises:
         InputError: for a rig of another sensor, or logs without enough rows.
     """
-    records = [without_repeats(log) for log in ([logs] if isinstance(logs, Log) else logs)]
-    if not records:
+    given = [logs] if isinstance(logs, Log) else list(logs)
+    if not given:
         raise InputError.at(None, "", "no log", "at least one")
+    for log in given:
+        log.check_sizes()
+    records = [without_marks(without_repeats(log)) for log in given]
     _check_same_sensor(calibration, rig)
     for log in records:
         log.check_channels()

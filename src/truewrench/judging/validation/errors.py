@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 from truewrench import _core
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
+from truewrench.model.errors import InputError
 from truewrench.model.payload import core_payload
 from truewrench.model.rig import Rig
 from truewrench.model.rig.sections import ELEMENTS, symmetric
@@ -34,14 +35,20 @@ class Carried:
 def was_seen(calibration: Calibration, rig: Rig, payload: str) -> bool:
     """Whether a calibration was made with a payload, the same that the rig states."""
     used = {report.payload for report in calibration.logs} if calibration.estimator != "reference" else set()
-    return payload in used and calibration.rig.payloads.get(payload) == rig.payloads[payload]
+    stated = rig.payloads.get(payload)  # None: of known wrenches, which need none
+    return payload in used and stated is not None and calibration.rig.payloads.get(payload) == stated
 
 
 def carried(calibration: Calibration, rig: Rig, payload: str) -> Carried:
     """As the calibration found it, else as the rig states it.
 
-    One that a reference estimator took as exact has no errors of its own: they are in both.
+    One that a reference estimator took as exact has no errors of its own: they are in both. InputError: the
+    rig states none.
     """
+    if payload not in rig.payloads:
+        raise InputError.at(
+            rig.path, "payloads", f"no `{payload}`", "a payload, by which a motion tells a wrench"
+        )
     spec, apart = rig.payloads[payload], np.zeros((10, 6 * rig.sensor.n))
     if not was_seen(calibration, rig, payload):
         return Carried(core_payload(spec), np.diag(spec.uncertainty.of_each**2), apart)
