@@ -17,6 +17,7 @@ from scipy.stats import binomtest, multivariate_normal
 import truewrench.campaign.figures
 import truewrench.campaign.run
 import truewrench.campaign.trial
+from truewrench import robots
 from truewrench.calibrating.pipeline import calibrate
 from truewrench.campaign.figures import coverage_figure, nees_figure, sigma_figure
 from truewrench.campaign.run import campaign
@@ -25,7 +26,8 @@ from truewrench.campaign.trial import SCHEMA, run_trial, trial_seed
 from truewrench.campaign.workers import Lost
 from truewrench.cli import main
 from truewrench.model.errors import InputError, UnsupportedError
-from truewrench.model.rig import Rig
+from truewrench.model.rig import Rig, load_rig
+from truewrench.simulation.arm.run import simulate_arm
 from truewrench.simulation.free_body import default_trajectory, simulate
 from truewrench.simulation.truth import nees
 
@@ -206,6 +208,22 @@ def test_unsupported_rig_writes_nothing(tmp_path: Path, started: list[int]) -> N
     with pytest.raises(UnsupportedError):
         campaign(Rig.from_mapping(SETTINGS | {"sensor": sensor}), 2, tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+def test_an_arm_is_simulated_and_calibrated_like_a_free_body(tmp_path: Path, started: list[int]) -> None:
+    path = robots.path("ur10_ground")
+    settings = load_rig(path).to_mapping()
+    settings["plan"]["duration"] = 6
+    settings["simulate"] |= {"rate": 100, "sensor_rate": 100}
+    arm = Rig.from_mapping(settings, path)
+    campaign(arm, 2, tmp_path)
+    first, second = stored(tmp_path)
+    assert [row["outcome"] for row in (first, second)] == ["calibrated"] * 2
+    assert first["rms_error"] != second["rms_error"]
+    run = simulate_arm(arm, seed=trial_seed(0, 1))
+    found = calibrate(arm, run.log, threads=1, held_out=False)
+    unit = arm.sensor.range_array / arm.sensor.channel_scale[:, None]
+    np.testing.assert_array_equal(second["error"], ((found.gain - run.truth.gain) * unit).ravel())
 
 
 def drawn_rows(trials: int, factor: float = 1.0, **changes: Any) -> pa.Table:

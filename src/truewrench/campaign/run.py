@@ -13,7 +13,7 @@ from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -22,14 +22,16 @@ import pyarrow.parquet as pq
 from truewrench import _core
 from truewrench.calibrating.pipeline import EstimatorName
 from truewrench.campaign.statistics import Campaign, summarise
-from truewrench.campaign.trial import SCHEMA, Row, make_row, run_trial, trial_seed
+from truewrench.campaign.trial import SCHEMA, Planned, Row, make_row, run_trial, trial_seed
 from truewrench.campaign.workers import Lost, available_cores, in_processes
 from truewrench.io.output import write_batches
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.files import read_yaml, write_yaml
 from truewrench.model.motion.trajectory import Trajectory
+from truewrench.model.motion.trajectory_joint import JointTrajectory
 from truewrench.model.rig import Rig
 from truewrench.model.rig.strict import key_path
+from truewrench.simulation.arm.run import default_joints
 from truewrench.simulation.free_body import default_trajectory
 
 FORMAT = "truewrench-campaign/1"
@@ -47,7 +49,7 @@ def campaign(
     processes: int | None = None,
     progress: Callable[[str, float | None], None] | None = None,
     *,
-    trajectory: Trajectory | None = None,
+    trajectory: Planned | None = None,
     restart: bool = False,
 ) -> Campaign:
     """Simulate and calibrate a rig many times, and write what came of it into a folder.
@@ -69,7 +71,9 @@ def campaign(
         known = ", ".join(f"`{name}`" for name in get_args(EstimatorName))
         raise InputError.at(None, "estimator", f"`{estimator}`", f"one of {known}")
     report = progress or (lambda phase, share: None)
-    motion = default_trajectory(rig) if trajectory is None else trajectory
+    motion = trajectory
+    if motion is None:
+        motion = default_joints(rig) if rig.motion.source == "joints" else default_trajectory(rig)
     shards = _Shards(Path(output), _manifest(rig, motion, estimator, seed), restart)
     missing = [trial for trial in range(trials) if trial not in shards.rows]
     done = trials - len(missing)
@@ -92,11 +96,13 @@ def campaign(
     return _write(result, shards)
 
 
-def _manifest(rig: Rig, motion: Trajectory, estimator: str, seed: int) -> dict[str, Any]:
+def _manifest(rig: Rig, motion: Planned, estimator: str, seed: int) -> dict[str, Any]:
     """Everything that a row depends on."""
     settings = json.loads(json.dumps(rig.to_mapping()))
     settings["simulate"].pop("seed", None)  # the campaign's own stands in its place
-    moments = motion.twist(np.linspace(0.0, motion.duration, 997))
+    at = np.linspace(0.0, motion.duration, 997)
+    of_joints = rig.motion.source == "joints"
+    moments = cast(JointTrajectory, motion).position(at) if of_joints else cast(Trajectory, motion).twist(at)
     digest = hashlib.sha256(np.ascontiguousarray(moments).tobytes()).hexdigest()
     return {
         "format": FORMAT,

@@ -4,7 +4,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import pyarrow as pa
@@ -14,8 +14,10 @@ from truewrench.calibrating.pipeline import EstimatorName, calibrate
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.motion.trajectory import Trajectory
+from truewrench.model.motion.trajectory_joint import JointTrajectory
 from truewrench.model.rig import Rig
-from truewrench.simulation.free_body import simulate
+from truewrench.simulation.arm.run import ArmRun, simulate_arm
+from truewrench.simulation.free_body import SimulatedRun, simulate
 from truewrench.simulation.truth import Truth, nees
 
 STREAMS = {"force": "force", "moment": "moment", "v": "velocities v", "Omega": "velocities Omega"}
@@ -47,8 +49,11 @@ SCHEMA = pa.schema(
 )
 
 
+Planned = Trajectory | JointTrajectory
+
+
 def run_trial(
-    rig: Rig, trajectory: Trajectory, estimator: EstimatorName, seed: int, trial: int
+    rig: Rig, trajectory: Planned, estimator: EstimatorName, seed: int, trial: int
 ) -> Row | UnsupportedError:
     """One row: what a simulated calibration found, was refused for, or stumbled over.
 
@@ -56,7 +61,7 @@ def run_trial(
     """
     drawn = trial_seed(seed, trial)
     try:
-        run = simulate(rig, trajectory, seed=drawn)
+        run = simulated(rig, trajectory, drawn)
         started = time.perf_counter()
         found = calibrate(rig, run.log, estimator, threads=1, held_out=False)
         seconds = time.perf_counter() - started
@@ -71,6 +76,13 @@ def run_trial(
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(place.filename).name}:{place.lineno}"
         return make_row(trial, drawn, "fault", (f"{type(error).__name__}: {error} ({where})",))
+
+
+def simulated(rig: Rig, trajectory: Planned, seed: int) -> SimulatedRun | ArmRun:
+    """As `truewrench simulate` does: a free body, or an arm in MuJoCo."""
+    if rig.motion.source == "joints":
+        return simulate_arm(rig, cast(JointTrajectory, trajectory), seed=seed)
+    return simulate(rig, cast(Trajectory, trajectory), seed=seed)
 
 
 def trial_seed(seed: int, trial: int) -> int:

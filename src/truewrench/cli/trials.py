@@ -71,12 +71,19 @@ def campaign(
     """Simulate and calibrate many times: accuracy, honesty, time. A rerun goes on where it stood."""
     from truewrench.campaign.run import campaign as run
     from truewrench.campaign.statistics import campaign_words
-    from truewrench.io.plans import read_plan
+    from truewrench.campaign.trial import Planned
+    from truewrench.io.plans import read_joint_plan, read_plan
     from truewrench.model.rig import load_rig
 
     check_folder(output)
     settings = load_rig(rig)
-    trajectory = None if plan is None else read_plan(plan)
+    trajectory: Planned | None = None
+    if plan is not None and settings.motion.source == "joints":
+        from truewrench.robot.arm import robot_of
+
+        trajectory = read_joint_plan(plan, robot_of(settings).joints)
+    elif plan is not None:
+        trajectory = read_plan(plan)
     with progress_bar() as update:
         result = run(
             settings,

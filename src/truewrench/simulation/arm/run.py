@@ -112,12 +112,18 @@ def simulate_arm(
     name, truth = begin(rig, payload, seed)
     robot = robot_of(rig)
     if trajectory is None:
-        arms = {carried: arm_with(rig, robot, stated(spec)) for carried, spec in rig.payloads.items()}
-        trajectory = default_motion(rig, robot, arms)
+        trajectory = default_joints(rig)
     moved = move(rig, robot, trajectory, truth.payloads[name], truth.time_offset, truth.seed)
     readout = moved.readout(truth.gain)
     log = record(rig, name, truth, moved, readout)
     return ArmRun(log, replace(truth, imperfections=readout.told), trajectory, moved, robot.joints)
+
+
+def default_joints(rig: Rig) -> JointTrajectory:
+    """The motion of an arm without a plan: `default_motion` with each of the rig's payloads."""
+    robot = robot_of(rig)
+    arms = {carried: arm_with(rig, robot, stated(spec)) for carried, spec in rig.payloads.items()}
+    return default_motion(rig, robot, arms)
 
 
 def simulate_plan(
