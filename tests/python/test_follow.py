@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ from truewrench.cli import main
 from truewrench.io.plans import read_joint_plan
 from truewrench.io.tables import write_table
 from truewrench.model.errors import InputError
-from truewrench.model.rig import load_rig
+from truewrench.model.rig import Rig, load_rig
+from truewrench.planning.arm import unchecked_torques
 from truewrench.planning.follow import follow_plan
-from truewrench.robot.arm import robot_of
+from truewrench.robot.arm import Robot, robot_of
 
 
 def plan(path: Path, size: float) -> Path:
@@ -60,6 +62,19 @@ def test_a_plan_that_is_too_fast_is_written_with_a_verdict(
     assert "the joints' limits cost" in said["verdict"]["reasons"][0]
     assert said["outputs"] == [str(output), f"{output}.trajectory.yaml"]
     assert all(Path(name).exists() for name in said["outputs"])
+    followed = follow_plan(load_rig(robots.path("panda")), table, rate=50.0)
+    limits = robot_of(load_rig(robots.path("panda"))).velocity
+    assert (np.abs(followed.motion.velocity) <= limits * (1 + 1e-9)).all()
+    path, _ = followed.write(tmp_path / "joints.csv")
+    written = read_joint_plan(path, followed.robot.joints).velocity(followed.motion.time)
+    over = [
+        joint
+        for joint, x in zip(followed.robot.joints, np.abs(written).max(0) / limits, strict=True)
+        if x > 1.01
+    ]
+    assert over, "no case of what is told"
+    for joint in over:
+        assert any(f"the speed that `{joint}` may have" in reason for reason in followed.reasons)
 
 
 def test_what_following_needs_is_asked_for(tmp_path: Path) -> None:
@@ -67,6 +82,39 @@ def test_what_following_needs_is_asked_for(tmp_path: Path) -> None:
     table = plan(tmp_path / "plan.csv", 0.1)
     with pytest.raises(InputError, match="no payload `tool`, expected one of: default"):
         follow_plan(rig, table, payload="tool")
+    with pytest.raises(InputError, match="--rate: found 1 Hz for 4 s: 5 rows, expected at least 6"):
+        follow_plan(rig, table, rate=1.0)
+    outside = rig.motion.model_copy(update={"initial_position": (9.0, *rig.motion.initial_position[1:])})
+    with pytest.raises(
+        InputError, match=r"panda\.yaml: motion\.initial_position\[0\], joint `panda_joint1`: found 9"
+    ):
+        follow_plan(rig.model_copy(update={"motion": outside}), table)
     motion = rig.motion.model_copy(update={"initial_position": None})
     with pytest.raises(InputError, match=r"motion\.initial_position: found nothing"):
         follow_plan(rig.model_copy(update={"motion": motion}), table)
+
+
+def test_limits_of_zero_are_none_and_torques_that_cannot_be_told_are_said(tmp_path: Path) -> None:
+    """Many URDFs have them where nobody knew; an arm that may not move at all is none."""
+    path = robots.path("ur10")
+    rig = load_rig(path)
+    assert rig.urdf_path is not None
+    text = rig.urdf_path.read_text(encoding="utf-8")
+    limited, unknown = robot_of(rig), re.sub(r'(velocity|effort)="[^"]*"', r'\1="0"', text)
+    assert np.isfinite(limited.velocity).all()
+    assert unchecked_torques(limited) == ()
+    settings = rig.to_mapping()
+    settings["motion"]["robot"]["urdf"] = "arm.urdf"
+
+    def robot(urdf: str) -> Robot:
+        (tmp_path / "arm.urdf").write_text(urdf, encoding="utf-8")
+        return robot_of(Rig.from_mapping(settings, tmp_path / "rig.yaml"))
+
+    free = robot(unknown)
+    assert np.isinf(free.velocity).all()
+    assert np.isinf(free.effort).all()
+    assert unchecked_torques(free) == ()
+    (said,) = unchecked_torques(
+        robot(re.sub(r"<inertial>.*?</inertial>", "", text, count=3, flags=re.DOTALL))
+    )
+    assert "torques are not looked at" in said

@@ -103,7 +103,7 @@ def test_truth_that_was_written_is_the_truth_that_is_read(tmp_path: Path) -> Non
         ({"cable": -1e-3}, "cable: found -0.001, expected a number of at least 0"),
         ({"nonlinearity": {"size": 1e-3}}, "nonlinearity: found a mapping"),
         ({"sensor_filter": {"hz": 20, "order": 3}}, "sensor_filter.order: found 3, expected 1 or 2"),
-        ({"velocity_filter": {"hz": 0}}, "velocity_filter.hz: found 0, expected a number greater than 0"),
+        ({"velocity_filter": {"hz": 0}}, "velocity_filter.hz: found 0, expected a number of at least 0.001"),
         (
             {"vibration": {"size": 1e-3, "hz": 900}},
             "vibration.hz: found 900, expected a number of at most 500",

@@ -191,13 +191,16 @@ def _check_same(path: Path, there: Any, here: Mapping[str, Any]) -> None:
     if not isinstance(there, Mapping) or there.get("format") != FORMAT:
         raise InputError.at(path, "format", "another file", f"`{FORMAT}` (or --restart to replace it)")
     before, now = dict(_leaves(there)), dict(_leaves(here))
+    keys = [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key)]
+    told = [key for key in keys if key.startswith("rig.")]  # the default motion follows from these
     problems = [
         f"{path}: {key}: found {before.get(key, 'nothing')}, expected {now.get(key, 'nothing')}"
-        for key in dict.fromkeys([*before, *now])
-        if before.get(key) != now.get(key)
+        for key in (key for key in keys if not (told and key.startswith("motion.")))
     ]
     if problems:
-        problems.append(f"{path}: another campaign; choose another folder, or replace it with --restart")
+        more = f" ({len(problems) - 2} more differ)" if len(problems) > 2 else ""
+        said = f"{path}: another campaign{more}; choose another folder, or replace it with --restart"
+        problems = [*problems[:2], said]
         raise InputError("\n".join(problems), problems=problems)
 
 

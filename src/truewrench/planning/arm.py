@@ -29,6 +29,15 @@ def has_link_inertias(robot: Robot) -> bool:
     return all(robot.model.inertias[i].mass > 0.0 for i in range(1, robot.n + 1))
 
 
+def unchecked_torques(robot: Robot) -> tuple[str, ...]:
+    """What is worth saying of an arm whose torques are limited, and cannot be told."""
+    without = [robot.joints[i - 1] for i in range(1, robot.n + 1) if not robot.model.inertias[i].mass > 0.0]
+    if not without or not np.isfinite(robot.effort).any():
+        return ()
+    links = ", ".join(f"`{joint}`" for joint in without[:3]) + (", ..." if len(without) > 3 else "")
+    return (f"torques are not looked at, which the URDF limits: it has no mass for what {links} moves",)
+
+
 def arm_expressions(
     robot: Robot, q: Any, qd: Any, qdd: Any, gravity: Array, payload: tuple[float, Array, Array]
 ) -> ArmExpressions:

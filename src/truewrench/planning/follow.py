@@ -9,12 +9,14 @@ import numpy as np
 from truewrench.io.joint_trajectory import write_joint_trajectory
 from truewrench.io.plans import joint_table, read_plan
 from truewrench.io.tables import write_table
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
-from truewrench.planning.resolved_rate import FollowedTwist, follow_twist, limits_of
+from truewrench.planning.resolved_rate import FollowedTwist, JointLimits, follow_twist, limits_of
 from truewrench.robot.arm import Robot, robot_of
 
+_FEWEST = 6  # rows of a quintic spline
 _CLOSE = (
     0.01  # of the plan's largest linear and angular speed: what may be missing from a motion that follows
 )
@@ -28,15 +30,24 @@ class FollowedPlan:
     motion: FollowedTwist  # commands and errors
     linear: float  # largest linear error over the plan's largest linear speed
     angular: float  # likewise
+    speed: Array  # (n,) largest speed of each joint on the smooth motion over its limit
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the motion is not the planned one, in words; none where it follows closely."""
         missed = {"linear": self.linear, "angular": self.angular}
-        return tuple(
-            f"the joints' limits cost up to {100 * share:.2g}% of the plan's largest {kind} speed"
-            for kind, share in missed.items()
-            if share > _CLOSE
+        return (
+            *(
+                f"the joints' limits cost up to {100 * share:.2g}% of the plan's largest {kind} speed"
+                for kind, share in missed.items()
+                if share > _CLOSE
+            ),
+            *(
+                f"the smooth motion through the commands reaches {100 * share:.3g}% of the speed that "
+                f"`{joint}` may have: the commands keep to it, FILE and its trajectory do not"
+                for joint, share in zip(self.robot.joints, self.speed.tolist(), strict=True)
+                if share > 1.0 + _CLOSE
+            ),
         )
 
     def write(self, output: str | Path) -> tuple[Path, Path]:
@@ -45,12 +56,16 @@ class FollowedPlan:
         The table is the smooth motion through the positions that the commands lead to.
         """
         path, time = Path(output), self.motion.time
-        joints = SplineJoints.through(time, self.motion.position)
+        joints = _smooth(self.motion)
         motion = [self.motion.position, joints.velocity(time), joints.acceleration(time)]
         message = path.with_name(f"{path.name}.trajectory.yaml")
         write_joint_trajectory(message, self.robot.joints, time, *motion)
         write_table(path, joint_table(self.robot.joints, time, *motion))
         return path, message
+
+
+def _smooth(motion: FollowedTwist) -> SplineJoints:
+    return SplineJoints.through(motion.time, motion.position)
 
 
 def follow_plan(
@@ -80,7 +95,13 @@ def follow_plan(
     lever = rig.payloads[name].center_of_mass_array if of == "com" else None
     trajectory = read_plan(plan)
     start = np.array(rig.motion.initial_position)
-    motion = follow_twist(robot, trajectory, start, limits=limits_of(rig), rate=rate, lever=lever)
+    steps = int(np.ceil(trajectory.duration * rate - 1e-9))
+    if steps + 1 < _FEWEST:
+        found = f"{rate:g} Hz for {trajectory.duration:g} s: {steps + 1} rows"
+        raise InputError.at(plan, "--rate", found, f"at least {_FEWEST}, for a smooth motion through them")
+    limits = limits_of(rig)
+    _check_start(rig, robot, limits, start)
+    motion = follow_twist(robot, trajectory, start, limits=limits, rate=rate, lever=lever)
     planned = motion.twist - motion.twist_error
     halves = (slice(0, 3), slice(3, 6))
     largest, missed = (
@@ -88,4 +109,12 @@ def follow_plan(
         for six in (planned, motion.twist_error)
     )
     linear, angular = (m / s if s > 0 else 0.0 for m, s in zip(missed, largest, strict=True))
-    return FollowedPlan(robot, motion, linear, angular)
+    fastest = np.abs(_smooth(motion).velocity(motion.time)).max(axis=0)
+    return FollowedPlan(robot, motion, linear, angular, fastest / limits.velocity)
+
+
+def _check_start(rig: Rig, robot: Robot, limits: JointLimits, q: Array) -> None:
+    for k in np.flatnonzero((q < limits.lower) | (q > limits.upper))[:1].tolist():
+        place = f"motion.initial_position[{k}], joint `{robot.joints[k]}`"
+        expected = f"{limits.lower[k]:g} to {limits.upper[k]:g}, its limits"
+        raise InputError.at(rig.path, place, f"{q[k]:g}", expected)

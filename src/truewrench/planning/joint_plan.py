@@ -11,6 +11,7 @@ from truewrench.model.log import Log
 from truewrench.model.motion.trajectory_joint import JointTrajectory, SplineJoints
 from truewrench.model.payload import payload_wrench
 from truewrench.model.rig import Rig
+from truewrench.planning.arm import unchecked_torques
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.joint_check import check_joints, quick_usage
 from truewrench.planning.joint_space import arm_outputs, joint_limits, joint_space
@@ -72,7 +73,8 @@ def design_joints(rig: Rig, payload: str, criterion: Literal["A", "D"], progress
     moves = (motion.position(rows), found.motion.velocity(rows), found.motion.acceleration(rows))
     columns = joint_table(robot.joints, rows, *moves)
     preview = check_joints(rig, payload, robot, limits, motion, basis.period)
-    return Design(motion, columns, preview, basis.period, facts=found.facts(), joints=robot.joints)
+    notes, facts = unchecked_torques(robot), found.facts()
+    return Design(motion, columns, preview, basis.period, notes, facts, joints=robot.joints)
 
 
 def simulated_joints(rig: Rig, payload: str, motion: JointTrajectory) -> Log:

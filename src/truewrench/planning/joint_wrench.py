@@ -10,6 +10,7 @@ from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.motion.trajectory import SplineTwist, integrate_wrench
 from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
+from truewrench.planning.arm import unchecked_torques
 from truewrench.planning.joint_check import check_joints
 from truewrench.planning.joint_space import joint_limits
 from truewrench.planning.limits import Limits
@@ -55,6 +56,7 @@ def design_joint_wrench(rig: Rig, payload: str, progress: Progress) -> Design:
     moves = (joints.position(rows), joints.velocity(rows), joints.acceleration(rows))
     columns = joint_table(robot.joints, rows, *moves)
     notes = [
+        *unchecked_torques(robot),
         "the motion neither starts nor ends at rest: it has to be led into its initial twist",
         ONE_FREQUENCY,
     ]

@@ -50,7 +50,7 @@ class SpikesSpec(Section):
 class FilterSpec(Section):
     """A low-pass filter: of first order, or Butterworth's of second."""
 
-    hz: Positive  # -3 dB
+    hz: Annotated[Positive, Field(ge=1e-3)]  # -3 dB
     order: Literal[1, 2] = 1
 
 

@@ -169,7 +169,10 @@ def link_at(joint: Element, end: str) -> str:
 
 
 def model_of(path: str | Path) -> Any:
-    """The whole robot of a URDF as a `pinocchio.Model`, on a fixed base; limits that are missing are inf."""
+    """The whole robot of a URDF as a `pinocchio.Model`, on a fixed base.
+
+    Limits that are missing are infinite, and so is a velocity or an effort of 0: written where none is known.
+    """
     import pinocchio as pin
 
     text = tostring(read_urdf(path), encoding="unicode")
@@ -181,5 +184,7 @@ def model_of(path: str | Path) -> Any:
     for name in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
         limits = getattr(model, name)
         limits[abs(limits) >= float(_UNBOUNDED)] *= math.inf
+        if name in ("velocityLimit", "effortLimit"):
+            limits[limits == 0.0] = math.inf
         setattr(model, name, limits)
     return model
