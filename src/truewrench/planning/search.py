@@ -18,6 +18,7 @@ _SPARE = 1e-7  # of a limit
 _TRIES = 10
 _HALVINGS = 6  # of the step that led within the limits
 _SMALLEST = 0.8  # of the size found: smaller motions are not tried
+_LAST = 0.05  # unless nothing else is within the limits
 _LIVE = 0.7  # use of a limit by the best random motions from which on it is kept to from the start
 _LOOKED_AT = 5  # of these motions
 
@@ -119,7 +120,10 @@ def search(
     iterations += best.iterations
     # a round may end further from the limits than it began
     likely = [solution for _, solution in sorted(seen, key=lambda found: found[0])]
-    best = next((kept for kept in (_shrunk(one, looked) for one in likely) if kept is not None), likely[0])
+    # where none of them is near the limits, a random motion within these, or a small one
+    starts = [*likely, *drawn[:_LOOKED_AT]]
+    smaller = (_shrunk(one, looked, least) for least in (_SMALLEST, _LAST) for one in starts)
+    best = next((kept for kept in smaller if kept is not None), likely[0])
     return Found(
         motion_of(best),
         tuple(optimum.criterion for optimum in optima),
@@ -128,11 +132,13 @@ def search(
     )
 
 
-def _shrunk(solution: Solution, check: Callable[[Solution], list[Usage]]) -> Solution | None:
+def _shrunk(
+    solution: Solution, check: Callable[[Solution], list[Usage]], least: float = _SMALLEST
+) -> Solution | None:
     """The motion, smaller about its start where it exceeds a limit, as little as keeps to all of them.
 
-    None where it would have to be much smaller, or does not come nearer: a body that turns far may turn
-    faster about an axis of its own.
+    None where it would have to be smaller than `least` of it, or does not come nearer: a body that turns far
+    may turn faster about an axis of its own.
     """
     rest = check(_scaled(solution, 0.0))
 
@@ -145,7 +151,7 @@ def _shrunk(solution: Solution, check: Callable[[Solution], list[Usage]]) -> Sol
         return solution
     for k in range(_TRIES):  # where use falls more slowly than linearly, equal steps would never arrive
         low *= (1.0 - min(2.0**k * more, 1.0)) * (1.0 - _SPARE)
-        if low < _SMALLEST:
+        if low < least:
             return None
         more = room(low)
         if more == 0.0:
