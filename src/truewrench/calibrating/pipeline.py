@@ -89,7 +89,7 @@ def calibrate(
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
     for log in records:
-        log.check_sizes(raw=False)  # whose outliers are found
+        log.check_sizes(1e300, raw=False)  # differences overflow; what else is too large cannot be solved
     if estimator not in _REFERENCES:  # `tracked` unwraps those of the others
         records = [without_repeats(unwrapped(rig, log)) for log in records]
     _check_sensor(rig, estimator)

@@ -116,15 +116,14 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
         roots = {f"tilt {tilt.logs[0]}": [moving[j] for j in tilt.logs] for tilt in found.tilts}
         roots["tilt"] = at_rest
     told = of_joint(rig, joint, [places[k] for k in range(len(logs))], roots)
+    if found.offset_temperature is None:
+        told["slope_covariance"] = still.estimate.slope_covariance
     whole = replace(
         whole,
         **told,
         offset_temperature=found.offset_temperature
         if found.offset_temperature is not None
         else still.estimate.offset_temperature,
-        slope_covariance=told["slope_covariance"]
-        if found.offset_temperature is not None
-        else still.estimate.slope_covariance,
         sources=_sources(rig, joint, told["normalised_covariance"]),
         joint=joint,
     )

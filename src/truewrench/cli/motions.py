@@ -55,6 +55,7 @@ def plan(
     With --tool: poses, or a motion, that determine an unknown tool.
     """
     check_output(output, rig)
+    check_output(output.with_name(f"{output.name}.plan.yaml"), rig, table=False)
     options = {"--motion": motion or None, "--poses": poses, "--dwell": dwell, "--cone": cone}
     if tool:
         if method != "optimal" or criterion != "A":
@@ -136,6 +137,7 @@ def simulate(
     from truewrench.model.rig import load_rig
 
     check_output(output, rig, plan)
+    check_output(output.with_name(f"{output.name}.truth.yaml"), rig, plan, table=False)
     settings = load_rig(rig)
     simulated: ArmRun | SimulatedRun
     if settings.motion.source == "joints":

@@ -13,7 +13,7 @@ import numpy as np
 
 from truewrench.correction.apply import corrector, used_in_part, without_weight
 from truewrench.correction.warmth import Warmth
-from truewrench.live.json_rows import LineError, Row, motion_of, read_row, temperature_of
+from truewrench.live.json_rows import LineError, Row, motion_of, read_row, stamp_of, temperature_of
 from truewrench.live.lines import Output, batches
 from truewrench.live.progress import Progress
 from truewrench.live.stop import Stop
@@ -74,7 +74,7 @@ class Lines:
             words = f"line {self._number}: {error}"
             self.first = self.first or words
             self.refused += 1
-            self._output.write(json.dumps({"line": self._number, "error": str(error)}))
+            self._output.write(json.dumps({"line": self._number, **stamp_of(line), "error": str(error)}))
             self._complain(f"{INPUT}: {words}")
 
 
@@ -83,9 +83,9 @@ def correct_lines(
 ) -> Lines:
     """Write the true wrench and its 1 sigma for every line, until the input ends or `stop`.
 
-    A line that is wrong gives `{"line": ..., "error": ...}` in its place, and never a wrench. One whose
-    channels are null, which have no sample, gives nulls; so does one that tells a `temperature` alone, the
-    latest of which counts where the offset follows it.
+    A line that is wrong gives `{"line": ..., "error": ...}` with its time in its place, and no wrench. One
+    whose channels are null, which have no sample, gives nulls; so does one that tells a `temperature` alone,
+    the latest of which counts where the offset follows it.
     """
     correct = corrector(calibration, INPUT).correct
     withheld = [*calibration.withheld, *calibration.withheld]

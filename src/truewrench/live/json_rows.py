@@ -41,6 +41,15 @@ def read_row(line: bytes, n: int) -> Row:
     return Row(time_ns, stamp, _raw(data, n), data)
 
 
+def stamp_of(line: bytes) -> dict[str, int | float]:
+    """The time that a line tells, however wrong it is otherwise, under its key; else nothing."""
+    try:
+        key, value = _time(_object(line))[1]
+    except LineError:
+        return {}
+    return {key: value}
+
+
 def motion_of(row: Row) -> dict[str, float]:
     """The columns of a row that a log has besides time and channels; NaN for null, unknown ones left out.
 

@@ -280,6 +280,9 @@ def _from_fields(top: Fields) -> Calibration:
         version=top.text("version"),
         created=top.text("created"),
     )
+    for key in ("gain_std", "offset_std"):
+        if (getattr(calibration, key) < 0.0).any():
+            raise top.error(key, "numbers of at least 0", f"{getattr(calibration, key).min():g}")
     if "gain_determined" in top.data and top.data["gain_determined"] != calibration.gain_determined.tolist():
         expected = "n rows of six: true where `gain_std` is at most half of the prior"
         raise top.error("gain_determined", expected, "something else")

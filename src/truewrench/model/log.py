@@ -13,9 +13,6 @@ from truewrench.model.errors import InputError
 WIDE = 4.0  # [Hz] of a vibration, from which on it is told from where to where: words only
 
 
-_LARGEST = 1e100  # of a number in a log: tolerance
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
     """A motion of the sensor's origin close to the true one."""
@@ -180,7 +177,7 @@ class Log:
                 expected = "samples of every channel"
                 raise InputError.at(self.path, f"column `raw_{i}`", "not one number", expected)
 
-    def check_sizes(self, *, raw: bool = True) -> None:
+    def check_sizes(self, largest: float = 1e100, *, raw: bool = True) -> None:
         """Refuse numbers of which not even squares can be counted with; unless `raw`, but for the channels.
 
         Raises:
@@ -190,8 +187,8 @@ class Log:
         for name in (*motion, "acceleration", "reference", *(["raw"] if raw else [])):
             values = getattr(self, name)
             most = 0.0 if values is None else float(np.nanmax(np.abs(values), initial=0.0))
-            if most > _LARGEST:
-                raise InputError.at(self.path, name, f"{most:.3g}", f"numbers of at most {_LARGEST:g}")
+            if most > largest:
+                raise InputError.at(self.path, name, f"{most:.3g}", f"numbers of at most {largest:g}")
 
     @property
     def time(self) -> Array:

@@ -100,7 +100,7 @@ def identify_tool(
     rig = settings_of(rig_or_calibration)
     records = [replace(log, payload=next(iter(rig.payloads))) for log in records]
     for log in records:
-        log.check_sizes()
+        log.check_sizes(raw=False)  # whose range is looked at
     records = [without_repeats(unwrapped(rig, log)) for log in records]
     check_known(known or {})
     check_logs(rig, records)
