@@ -108,6 +108,19 @@ def test_a_gyroscope_may_be_biased_as_far_as_its_prior_says(rig: Rig, calibratio
     assert rms(turned, 1.0) == pytest.approx(as_read, rel=0.02)
 
 
+def test_accelerometer_and_gyroscope_may_have_rows_of_their_own(rig: Rig, calibration: Calibration) -> None:
+    log = log_of(rig, 10, 16.0)
+    assert log.specific_force is not None
+    assert log.angular_velocity is not None
+    force, omega = log.specific_force.copy(), log.angular_velocity.copy()
+    force[::2], omega[1::2] = np.nan, np.nan
+    omega[600:700] = np.nan  # and gaps
+    found = tw.validate(calibration, rig, replace(log, specific_force=force, angular_velocity=omega))
+    assert found.verdict.usable, found.verdict.reasons
+    assert found.samples > 500
+    assert np.mean([axis.nis for axis in found.axes.values()]) == pytest.approx(1.0, abs=0.1)
+
+
 def test_a_log_without_the_columns_is_refused(rig: Rig, calibration: Calibration) -> None:
     bare = replace(log_of(rig, 2), specific_force=None, angular_velocity=None)
     with pytest.raises(tw.InputError, match="accel_x accel_y accel_z wx wy wz"):

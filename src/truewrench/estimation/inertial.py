@@ -70,7 +70,7 @@ class InertialMotion:
         self._sensed = np.flatnonzero(np.isfinite(log.raw).all(axis=1))
         self._time = log.time[self._sensed]
         self._coordinates = _coordinates(rig, log)
-        self._pieces = list(_chunks(self._coordinates.time))
+        self._pieces = list(_pieces([stream.time for stream in self._coordinates.streams]))
         self._fits: dict[int, list[_Spline]] = {}  # by piece, those that were asked for
 
     def wrench(self, time_offset: float, lags: int) -> list[InertialChunk]:
@@ -81,25 +81,27 @@ class InertialMotion:
         found = []
         at = self._time + time_offset
         for k, piece in enumerate(self._pieces):
-            time = self._coordinates.time[piece]
-            inside = (at >= time[0]) & (at <= time[-1])
+            ends = piece.ends
+            inside = (at >= ends[0]) & (at <= ends[1])
             if np.count_nonzero(inside) > max(_SHORTEST, 2 * lags):
                 if k not in self._fits:
                     self._fits[k] = self._fitted(piece)
-                found.append(self._chunk(self._fits[k], self._sensed[inside], at[inside], time, lags))
+                found.append(self._chunk(self._fits[k], self._sensed[inside], at[inside], ends, lags))
         return found
 
-    def _fitted(self, piece: slice) -> list[_Spline]:
-        coordinates = self._coordinates
-        time, values, noise = coordinates.time[piece], coordinates.values[piece], coordinates.noise
-        spacing = np.minimum(smooth_twist(time, values, noise).spacing, coordinates.widest)
-        return [
-            _Spline(time, column, sigma, _resolved(time, column, sigma, coarse))
-            for column, sigma, coarse in zip(values.T, noise, spacing, strict=True)
-        ]
+    def _fitted(self, piece: _Piece) -> list[_Spline]:
+        fits = []
+        for stream, rows in zip(self._coordinates.streams, piece.rows, strict=True):
+            time, values, noise = stream.time[rows], stream.values[rows], stream.noise
+            spacing = np.minimum(smooth_twist(time, values, noise).spacing, self._coordinates.widest)
+            fits += [
+                _Spline(time, column, sigma, _resolved(time, column, sigma, coarse))
+                for column, sigma, coarse in zip(values.T, noise, spacing, strict=True)
+            ]
+        return fits
 
     def _chunk(
-        self, fits: Sequence[_Spline], rows: Integers, at: Array, time: Array, lags: int
+        self, fits: Sequence[_Spline], rows: Integers, at: Array, ends: tuple[float, float], lags: int
     ) -> InertialChunk:
         rig, payload, body, order = self._rig, self._payload, self._body, self._coordinates.order
 
@@ -109,8 +111,8 @@ class InertialMotion:
             return nu, a, g, payload_wrench(rig, payload, nu, a, g, body)
 
         nu, a, g, wrench = motion(at)
-        step = _PERIODS * (time[-1] - time[0])
-        before, after = (np.clip(at + by, time[0], time[-1]) for by in (-step, step))
+        step = _PERIODS * (ends[1] - ends[0])
+        before, after = (np.clip(at + by, *ends) for by in (-step, step))
         rate = (motion(after)[-1] - motion(before)[-1]) / (after - before)[:, None]
 
         shift = _core.twist_shift(lever(rig, payload, body))
@@ -135,12 +137,27 @@ class InertialMotion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """Coordinates that are measured together."""
+
+    time: Array  # (N,) [s]
+    values: Array  # (N, k)
+    noise: Array  # (k,) 1 sigma, their correlation left out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Piece:
+    """A stretch without a gap."""
+
+    rows: tuple[slice, ...]  # of each stream
+    ends: tuple[float, float]  # between which all of them tell [s]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Coordinates:
     """What splines are fitted to: the twist, or about a reference the displacement from it."""
 
-    time: Array  # (N,) [s]
-    values: Array  # (N, 6)
-    noise: Array  # (6,) 1 sigma, the components' correlation left out
+    streams: tuple[_Stream, ...]  # six coordinates in all
     widest: float  # knots that the splines may have [s]
     order: int  # of the derivative that is the twist
     felt: bool  # the first three are the specific force, which stands where the twist's derivative does
@@ -160,7 +177,8 @@ def _coordinates(rig: Rig, log: Log) -> _Coordinates:
         def plain(t: Array, s: Array) -> tuple[Array, Array, Array]:
             return s[0], s[1], np.zeros((t.size, 3)) if gravity is None else np.asarray(gravity(t))
 
-        return _Coordinates(log.time[rows], log.twist[rows], twist_noise(rig, log), np.inf, 0, False, plain)
+        stream = _Stream(log.time[rows], log.twist[rows], twist_noise(rig, log))
+        return _Coordinates((stream,), np.inf, 0, False, plain)
     reference = tracking.reference
     origin = 1e-9 * float(log.time_ns[0] - reference.origin_ns)
     encoders = tracked_streams(rig, log)[0]
@@ -177,7 +195,8 @@ def _coordinates(rig: Rig, log: Log) -> _Coordinates:
 
     noise = np.sqrt(np.mean(np.diagonal(encoders.covariance, axis1=1, axis2=2), axis=0))
     widest = 0.5 * reference.spacing  # docs/method.md, "Joints"
-    return _Coordinates(log.time[encoders.rows], encoders.value, noise, widest, 1, False, displaced)
+    stream = _Stream(log.time[encoders.rows], encoders.value, noise)
+    return _Coordinates((stream,), widest, 1, False, displaced)
 
 
 def _of_imu(rig: Rig, log: Log) -> _Coordinates:
@@ -186,15 +205,16 @@ def _of_imu(rig: Rig, log: Log) -> _Coordinates:
     if force is None or omega is None:
         expected = "accel_x accel_y accel_z wx wy wz"
         raise InputError.at(log.path, "", "no columns of an IMU", expected)
-    rows = np.flatnonzero(np.isfinite(force).all(axis=1) & np.isfinite(omega).all(axis=1))
-    noise = np.concatenate([rig.motion.acceleration_noise or (), rig.motion.noise_array])
+    streams = []
+    for values, noise in ((force, rig.motion.acceleration_noise or ()), (omega, rig.motion.noise_array)):
+        rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+        streams.append(_Stream(log.time[rows], values[rows], np.asarray(noise, np.float64)))
 
     def felt(t: Array, s: Array) -> tuple[Array, Array, Array]:
         none = np.broadcast_to(still, (t.size, 3))
         return np.hstack([none, s[0, :, 3:]]), np.hstack([s[0, :, :3], s[1, :, 3:]]), none
 
-    values = np.hstack([force, omega])[rows]
-    return _Coordinates(log.time[rows], values, noise, np.inf, 0, True, felt)
+    return _Coordinates(tuple(streams), np.inf, 0, True, felt)
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
@@ -216,6 +236,25 @@ def _chunks(time: Array) -> Iterator[slice]:
     keep = max(1, round(len(chunks) * min(1.0, _MOST / max(total, 1))))
     for k in np.unique(np.linspace(0, len(chunks) - 1, keep).astype(int)) if chunks else ():
         yield chunks[k]
+
+
+def _pieces(times: Sequence[Array]) -> Iterator[_Piece]:
+    """Chunks of the first of some streams, cut where another has a gap."""
+    for chunk in _chunks(times[0]):
+        found = [(float(times[0][chunk.start]), float(times[0][chunk.stop - 1]))]
+        for other in times[1:]:
+            inside = [other[_between(other, ends)] for ends in found]
+            found = [(float(t[p.start]), float(t[p.stop - 1])) for t in inside if t.size for p in segments(t)]
+        for ends in found:
+            rows = tuple(_between(t, ends) for t in times)
+            if min(r.stop - r.start for r in rows) >= _SHORTEST:
+                first = max(float(t[r.start]) for t, r in zip(times, rows, strict=True))
+                last = min(float(t[r.stop - 1]) for t, r in zip(times, rows, strict=True))
+                yield _Piece(rows, (first, last))
+
+
+def _between(time: Array, ends: tuple[float, float]) -> slice:
+    return slice(int(np.searchsorted(time, ends[0])), int(np.searchsorted(time, ends[1], side="right")))
 
 
 def _gravity(log: Log) -> PchipInterpolator:
