@@ -89,6 +89,28 @@ def test_the_attitude_of_a_base_at_rest_counts() -> None:
     assert not all_of(ContactRun(tool, None), time_ns, raw, columns)
 
 
+def test_axes_of_the_base_are_the_arms_however_that_is_turned() -> None:
+    """A base at 20 degrees: they are not those of gravity's frame, and no base that is told of is another."""
+    tool, time_ns, raw, columns = on_an_arm()
+    gain = unpacked(tool.theta)[0]
+    raw = (
+        raw + np.concatenate([unpacked(tool.theta)[5] @ HIT[:3], unpacked(tool.theta)[5] @ HIT[3:]]) @ gain.T
+    )
+    arm, still = robot_of(tool.rig), np.zeros(6)
+    q = np.column_stack([columns[f"q_{name}"] for name in arm.joints])
+    plain = all_of(ContactRun(tool, None), time_ns, raw, columns)
+    for blocks in (1, 100):  # whole, and row by row
+        run, found = ContactRun(tool, None, view=View(axes="base")), {}
+        for part in np.array_split(np.arange(100), blocks):
+            one = run.feed(time_ns[part], raw[part], {n: c[part] for n, c in columns.items()})
+            found |= {int(row): one.wrench[i] for i, row in enumerate(one.rows)}
+        assert len(found) > 80
+        for row in (20, 50, 80):
+            R = arm.motion(q[[row]], still[None], still[None]).R_root_sensor[0]
+            expected = np.concatenate([R @ plain[row][0][:3], R @ plain[row][0][3:]])
+            np.testing.assert_allclose(found[row], expected, atol=0.02 * np.abs(HIT).max())
+
+
 def test_a_base_that_was_told_of_once_does_not_stop_where_a_row_leaves_it_out() -> None:
     tool, time_ns, raw, columns = on_an_arm()
     for name in columns:

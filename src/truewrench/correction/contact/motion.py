@@ -29,6 +29,7 @@ class MotionRows:
     fall: Array  # (N, 3) free fall there [m/s^2]; of an IMU less its specific force
     turn: Array  # (N, 9) R_sensor_root row by row
     noise: Array  # (N, 36) covariance of the twist where it changes with the pose, else (0, 36)
+    base: Array | None = None  # (N, 3, 3) R_inertial_root of an arm whose base turns
 
 
 @dataclass(slots=True, eq=False)
@@ -204,7 +205,7 @@ class MotionColumns:
             fall[rows] = R @ self._rig.gravity_array
             J = self._robot.jacobian(q[rows]) * self._sigma
             noise[rows] = (J @ J.transpose(0, 2, 1)).reshape(-1, 36)
-        return MotionRows(twist, fall, turn, noise)
+        return MotionRows(twist, fall, turn, noise, R_inertial_root if turned.any() else None)
 
 
 def _ever(before: bool, values: Array) -> Mask:

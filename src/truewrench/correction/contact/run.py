@@ -144,6 +144,8 @@ class ContactRun:
         self._view, self._n, self._rig = view or View(), tool.n, tool.rig
         self._place, self._delay, self._time_offset = place, delay, tool.time_offset
         self._told = _UNTOLD
+        self._read = 0  # rows so far,
+        self._bases: dict[int, Array] = {}  # and how the base is turned in those whose wrench is to come
         if self._view.axes == "base" and not self.motion.attitude_known:
             expected = "joints, or the attitude qw qx qy qz: gravity alone leaves the turn about it open"
             raise InputError.at(place, "--axes", "`base` without an attitude", expected)
@@ -196,6 +198,9 @@ class ContactRun:
             expected = f"less than {_core.FARTHEST_NS} ns on either side of zero"
             raise InputError.at(self._place, "time", f"{time_ns[late[0]]} ns", expected)
         motion = self.motion.read(time_ns, columns)
+        if motion.base is not None and self._view.axes == "base":
+            self._bases |= {self._read + k: R for k, R in enumerate(motion.base)}
+        self._read += len(time_ns)
         if self._rig.sensor.subtracted is not None:
             fall = self.motion.gravity(time_ns, columns)[0] if self.motion.imu else motion.fall
             raw = raw + subtracted(self._rig, self._fall_felt(time_ns, fall, motion.twist[:, 3:]))
@@ -257,6 +262,11 @@ class ContactRun:
             rows, time_ns, wrench = rows[told], time_ns[told], wrench[told]
             covariance, chi2, R_sensor_root = covariance[told], chi2[told], R_sensor_root[told]
         if not self._view.plain and len(wrench):
+            if self._bases:  # the root frame turns in the inertial one, which the motion is told in
+                R_inertial_root = np.array([self._bases.get(int(row), np.eye(3)) for row in rows])
+                R_sensor_root = R_sensor_root @ R_inertial_root
+                kept = range(int(rows[-1]), self._read)
+                self._bases = {row: self._bases[row] for row in kept if row in self._bases}
             X = self._view.maps(R_sensor_root)
             wrench = np.einsum("kij,kj->ki", X, wrench)
             covariance = X @ covariance @ X.transpose(0, 2, 1)
