@@ -14,12 +14,19 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import betainc, chdtr, chdtrc, ndtri
 
-from truewrench.judging.validation.errors import factor, was_seen
-from truewrench.judging.validation.residuals import LONGEST_LAG, Residuals, residuals, systematic_columns
+from truewrench.judging.validation.chance import (
+    bootstrap,
+    correlations,
+    deviate,
+    longest_block,
+    probability_of,
+    whiteness,
+)
+from truewrench.judging.validation.errors import was_seen
+from truewrench.judging.validation.residuals import Residuals, residuals, systematic_columns
 from truewrench.judging.validation.residuals import tared as is_tared
-from truewrench.model.arrays import Array, Integers
+from truewrench.model.arrays import Array
 from truewrench.model.calibration import AXES, AxisImprovement, Calibration, Verdict
 from truewrench.model.errors import InputError
 from truewrench.model.files import write_yaml
@@ -30,10 +37,8 @@ from truewrench.robot.track import tracked
 
 FORMAT = "truewrench-validation/1"
 CONFIDENCE = 0.99  # of the interval of the ratio of residuals
-DRAWS = 1000  # of the bootstrap
 CHANGE = 0.02  # a smaller relative gain counts as none,
 LOSS = 0.1  # and a smaller loss: the price of any gain's own sigma where the nominal one happens to be right
-LAGS = 10  # autocorrelations that are tested
 WHITE = 1e-6  # probability of autocorrelations as large as found
 CORRELATION = 0.1  # and the departure of one of them from what the motion explains
 CONTRADICTED = 1e-6  # probability of a normalised residual as far from 1 as found,
@@ -187,7 +192,7 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
         Verdict(not reasons, tuple(reasons)),
         axes,
         samples=sum(len(part.new) for part in parts),
-        block=_longest_block(parts) * parts[0].period,
+        block=longest_block(parts) * parts[0].period,
         tared=is_tared(rig),
         time_offsets=tuple(part.time_offset for part in parts),
         tilts=tuple(float(np.linalg.norm(part.tilt, axis=1).max()) for part in parts),
@@ -199,7 +204,7 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
 
 def _axes(calibration: Calibration, parts: Sequence[Residuals], seed: int) -> dict[str, AxisValidation]:
     old, new = (np.concatenate([getattr(part, name) for part in parts]) for name in ("old", "new"))
-    ratios = _bootstrap(old, new, min(_longest_block(parts), max(1, len(old) // 5)), seed)
+    ratios = bootstrap(old, new, min(longest_block(parts), max(1, len(old) // 5)), seed)
     columns = systematic_columns(calibration, parts)
     return {
         name: _axis(i, parts, old[:, i], new[:, i], ratios[:, i], systematic)
@@ -251,35 +256,6 @@ def _check_same_sensor(calibration: Calibration, rig: Rig) -> None:
             raise InputError.at(rig.path, key, f"{found}", f"{expected}, as in the calibration")
 
 
-def _longest_block(parts: Sequence[Residuals]) -> int:
-    return max(_block(part) for part in parts)
-
-
-def _block(part: Residuals) -> int:
-    """Rows of about one period of the motion: four times the first zero of the wrench's autocorrelation."""
-    longest = 1
-    for series in part.wrench.T:
-        size = 2 * len(series)
-        correlation = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2)[: len(series)]
-        below = np.flatnonzero(correlation <= 0.0)
-        longest = max(longest, 4 * int(below[0]) if below.size else len(series))
-    return max(10, min(longest, len(part.wrench) // 5))
-
-
-def _bootstrap(old: Array, new: Array, block: int, seed: int) -> Array:
-    """(DRAWS, 6) ratios of RMS residuals in moving blocks drawn with replacement."""
-    squares = np.concatenate([old**2, new**2], axis=1)
-    total = np.cumsum(np.concatenate([np.zeros((1, 12)), squares, squares[: block - 1]]), axis=0)
-    sums = total[block:] - total[:-block]  # (M, 12), circular
-    draws = max(1, round(len(old) / block))
-    chosen = np.random.default_rng(seed).integers(len(sums), size=(DRAWS, draws))
-    drawn = np.zeros((DRAWS, 12))
-    for k in range(draws):
-        drawn += sums[chosen[:, k]]
-    tiny = np.finfo(np.float64).tiny
-    return np.asarray(np.sqrt((drawn[:, 6:] + tiny) / (drawn[:, :6] + tiny)))
-
-
 def _axis(
     i: int, parts: Sequence[Residuals], old: Array, new: Array, ratios: Array, systematic: Array
 ) -> AxisValidation:
@@ -296,7 +272,7 @@ def _axis(
     elif low > turned and ratio > turned * (1.0 + LOSS):
         better = False
     variance = noise + np.einsum("ij,ij->i", systematic, systematic)
-    found, expected = _correlations(parts, i)
+    found, expected = correlations(parts, i)
     # cumulants of the mean of u^2: noise correlated in time, and errors common to the whole record
     share = float(np.mean(noise / variance))
     freedom = len(new) / (1.0 + 2.0 * float(np.sum(expected[1:] ** 2)))
@@ -304,7 +280,7 @@ def _axis(
     spread = 2.0 * share**2 / freedom + 2.0 * float(np.sum(common**2))
     skew = 8.0 * share**3 / freedom**2 + 8.0 * float(np.sum(common**3))
     nis = float(np.mean(new**2 / variance))
-    lag, probability = _whiteness(found, expected, len(new))
+    lag, probability = whiteness(found, expected, len(new))
     coverage = float(np.mean(np.abs(new) <= SIGMA_95 * np.sqrt(variance)))
     axis = AxisValidation(
         nominal,
@@ -315,87 +291,13 @@ def _axis(
         better,
         nis,
         float(np.sqrt(spread)),
-        _probability(nis, spread, skew, share, freedom),
+        probability_of(nis, spread, skew, share, freedom),
         coverage,
-        _deviate(coverage, freedom) if share > NOISE_SHARE else 0.0,
+        deviate(coverage, freedom) if share > NOISE_SHARE else 0.0,
         lag,
         probability,
     )
     return replace(axis, keep=not _reasons("", axis))
-
-
-def _deviate(coverage: float, rows: float) -> float:
-    """Sigma of a normal variable that chance takes as far as so few of independent rows within 95% limits."""
-    if coverage >= 0.95:
-        return 0.0
-    tail = float(betainc(rows * (1.0 - coverage), rows * coverage + 1.0, 0.05))  # binomial
-    return -float(ndtri(max(tail, np.finfo(np.float64).tiny)))
-
-
-def _probability(nis: float, spread: float, skew: float, share: float, freedom: float) -> float:
-    """Of a mean square so far from 1, a weighted sum of chi-squares of the given cumulants.
-
-    From above by a chi-square of the same three cumulants (Hall, Buckley and Eagleson). From below against
-    a calibration without any error: however uncertain the gain, it may happen to be right.
-    """
-    if nis > 1.0:
-        k = 8.0 * spread**3 / skew**2
-        return float(chdtrc(k, k + np.sqrt(2.0 * k / spread) * (nis - 1.0)))
-    return float(chdtr(freedom, freedom * nis / share))
-
-
-def _correlations(parts: Sequence[Residuals], i: int) -> tuple[Array, Array]:
-    """Autocovariance of an axis' residual over its noise, (LAGS + 1,) found and (LONGEST_LAG + 1,) expected.
-
-    What can be done to it by the gain's own error, a constant and a share of every wrench axis, and by those
-    of payload and tilt as far as they are uncertain, is taken out before.
-    """
-    sizes = [len(part.new) for part in parts]
-    expected = np.average([part.lagged[:, i] for part in parts], axis=0, weights=sizes)
-    expected[0] = 1.0
-    found, total = np.zeros(LAGS + 1), 0
-    for part, size in zip(parts, sizes, strict=True):
-        if part.at_rest:
-            continue
-        uncertain = part.by_own[:, i]
-        if part.carried is not None:
-            of_payload = part.by_payload[:, i] @ factor(part.carried.covariance)
-            uncertain = np.column_stack([uncertain, of_payload])
-        design = np.column_stack([part.wrench, np.ones(size), uncertain])
-        sigma = np.sqrt(np.mean(part.noise[:, i]))
-        prior = np.eye(uncertain.shape[1], design.shape[1], 7) * sigma
-        values = np.append(part.new[:, i], np.zeros(len(prior)))
-        rest = part.new[:, i] - design @ np.linalg.lstsq(np.vstack([design, prior]), values)[0]
-        u = rest / np.sqrt(part.noise[:, i])
-        pairs = np.zeros(LAGS + 1)
-        for lag in range(LAGS + 1):
-            count = 0
-            for begin, end in zip(part.begin, (*part.begin[1:], size), strict=True):
-                pairs[lag] += u[begin : end - lag] @ u[begin + lag : end]
-                count += end - begin - lag
-            pairs[lag] /= max(1, count)
-        found += size * pairs
-        total += size
-    return found / total if total else expected[: LAGS + 1], expected
-
-
-def _whiteness(found: Array, expected: Array, size: int) -> tuple[float, float]:
-    """Largest autocorrelation beyond the expected one, and the probability of the first ones (Bartlett)."""
-    c = expected.copy()
-    c[0] = max(1.0, float(found[0]))
-    reach = np.arange(-LONGEST_LAG, LONGEST_LAG + 1)
-
-    def at(lag: Integers) -> Array:
-        known = np.abs(lag) <= LONGEST_LAG
-        return np.where(known, c[np.where(known, np.abs(lag), 0)], 0.0)
-
-    lags = range(1, LAGS + 1)
-    covariance = np.array(
-        [[np.sum(at(reach) * at(reach + m - k) + at(reach + m) * at(reach - k)) for m in lags] for k in lags]
-    )
-    excess = found[1:] - expected[1 : LAGS + 1]
-    statistic = size * float(excess @ np.linalg.solve(covariance, excess))
-    return float(excess[np.argmax(np.abs(excess))] / c[0]), float(chdtrc(LAGS, statistic))
 
 
 def worse(name: str, axis: AxisValidation) -> str:
