@@ -296,6 +296,19 @@ def test_weight_beyond_the_range_is_said_before_anything_moves(
     assert promised["predicted_gain_std"] is None
 
 
+def test_options_without_an_effect_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
+    words = ["plan", str(rig), "-o", str(tmp_path / "plan.csv")]
+    for more, said in (
+        (["--method", "wrench", "--criterion", "D"], "--criterion"),
+        (["--tool", "--motion", "--poses", "5"], "--poses: found it beside --motion"),
+    ):
+        assert main([*words, *more]) == 2
+        assert said in "".join(capsys.readouterr())
+    assert not (tmp_path / "plan.csv").exists()
+
+
 def test_a_workspace_without_the_start_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No motion that is drawn keeps to it, not even rest: one start is all that there is to search from."""
     status, said = run(tmp_path, changed(limits={"workspace": [[1.0, 2.0], [-1, 1], [-1, 1]]}), capsys)

@@ -62,12 +62,19 @@ def plan(
             raise InputError.at(
                 None, "--tool", "--method or --criterion", "neither: poses are not searched for"
             )
+        for option in ("--poses", "--dwell", "--cone"):
+            if motion and options[option] is not None:
+                raise InputError.at(None, option, "it beside --motion", "poses, which it belongs to")
         from truewrench.cli.tools import plan_for_tool
 
         return plan_for_tool(rig, output, payload, motion, poses, dwell, cone, pictures)
     for option, value in options.items():
         if value is not None:
             raise InputError.at(None, option, "it without --tool", "--tool, which it belongs to")
+    if method == "wrench" and criterion != "A":
+        raise InputError.at(
+            None, "--criterion", f"`{criterion}`", "none: sines of the wrench are not searched by it"
+        )
     from truewrench.model.rig import load_rig
     from truewrench.planning.planner import plan as run
     from truewrench.planning.words import plan_words
