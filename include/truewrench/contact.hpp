@@ -49,6 +49,7 @@ class Contact : public contact::Estimate {
     ready_ = false;
     if (!configured_) return Status::not_configured;
     if (!(raw > 0.0) || !(motion > 0.0)) return Status::not_positive;
+    if (!std::isfinite(raw) || !std::isfinite(motion)) return Status::not_finite;
     const double halves = newest_ ? window_ / motion : 0.5 * window_ / motion;
     if (std::max(window_ / raw, 3.0 * window_ / motion) + 8.0 > raw_.capacity()) return Status::wrong_size;
     // an odd number of samples around the moment; of the newest at least three, for a parabola
@@ -84,9 +85,10 @@ class Contact : public contact::Estimate {
     double* values = raw_.next(time_ns, mark);
     if (values == nullptr) return Status::not_increasing;
     bool finite = std::isfinite(warmth_);
-    for (int i = 0; i < at_.n; ++i) finite = finite && std::isfinite(values[i] = raw[i]);
+    for (int i = 0; i < at_.n; ++i) finite = finite && std::isfinite(raw[i]);
+    if (!finite) return Status::not_finite;  // before the oldest sample gives its place
+    std::copy_n(raw, at_.n, values);
     values[at_.n] = warmth_;
-    if (!finite) return Status::not_finite;
     raw_.keep();
     return Status::ok;
   }

@@ -147,6 +147,27 @@ TEST(Contact, TareIsAnUpdateAndRefusedInContact) {
   EXPECT_EQ(hit.tare(), Tare::in_contact);
 }
 
+// Of a ring that is full, the place of the next sample is that of the oldest.
+TEST(Contact, ARefusedSampleTakesNoOthersPlace) {
+  constexpr int capacity = 64;
+  Contact c;
+  ASSERT_EQ(c.configure(settings_of(6, Feels::payload_on_sensor, false), 0.02, false, capacity), Status::ok);
+  ASSERT_EQ(c.set_periods(2e-3, 2e-3), Status::ok);
+  Vector6 raw = Vector6::Constant(0.5);
+  for (std::int64_t k = 0; k < capacity; ++k) {
+    ASSERT_EQ(c.add_raw(2'000'000 * k, raw.data(), k), Status::ok);
+    ASSERT_EQ(
+        c.add_motion(2'000'000 * k, Vector6::Zero(), Vector3(0, 0, -9.81), Matrix3::Identity(), k, true),
+        Status::ok);
+  }
+  ContactWrench before, after;
+  ASSERT_EQ(c.evaluate_pose(0, before), ContactState::ok);
+  raw[3] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_EQ(c.add_raw(2'000'000 * capacity, raw.data(), capacity), Status::not_finite);
+  ASSERT_EQ(c.evaluate_pose(0, after), ContactState::ok);
+  EXPECT_EQ(after.wrench, before.wrench);
+}
+
 TEST(Contact, BadInputIsRefused) {
   const contact::Settings good = settings_of(6, Feels::payload_on_sensor, false);
   contact::Settings s = good;
@@ -170,6 +191,10 @@ TEST(Contact, BadInputIsRefused) {
   ASSERT_EQ(c.configure(good, 0.02), Status::ok);
   EXPECT_EQ(c.evaluate(0, out), ContactState::not_configured);  // no periods yet
   EXPECT_EQ(c.set_periods(0.0, 1.0), Status::not_positive);
+  EXPECT_EQ(c.set_periods(1e-3, std::numeric_limits<double>::infinity()), Status::not_finite);
+  s = good;
+  s.offset_time_ns = std::numeric_limits<std::int64_t>::max();
+  EXPECT_EQ(Contact().configure(s, 0.02), Status::not_finite);
   EXPECT_EQ(c.set_periods(1e-6, 1e-6), Status::wrong_size);  // more samples than are kept
   ASSERT_EQ(c.set_periods(2e-3, 2e-3), Status::ok);
   EXPECT_EQ(c.add_raw(5, raw.data()), Status::ok);

@@ -69,6 +69,19 @@ TEST(ContactRows, KernelsMayBeLongerThanWhatTellsThePeriods) {
   }
 }
 
+TEST(ContactRows, ARowOfNothingIsNone) {
+  ContactRows rows;
+  ASSERT_EQ(rows.configure(settings_of(6, Feels::payload_on_sensor, false), 0.02, false, false, 64),
+            Status::ok);
+  int given = 0;
+  for (std::int64_t k = 0; k < 100; ++k) {
+    ContactRow row;  // neither channels nor motion
+    row.time_ns = 1'000'000 * k;
+    EXPECT_EQ(rows.feed(row, [&](std::int64_t, const ContactWrench&) { ++given; }), Status::ok);
+  }
+  EXPECT_EQ(given, 0);
+}
+
 TEST(ContactRows, SamplesMissingWhileThePeriodsAreLearntCostThemselvesAlone) {
   for (const int missing : {1, 5, 12, 19}) {
     std::vector<std::int64_t> stamps;

@@ -71,6 +71,14 @@ TEST(Corrector, CovarianceOfTheWrongSizeIsRefused) {
             Status::wrong_size);
 }
 
+TEST(Corrector, VarianceBelowZeroIsRefused) {
+  Corrector<6> corrector;
+  EXPECT_EQ(corrector.configure({Matrix6::Identity(), Vector6::Zero(), Vector6::Ones()},
+                                -Eigen::MatrixXd::Identity(42, 42)),
+            Status::not_positive);
+  EXPECT_FALSE(corrector.configured());
+}
+
 template <int N>
 void has_nothing_to_say(const Corrector<N>& corrector) {
   const Eigen::VectorXd raw = Eigen::VectorXd::Ones(32);

@@ -203,6 +203,9 @@ TEST(Incremental, CorrectsAsWellAsItSays) {
   ASSERT_EQ(loop.feed(online, 12.0), Status::ok);
   ASSERT_EQ(online.finish(), Status::ok);
   EXPECT_EQ(configure(corrector, online, Eigen::VectorXd::Ones(5)), Status::wrong_size);
+  Corrector<8> of_eight;
+  EXPECT_EQ(configure(of_eight, online, scale), Status::wrong_size);
+  EXPECT_FALSE(of_eight.configured());
   ASSERT_EQ(configure(corrector, online, scale), Status::ok);
   double squares = 0.0;
   constexpr int samples = 500;

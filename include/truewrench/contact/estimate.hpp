@@ -3,6 +3,7 @@
 #pragma once
 
 #include "truewrench/contact/model.hpp"
+#include "truewrench/contact/ring.hpp"
 
 #include <Eigen/Cholesky>
 
@@ -197,6 +198,7 @@ class Estimate {
         !std::isfinite(s.time_offset) || !std::isfinite(s.time_offset_std) || !s.twist_noise.allFinite() ||
         !s.gravity_noise.allFinite() || !std::isfinite(s.temperature_reference) || !s.full_scale.allFinite())
       return Status::not_finite;
+    if (!Ring::near(s.offset_time_ns)) return Status::not_finite;  // as a stamp
     if (s.mass <= 0.0 || s.covariance.diagonal().minCoeff() < 0.0) return Status::not_positive;
     if (s.full_scale.size() > 0 && s.full_scale.minCoeff() <= 0.0) return Status::not_positive;
     return Status::ok;

@@ -11,6 +11,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 namespace truewrench {
@@ -18,10 +19,13 @@ namespace truewrench {
 // One row; NaN where it has no sample.
 struct ContactRow {
   std::int64_t time_ns = 0;
-  const double* raw = nullptr;  // n channels
-  Vector6 twist;                // of the sensor's origin, sensor axes; v = 0 of an IMU
-  Vector3 fall;                 // free fall in sensor axes; less the specific force of an IMU
-  Matrix3 R_sensor_root;        // turns vectors of the root into sensor axes
+  const double* raw = nullptr;  // n channels; none: no sample of the sensor
+  // of the sensor's origin, sensor axes; v = 0 of an IMU
+  Vector6 twist = Vector6::Constant(std::numeric_limits<double>::quiet_NaN());
+  // free fall in sensor axes; less the specific force of an IMU
+  Vector3 fall = Vector3::Constant(std::numeric_limits<double>::quiet_NaN());
+  // turns vectors of the root into sensor axes
+  Matrix3 R_sensor_root = Matrix3::Constant(std::numeric_limits<double>::quiet_NaN());
 };
 
 class ContactRows {
@@ -189,6 +193,7 @@ class ContactRows {
   }
 
   bool add_raw(const ContactRow& row, std::int64_t k) noexcept {
+    if (row.raw == nullptr) return false;
     for (int i = 0; i < contact.channels(); ++i)
       if (!std::isfinite(row.raw[i])) return false;
     return contact.add_raw(raw_stamps_.stamp(row.time_ns), row.raw, k) == Status::ok;

@@ -16,7 +16,7 @@ Status configure(Corrector<N>& corrector, Incremental& online, const Eigen::Vect
   const int n = lag.channels(), gain = lag.columns().C, offset = lag.columns().b, quadratic = lag.columns().u,
             body = lag.columns().body_in_theta;
   if (!online.ready()) return Status::not_configured;
-  if (channel_scale.size() != n) return Status::wrong_size;
+  if (channel_scale.size() != n || (N != Eigen::Dynamic && n != N)) return Status::wrong_size;
   const Eigen::MatrixXd& P = online.theta_covariance();
   Carried carried;
   for (int k = 0; k < kBodyParameters; ++k) carried.places[static_cast<std::size_t>(k)] = body + k;

@@ -41,9 +41,9 @@ class Incremental {
 
   // ---------------------------------------------------------------- samples
   // Values that are NaN are missing; a row of nothing else is refused.
-  // not_increasing and not_finite: the sample was not taken; wrong_size: there
-  // is no room for it, the other streams have not come along; not_factorizable:
-  // the lag was lost.
+  // not_increasing and not_finite: the sample was not taken; wrong_size: nor was it, there is no room, as
+  // the other streams have not come along, or all come faster than settings.rate; not_factorizable: the lag
+  // was lost.
   Status push_motion(std::size_t stream, double time, const double* value) noexcept {
     if (refused_ != Status::ok) return refused_;
     if (stream >= lag_.streams()) return Status::wrong_size;
@@ -51,10 +51,10 @@ class Incremental {
     Ring<MotionSample>& in = motion_[stream];
     if (in.end() > 0 && time <= motion_last_[stream]) return Status::not_increasing;
     const Status status = silence(time);
-    motion_last_[stream] = time;
     if (in.full() && !standing_ && (raw_.empty() || in[in.begin()].time < raw_[raw_.begin()].time))
       in.drop_before(in.begin() + 1);
     if (in.full()) return Status::wrong_size;
+    motion_last_[stream] = time;
     MotionSample& s = in.push();
     s.time = time;
     std::copy_n(value, kComponents, s.value.begin());
@@ -72,9 +72,9 @@ class Incremental {
       if (!std::isfinite(R_sensor_root[k])) return Status::not_finite;
     if (raw_.end() > 0 && time <= raw_last_) return Status::not_increasing;
     const Status status = silence(time);
-    raw_last_ = time;
     if (raw_.full() && !open()) raw_.drop_before(raw_.begin() + 1);
     if (raw_.full()) return Status::wrong_size;
+    raw_last_ = time;
     RawSample& s = raw_.push();
     s.time = time;
     s.temperature = std::isfinite(temperature) ? temperature : 0.0;

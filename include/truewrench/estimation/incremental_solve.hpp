@@ -88,9 +88,13 @@ inline bool Incremental::hold_rules() {
   // kappa and gamma are held unless the data's own variance is below 1/16
   if (changed && !look(all, at)) return false;
   std::fill(active_.begin(), active_.end(), char{1});
-  for (std::size_t i = lag_.streams(); i < all.size(); ++i)
-    if (std::max(1.0 / at[i].variance - 1.0 / prior_[all[i]], 0.0) <= told(constants::filter_prior))
-      active_[static_cast<std::size_t>(all[i])] = 0;
+  for (std::size_t i = lag_.streams(); i < all.size(); ++i) {
+    const double prior = prior_[all[i]], own = std::max(1.0 / at[i].variance - 1.0 / prior, 0.0);
+    // what noise of the motion adds to the score of kappa (Fit::find_slopes) is not known here: a kappa that no delay (1/2)
+    // and no pole (1) has, 3 sigma of its prior away, is told by that, and the gain would follow
+    const bool far = i < 2 * lag_.streams() && at[i].departure * at[i].departure > 9.0 * prior;
+    if (own <= told(constants::filter_prior) || far) active_[static_cast<std::size_t>(all[i])] = 0;
+  }
   if (imitated_) active_[static_cast<std::size_t>(places[0])] = 0;  // of the log's first stream
   return true;
 }

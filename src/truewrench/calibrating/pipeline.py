@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from truewrench.estimation.reference_clock import with_reference_on_time
 from truewrench.judging import of_references
 from truewrench.judging.channels import motion_columns
 from truewrench.model.calibration import Bound, Calibration, Verdict
-from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.errors import InputError, UnsupportedError, check_word
 from truewrench.model.log import Log
 from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
@@ -88,6 +88,10 @@ def calibrate(
     records = [logs] if isinstance(logs, Log) else list(logs)
     if not records:
         raise InputError.at(None, "", "no log", "at least one")
+    check_word("estimator", estimator, get_args(EstimatorName))
+    check_word("smooth", smooth or "", ("", "spline"))
+    if process_density is not None and not 0.0 <= process_density <= 1e12:
+        raise InputError.at(None, "process_density", f"{process_density}", "a number from 0 to 1e12")
     for log in records:
         log.check_sizes(1e300, raw=False)  # differences overflow; what else is too large cannot be solved
     if estimator not in _REFERENCES:  # `tracked` unwraps those of the others

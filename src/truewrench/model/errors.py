@@ -26,5 +26,11 @@ class InputError(TruewrenchError):
         return cls(f"{prefix}: found {found}, expected {expected}")
 
 
+def check_word(name: str, value: object, known: Sequence[str]) -> None:
+    """Refuse what is none of some words, as callers may pass that types do not hold back."""
+    if value not in known:
+        raise InputError.at(None, name, repr(value), f"one of {', '.join(known)}")
+
+
 class UnsupportedError(InputError):
     """The input is valid, but this combination of settings is not supported."""

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.errors import InputError, UnsupportedError, check_word
 from truewrench.model.log import Log
 from truewrench.model.motion.trajectory import SplineTwist, Trajectory
 from truewrench.model.motion.trajectory_joint import JointTrajectory, SplineJoints
@@ -47,6 +47,8 @@ def plan(
     """
     started = time.perf_counter()
     rig.check_motion("which a plan needs")
+    check_word("method", method, ("optimal", "wrench"))
+    check_word("criterion", criterion, ("A", "D"))
     name = next(iter(rig.payloads)) if payload is None else payload
     if name not in rig.payloads:
         raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))

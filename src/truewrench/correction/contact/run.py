@@ -13,7 +13,7 @@ from truewrench.correction.contact.motion import HELD, Columns, MotionColumns
 from truewrench.correction.warmth import Warmth
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
-from truewrench.model.errors import InputError
+from truewrench.model.errors import InputError, check_word
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import where_apart
 from truewrench.robot.compensation import subtracted
@@ -49,6 +49,14 @@ class View:
 
     at: tuple[float, ...] = (0.0,) * 6
     axes: Literal["sensor", "base"] = "sensor"
+
+    def __post_init__(self) -> None:
+        """InputError for what is no point, or no axes."""
+        check_word("axes", self.axes, ("sensor", "base"))
+        if np.shape(self.at) != (6,) or not np.isfinite(self.at).all():
+            raise InputError.at(
+                None, "at", f"{self.at}", "six numbers: x, y, z, roll, pitch, yaw in m and rad"
+            )
 
     @property
     def plain(self) -> bool:
