@@ -205,6 +205,11 @@ def test_an_offset_that_follows_temperature_is_told_from_the_gain() -> None:
     assert found.offset_temperature is not None
     np.testing.assert_allclose(found.offset_temperature, slope, atol=2e-4 * SPAN.max())
     assert np.abs((found.gain - gain).ravel() / np.sqrt(np.diag(found.covariance))[:36]).max() < 4.5
+    seldom = np.where(np.arange(60) % 10 == 0, temperature, np.nan)  # a stream of its own
+    seldom[-1] = temperature[-1]
+    again = estimate_from_known_wrench(rig, [replace(log, temperature=seldom)])
+    assert again.rows[0].size == 60
+    np.testing.assert_allclose(again.gain, found.gain, atol=1e-9 * SPAN.max())
 
 
 @pytest.mark.parametrize("count", [1, 3])

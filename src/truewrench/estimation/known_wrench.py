@@ -30,6 +30,7 @@ from truewrench.model.calibration_parts import Assumed
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.model.temperature import temperature_at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +48,7 @@ class KnownWrenchEstimate:
     converged: bool  # whether the iterations ended below their tolerance
     iterations: int  # how many
     rows: tuple[Integers, ...]  # per log, the rows with all channels and the whole reference that were used
-    incomplete: Integers  # (L,) rows that lack a channel, a component of the reference or the temperature
+    incomplete: Integers  # (L,) rows that lack a channel or a component of the reference
     # (L,) rows between plateaus, not used where errors last: what these do there is unknown
     between: Integers
     outliers: tuple[Integers, ...]  # per log, the rows that contradict all others and were left out
@@ -106,10 +107,10 @@ def _problem(rig: Rig, logs: Sequence[Log]) -> tuple[Problem, list[Integers], In
             raise InputError.at(log.path, "", "no reference wrench", expected)
         needed = [log.raw, log.reference]
         if with_slope:
-            if log.temperature is None:
+            celsius = temperature_at(log, log.time_ns)  # a slower stream: on lines between its readings
+            if celsius is None:
                 raise InputError.at(log.path, "temperature", "no such column", "one in every log")
-            needed.append(log.temperature[:, None])
-            departure.append(log.temperature - rig.temperature.reference)
+            departure.append(celsius - rig.temperature.reference)
         rows = np.flatnonzero(np.isfinite(np.column_stack(needed)).all(axis=1))
         if rows.size == 0:
             found = "no row with all raw channels and all of ref_fx ... ref_mz"

@@ -235,16 +235,17 @@ def _ros(tool: Tool, held: _Held) -> list[str]:
     size = float(np.linalg.norm(tool.gravity))
     mass, center = held.mass, held.center.tolist()
     feels = tool.rig.sensor.feels
-    head = [*held.words]
+    at_flange, felt = [], []
     if frame == _FLANGE:
-        head.append(
+        at_flange.append(
             f"For a wrench at the flange, along its axes (frame `{_FLANGE}`: rename it to yours); without "
             "--flange this file is for the sensor's own."
         )
     if tool.housing[0] > 0.0:
-        head.append("The sensor does not feel its housing: for its own wrench leave --housing out.")
+        felt.append("The sensor does not feel its housing: for its own wrench leave --housing out.")
 
-    def document(content: object, *more: str) -> str:
+    def document(content: object, *more: str, own: bool = False) -> str:
+        head = [*held.words, *([] if own else at_flange), *felt]
         comment = "".join(f"# {line}\n" for line in (*head, *more))
         return comment + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
@@ -304,7 +305,12 @@ def _ros(tool: Tool, held: _Held) -> list[str]:
         weight = "Subtracts offset and [m g; c x m g]: for payload_on_sensor."
         texts += [
             document(ft_tools, weight, f"This sensor: {feels}."),
-            document(ft_calib, f"gravity_compensation of {release}."),
+            document(
+                ft_calib,
+                f"`bias` is what the sensor itself reads, the centre of mass is in frame `{frame}`.",
+                f"gravity_compensation of {release}.",
+                own=True,
+            ),
         ]
     return texts
 
