@@ -93,10 +93,10 @@ def test_sizes_are_those_of_the_walk_and_the_claim_is_honest(rig: Rig, gain: np.
     share = []
     for seed in range(40, 52):
         log = weighed(rig, gain, seed, 24, truth)
-        short, _ = poses_of(rig, log)
+        short, poses = poses_of(rig, log)
         assert short.gravity is not None
         wrench = rig.sensor.sign * MASS * np.hstack([short.gravity, np.cross(CENTER, short.gravity)])
-        found = at_rest(rig, log, wrench)
+        found = at_rest(rig, log, poses, wrench)
         seconds = 1e-9 * (log.time_ns - log.time_ns[0])
         K = truth**2 * np.minimum(seconds[:, None], seconds)
         centre = np.eye(24) - 1.0 / 24

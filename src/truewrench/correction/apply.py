@@ -8,14 +8,13 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.correction.added import Added, check_added, write_added
-from truewrench.correction.warmth import Warmth
+from truewrench.correction.warmth import Warmth, where_told
 from truewrench.io.cells import numbers
 from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.model.errors import InputError
-from truewrench.model.temperature import where_apart
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
 
@@ -163,12 +162,8 @@ def corrector(calibration: Calibration, source: str | Path) -> _core.Corrector:
         quadratic = np.hypot(calibration.quadratic, calibration.quadratic_std) / scale
     if calibration.discrepancy is not None:
         discrepancy = calibration.discrepancy * scale
-    noise, covariance, n = calibration.rig.sensor.noise_array, calibration.covariance, calibration.n
-    if (
-        calibration.offset_temperature_covariance is not None
-    ):  # what is further from there is `Warmth.widened`
-        slope = calibration.offset_temperature_covariance
-        covariance = where_apart(covariance, slice(6 * n, 7 * n), slope, scale)[1]
+    noise, told = calibration.rig.sensor.noise_array, where_told(calibration)
+    covariance = calibration.covariance if told is None else told[1]  # away from there: `Warmth.widened`
     try:
         return _core.Corrector(
             calibration.gain, calibration.offset, noise, covariance, quadratic, discrepancy

@@ -9,6 +9,15 @@ from truewrench.model.calibration import Calibration
 from truewrench.model.temperature import where_apart
 
 
+def where_told(calibration: Calibration) -> tuple[float, Array, Array] | None:
+    """`where_apart` of a calibration; None where its offset follows nothing."""
+    slope, n = calibration.offset_temperature_covariance, calibration.n
+    if slope is None:
+        return None
+    scale = calibration.rig.sensor.channel_scale
+    return where_apart(calibration.covariance, slice(6 * n, 7 * n), slope, scale)
+
+
 class Warmth:
     """The offset by the latest reading; before there is one by the `first`, by default the reference."""
 
@@ -29,11 +38,10 @@ class Warmth:
     @classmethod
     def of(cls, calibration: Calibration, first: float | None = None) -> Warmth:
         """That of a calibration."""
-        reference, slope = calibration.rig.temperature.reference, calibration.offset_temperature_covariance
+        reference, told = calibration.rig.temperature.reference, where_told(calibration)
         spread = None
-        if slope is not None:
-            n, scale = calibration.n, calibration.rig.sensor.channel_scale
-            above, _, std = where_apart(calibration.covariance, slice(6 * n, 7 * n), slope, scale)
+        if told is not None:
+            above, _, std = told
             spread = reference + above, np.sqrt(np.nan_to_num(calibration.inverse) ** 2 @ std**2)
         return cls(calibration.offset_temperature, reference, first, spread)
 

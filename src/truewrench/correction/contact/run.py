@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from truewrench import _core
 from truewrench.correction.contact.motion import HELD, Columns, MotionColumns
-from truewrench.correction.warmth import Warmth
+from truewrench.correction.warmth import Warmth, where_told
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, check_word
@@ -287,10 +287,7 @@ def contact_settings(
     """What the core needs to know; InputError if tool and calibration are of two sensors."""
     sensor, tool = tool.rig.sensor, tool.whole
     slope = tool.offset_temperature
-    settings = _core.ContactSettings()
-    settings.set_sensor(
-        np.ascontiguousarray(tool.gain), tool.offset, sensor.noise_array, sensor.feels == "payload_on_sensor"
-    )
+    settings, offset = _core.ContactSettings(), tool.offset
     settings.mass, settings.center_of_mass, settings.S = tool.mass, tool.center_of_mass, tool.S
     settings.mounting, settings.tilt = tool.mounting, tool.tilt
     settings.gravity, settings.covariance = tool.rig.gravity_array, tool.covariance
@@ -313,12 +310,11 @@ def contact_settings(
             found = where_apart(tool.covariance, at, tool.offset_temperature_covariance, scale)
             above, settings.covariance, settings.temperature_slope_std = found
             settings.temperature_reference += above
-            offset = tool.offset + above * slope
-            gain, feels = np.ascontiguousarray(tool.gain), sensor.feels == "payload_on_sensor"
-            settings.set_sensor(gain, offset, sensor.noise_array, feels)
-        elif calibration is not None and calibration.offset_temperature_covariance is not None:
-            own = np.diag(calibration.offset_temperature_covariance[:, 7 * tool.n :])
-            settings.temperature_slope_std = np.sqrt(np.maximum(own, 0.0))
+            offset = offset + above * slope
+        elif calibration is not None and (told := where_told(calibration)) is not None:
+            settings.temperature_slope_std = told[2]
+    gain, feels = np.ascontiguousarray(tool.gain), sensor.feels == "payload_on_sensor"
+    settings.set_sensor(gain, offset, sensor.noise_array, feels)
     return settings
 
 

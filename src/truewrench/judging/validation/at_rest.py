@@ -30,7 +30,6 @@ _SPREAD = 2.0  # 1 sigma of the logarithm of either
 class AtRest:
     """T poses."""
 
-    log: Log  # a row each
     variance: Array  # (T, n) of the channels, but for the walk [raw units]
     walk: Array  # (T, T) covariance of the walk about its mean over the poses, fraction of range
     by_tilt: Array  # (2, T, 3) of free fall in sensor axes, by gravity's tilt about two axes, 1 sigma
@@ -48,9 +47,8 @@ def poses_of(rig: Rig, log: Log) -> tuple[Log, Poses]:
     return Log(log.path, log.payload, log.sha256, poses.time_ns, poses.raw, twist=still, gravity=fall), poses
 
 
-def at_rest(rig: Rig, log: Log, wrench: Array) -> AtRest:
-    """The poses of a log; `wrench` (T, 6) is what the payload weighs in them [N, N m]."""
-    short, poses = poses_of(rig, log)
+def at_rest(rig: Rig, log: Log, poses: Poses, wrench: Array) -> AtRest:
+    """The `poses_of` a log; `wrench` (T, 6) is what the payload weighs in them [N, N m]."""
     seconds = 1e-9 * (poses.time_ns - poses.time_ns[0])
     K = np.minimum(seconds[:, None], seconds)
     scale = rig.sensor.channel_scale
@@ -61,7 +59,6 @@ def at_rest(rig: Rig, log: Log, wrench: Array) -> AtRest:
         poses.R_sensor_root @ np.cross(axis, rig.gravity_array) for axis in horizontal_axes(rig.gravity_array)
     ]
     return AtRest(
-        short,
         poses.variance + (repeatability * scale) ** 2,
         rate**2 * centred,
         rig.gravity_tilt_prior * np.array(turns),

@@ -75,8 +75,9 @@ def residuals(calibration: Calibration, rig: Rig, log: Log) -> Residuals:
     if log.reference is not None:
         known = _by_reference(calibration, rig, compensated)
     elif still:
-        known = _by_weight(calibration, rig, compensated)
-        log, compensated = poses_of(rig, log)[0], poses_of(rig, compensated)[0]
+        [whole] = uncompensated(rig, [compensated])
+        log, compensated = (poses_of(rig, of)[0] for of in (log, compensated))
+        known = _by_weight(calibration, rig, whole, compensated)
     else:
         known = _by_motion(calibration, rig, compensated)
     sensor = rig.sensor
@@ -186,25 +187,27 @@ def _by_reference(calibration: Calibration, rig: Rig, log: Log) -> _Known:
     return _Known(rows, weight, channels, wrench, variance, (0,), lagged, time_offset, none, none)
 
 
-def _by_weight(calibration: Calibration, rig: Rig, log: Log) -> _Known:
-    """In static poses, with gravity's tilt as their residuals ask for it, under its prior."""
+def _by_weight(calibration: Calibration, rig: Rig, whole: Log, bare: Log) -> _Known:
+    """In static poses, with gravity's tilt as their residuals ask for it, under its prior.
+
+    `whole` is the log with what its driver subtracted, `bare` a row for each pose without.
+    """
     inverse = np.nan_to_num(calibration.inverse)
-    body = carried(calibration, rig, log.payload)
-    [whole] = uncompensated(rig, [log])
-    (short, _), (bare, _) = poses_of(rig, whole), poses_of(rig, log)
+    body = carried(calibration, rig, whole.payload)
+    short, poses = poses_of(rig, whole)
     fall, still = short.gravity, np.zeros((len(short.raw), 6))
     assert fall is not None
 
     def weighed(g: Array) -> Array:
-        return payload_wrench(rig, log.payload, still, still, g, body.body)
+        return payload_wrench(rig, whole.payload, still, still, g, body.body)
 
     wrench = weighed(fall)
-    rest = at_rest(rig, whole, wrench)
+    rest = at_rest(rig, whole, poses, wrench)
     by_tilt = np.stack([weighed(fall + change) - wrench for change in rest.by_tilt], axis=2)
     size, spread = len(fall), inverse**2 @ rig.sensor.channel_scale**2
     walk = np.diag(rest.walk)[:, None] * spread
     noise = walk + rest.variance @ (inverse**2).T
-    by_payload = payload_rates(rig, log.payload, still, still, fall) * rig.sensor.range_array[:, None]
+    by_payload = payload_rates(rig, whole.payload, still, still, fall) * rig.sensor.range_array[:, None]
     tilt = np.zeros(2)
     if rest.common:
         residual, joint = short.raw @ inverse.T - wrench, joint_covariance(calibration, [body])
