@@ -19,6 +19,7 @@ from tool_cases import a_rig
 
 from truewrench import robots
 from truewrench.cli import main
+from truewrench.estimation.static_poses import REPEATABILITY, WALK
 from truewrench.io.plans import read_joint_plan, read_plan
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, UnsupportedError
@@ -34,7 +35,6 @@ from truewrench.simulation.free_body import simulate
 from truewrench.tool.identify import identify_tool
 from truewrench.tool.parameters import ELEMENTS, channel_turn
 from truewrench.tool.prior import MOUNTING_PRIOR, settings_of
-from truewrench.tool.solve import REPEATABILITY, WALK
 
 Array = NDArray[np.float64]
 

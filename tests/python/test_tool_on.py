@@ -17,6 +17,7 @@ from tool_cases import a_rig
 
 import truewrench as tw
 from truewrench.correction.contact.log import contact as contact_of
+from truewrench.estimation.static_poses import REPEATABILITY, WALK
 from truewrench.model.errors import InputError
 from truewrench.model.files import write_yaml
 from truewrench.model.log import Log
@@ -24,7 +25,6 @@ from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.tool.exports import tool_exports
 from truewrench.tool.model import Tool
-from truewrench.tool.solve import REPEATABILITY, WALK
 
 Array = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
 from truewrench.estimation.assembly import log_report
 from truewrench.estimation.estimate import Estimate, of_joint, without_motion
-from truewrench.estimation.static_poses import APART, Poses, split_poses, stands_still
+from truewrench.estimation.static_poses import APART, WALK, Poses, split_poses, stands_still
 from truewrench.estimation.unknowns import horizontal_axes
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation.comparison import Comparison
@@ -40,7 +40,7 @@ from truewrench.robot.attitude import own_roots
 from truewrench.tool.bodies import weight
 from truewrench.tool.judge import WORST_WALK, misfit_of_poses
 from truewrench.tool.parameters import Layout
-from truewrench.tool.solve import WALK, Solution, solve
+from truewrench.tool.solve import Solution, solve
 
 FEWEST = 10  # poses, of which a fifth is held out at a time
 _CABLE = 1e-3  # fraction of range: a force that follows the pose, of which the effect is told

@@ -30,6 +30,9 @@ MOVE = 1.0  # [s] of motion between two dwells, at least
 _MEAN = 0.1  # [s] of positions on either side of a row
 _OVERLOAD = 100.0  # times its range, at rest: a unit, or a broken cell; tolerance
 _SPREAD = 0.05  # [rad] of the attitudes of a pose about their mean, in the median: no noise
+WALK = 1e-4  # of range per sqrt(s): how fast offsets walk between poses, by prior,
+REPEATABILITY = 2e-4  # of range: how otherwise a pose comes back,
+SIZE_SPREAD = 2.0  # and 1 sigma of the logarithm of either: data overrule it
 FEWEST = 3  # dwells for which a sampled log is cut into dwells and motion
 
 

@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
+from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -18,8 +20,8 @@ KNOWN = ("mass", *(f"center_of_mass.{axis}" for axis in "xyz"), *(f"inertia.{nam
 """What may be stated of a tool."""
 
 _OTHER_GRAVITY = 0.02  # of its size: no drift of an accelerometer, but another planet or unit
-TURNS = 4.0 * np.pi  # [rad] no joint of an arm is beyond
-FASTEST = 40.0  # [rad/s]
+_TURNS = 4.0 * np.pi  # [rad] no joint of an arm is beyond
+_FASTEST = 40.0  # [rad/s]
 _NEXT = 0.3  # [s] between rows whose attitudes are compared
 _CLEARLY = 20.0  # times the noise: a turn that differences of rows show
 _FAR = 1.0  # [rad] that gravity's direction should have gone
@@ -62,6 +64,20 @@ def check_options(
             raise InputError.at(None, f"--{name}", f"{sigma:g}", "an angle from 0 to pi [rad]")
 
 
+def check_positions(place: str | Path | None, position: Array) -> None:
+    """Refuse joints (N, n) that are further than any turns: degrees."""
+    turned = float(np.nanmax(np.abs(position), initial=0.0))
+    if turned > _TURNS:
+        raise InputError.at(place, "q_*", f"a joint at {turned:.4g}", "radians (degrees?)")
+
+
+def check_rates(place: str | Path | None, omega: Array) -> None:
+    """Refuse rates of turn (N, 3) that no arm has: degrees."""
+    fastest = float(np.nanmax(np.abs(omega), initial=0.0))
+    if fastest > _FASTEST:
+        raise InputError.at(place, "wx wy wz", f"a turn of {fastest:.4g}", "rad/s (degrees?)")
+
+
 def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
     """Refuse silent channels, degrees, free fall of another size than the rig's, joints of no arm."""
     stated = float(np.linalg.norm(rig.gravity_array))
@@ -79,13 +95,11 @@ def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
             if abs(size - stated) > _OTHER_GRAVITY * max(stated, 1.0):
                 expected = f"{stated:.4g} m/s^2, the size of the rig's `gravity`"
                 raise InputError.at(log.path, "gx gy gz", f"free fall of {size:.4g} m/s^2", expected)
-        turned = None if log.position is None else np.nanmax(np.abs(log.position), initial=0.0)
-        if turned is not None and turned > TURNS and rig.motion.source == "joints":
-            raise InputError.at(log.path, "q_*", f"a joint at {turned:.4g}", "radians (degrees?)")
+        if log.position is not None and rig.motion.source == "joints":
+            check_positions(log.path, log.position)
         omega = log.angular_velocity if log.twist is None else log.twist[:, 3:]
-        fastest = 0.0 if omega is None else float(np.nanmax(np.abs(omega), initial=0.0))
-        if fastest > FASTEST:
-            raise InputError.at(log.path, "wx wy wz", f"a turn of {fastest:.4g}", "rad/s (degrees?)")
+        if omega is not None:
+            check_rates(log.path, omega)
         _check_turns(rig, log)
     for log in logs:
         if faults := joint_faults(rig, [log]):

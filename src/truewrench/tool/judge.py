@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from truewrench import _core
 from truewrench.estimation.estimate import AGREE, odd_log, worst_of
-from truewrench.estimation.static_poses import MOVING, Poses
+from truewrench.estimation.static_poses import MOVING, REPEATABILITY, WALK, Poses
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
@@ -18,7 +18,7 @@ from truewrench.tool.held_out import Left
 from truewrench.tool.motion import MotionFit
 from truewrench.tool.parts import ToolVerdict
 from truewrench.tool.setup import mistakes, mistakes_of_motion
-from truewrench.tool.solve import REPEATABILITY, WALK, Solution, solve
+from truewrench.tool.solve import Solution, solve
 from truewrench.tool.undetermined import directions_in, undetermined
 
 CHANCE = 1e-6  # of a test of the set-up

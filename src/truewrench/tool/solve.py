@@ -17,14 +17,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from truewrench.estimation.static_poses import REPEATABILITY, SIZE_SPREAD, WALK
 from truewrench.model.arrays import Array
 from truewrench.tool.model_rows import Problem, whitened
 
-WALK = 1e-4  # of range per sqrt(s): where the search begins
-REPEATABILITY = 2e-4  # of range
-MOST_REPEATABILITY = 10.0  # times that: a pose that scatters more is no pose of this model
+MOST_REPEATABILITY = 10.0  # times the prior: a pose that scatters more is no pose of this model
 MOST_WALK = 500.0
-_SPREAD = 2.0  # 1 sigma of the logarithm of either about its start: data overrule it
 _STEPS, _HALVINGS = 20, 8
 _MIDDLE = 4  # steps at most, to 0.01 sigma: tolerance
 _GRID = np.linspace(-2.5, 2.5, 6)  # sigma of the logarithms
@@ -147,7 +145,7 @@ def _deviance(A: Array, g: Array, squares: float, logdet: float) -> float:
 
 def _unlikely(sizes: Array) -> float:
     """-2 log of that prior."""
-    return float((((sizes - _START) / _SPREAD) ** 2).sum())
+    return float((((sizes - _START) / SIZE_SPREAD) ** 2).sum())
 
 
 def _bounded(sizes: Array) -> Array:
@@ -302,7 +300,7 @@ def _width(evidence: Callable[[Array], float], sizes: Array, k: int) -> float:
     step[k] = 0.5
     lower, here, upper = (evidence(sizes + s * step) for s in (-1.0, 0.0, 1.0))
     curvature = 0.5 * (lower + upper - 2.0 * here) / 0.25
-    return float(np.clip(1.0 / np.sqrt(max(curvature, 1e-9)), 0.1, _SPREAD))
+    return float(np.clip(1.0 / np.sqrt(max(curvature, 1e-9)), 0.1, SIZE_SPREAD))
 
 
 def _linear_start(problem: Problem, x: Array) -> None:

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from truewrench.estimation.static_poses import REPEATABILITY
 from truewrench.model.arrays import Array
 from truewrench.model.rig import Rig
 from truewrench.tool.motion import MotionFit
 from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, symmetric
 from truewrench.tool.parts import Unknown
-from truewrench.tool.solve import REPEATABILITY, Solution
+from truewrench.tool.solve import Solution
 
 APART = np.radians(10.0)  # of two directions of gravity
 NARROW = np.radians(30.0)

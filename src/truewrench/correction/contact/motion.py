@@ -12,7 +12,7 @@ from truewrench.model.arrays import Array, Integers, Mask
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.robot.arm import BaseMotion, robot_of, rotation_of
-from truewrench.tool.checks import FASTEST, TURNS
+from truewrench.tool.checks import check_positions, check_rates
 
 Columns = Mapping[str, Array]
 
@@ -120,11 +120,11 @@ class MotionColumns:
             omega, force = self._together(
                 time_ns, _group(columns, ANGULAR_VELOCITY, count), _group(columns, SPECIFIC_FORCE, count)
             )
-            self._check_units("wx wy wz", omega, FASTEST, "rad/s (degrees?)")
+            check_rates(self._place, omega)
             twist = np.hstack([np.zeros((count, 3)), omega])
             return MotionRows(twist, -force, np.full((count, 9), np.nan), np.empty((0, 36)))
         twist, (fall, turn) = _group(columns, TWIST, count), self.gravity(time_ns, columns)
-        self._check_units("wx wy wz", twist[:, 3:], FASTEST, "rad/s (degrees?)")
+        check_rates(self._place, twist[:, 3:])
         stated = float(np.linalg.norm(self._rig.gravity_array))
         size = np.linalg.norm(fall[np.isfinite(fall).all(axis=1)], axis=1)
         told = float(np.median(size)) if size.size else stated
@@ -132,11 +132,6 @@ class MotionColumns:
             expected = f"{stated:.4g} m/s^2, the size of the rig's `gravity`"
             raise InputError.at(self._place, "gx gy gz", f"free fall of {told:.4g} m/s^2", expected)
         return MotionRows(twist, fall, turn, np.empty((0, 36)))
-
-    def _check_units(self, names: str, values: Array, most: float, expected: str) -> None:
-        largest = float(np.nanmax(np.abs(values), initial=0.0))
-        if largest > most:
-            raise InputError.at(self._place, names, f"{largest:.4g}", expected)
 
     def _together(self, time_ns: Integers, omega: Array, force: Array) -> tuple[Array, Array]:
         """Both halves (N, 3) of an IMU at rows by which each has read anew; NaN at the others."""
@@ -173,7 +168,7 @@ class MotionColumns:
     def _of_joints(self, time_ns: Integers, columns: Columns) -> MotionRows:
         count = len(time_ns)
         q, qd = _group(columns, self._positions, count), _group(columns, self._velocities, count)
-        self._check_units("q_*", q, TURNS, "radians (degrees?)")
+        check_positions(self._place, q)
         for k in range(count):  # a row without positions has the last ones, carried on
             if np.isfinite(q[k]).all():
                 self._q, self._q_time = q[k].copy(), int(time_ns[k])

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import null_space
 from scipy.optimize import minimize
 
-from truewrench.estimation.static_poses import Poses, split_poses
+from truewrench.estimation.static_poses import REPEATABILITY, SIZE_SPREAD, WALK, Poses, split_poses
 from truewrench.estimation.unknowns import horizontal_axes
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
@@ -21,9 +21,6 @@ from truewrench.model.rig import Rig
 from truewrench.robot.attitude import own_roots
 
 FEWEST = 8  # poses: fewer tell the sizes apart from the gain by nothing but their priors
-WALK = 1e-4  # of range per sqrt(s): where both are by prior
-REPEATABILITY = 2e-4  # of range
-_SPREAD = 2.0  # 1 sigma of the logarithm of either
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +78,7 @@ def _sizes(rig: Rig, poses: Poses, K: Array, wrench: Array) -> tuple[float, floa
         root = np.linalg.cholesky(free + given + rate**2 * walk + own**2 * np.eye(len(walk)))
         white = np.linalg.solve(root, y.T[:, :, None])
         logdet = 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
-        return float(np.sum(white**2)) + logdet + float(np.sum(((sizes - start) / _SPREAD) ** 2))
+        return float(np.sum(white**2)) + logdet + float(np.sum(((sizes - start) / SIZE_SPREAD) ** 2))
 
     found = minimize(evidence, start, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02})
     rate, own = np.exp(found.x)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from truewrench.estimation.static_poses import SETTLE, Poses
+from truewrench.estimation.static_poses import REPEATABILITY, SETTLE, WALK, Poses
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
@@ -20,7 +20,7 @@ from truewrench.tool.identify import DETERMINED, identify_tool
 from truewrench.tool.model_rows import Problem
 from truewrench.tool.parameters import ELEMENTS, second_moments
 from truewrench.tool.prior import Prior, make_prior, widening
-from truewrench.tool.solve import REPEATABILITY, WALK, solve
+from truewrench.tool.solve import solve
 
 CONTACT_AVERAGE = 0.02  # [s] over which a contact wrench is taken: the kernel of `apply --tool`
 LATER = 3600.0  # [s] after the last pose, for what drift adds
