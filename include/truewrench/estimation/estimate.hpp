@@ -1,7 +1,7 @@
 // What the loop of METHOD 10.3 returns: the estimate, the sizes found, and the findings that a judgement needs.
 #pragma once
 
-#include "truewrench/estimation/agreement.hpp"
+#include "truewrench/estimation/agreement_of_fit.hpp"
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/pose.hpp"
 
