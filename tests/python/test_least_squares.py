@@ -139,3 +139,29 @@ def test_spline_is_as_coarse_as_each_component_allows() -> None:
     )
     differences = np.gradient(clean + 1e-3 * rng.standard_normal(clean.shape), time, axis=0)
     assert np.all((fit.acceleration - slope)[20:-20].std(0) < 0.3 * (differences - slope)[20:-20].std(0))
+
+
+def test_knots_of_a_spline_do_not_follow_noise_that_is_larger_than_stated() -> None:
+    rng = np.random.default_rng(1)
+    time = np.arange(1000) / 100
+    clean = np.column_stack([np.sin(2 * np.pi * f * time) for f in (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)])
+    measured = clean + 1e-3 * rng.standard_normal(clean.shape)
+    stated, truth = (smooth_twist(time, measured, np.full(6, sigma)) for sigma in (7e-4, 1e-3))
+    assert np.all(stated.spacing > 0.5 * truth.spacing)
+    np.testing.assert_allclose(stated.factor, 1 / 0.7, rtol=0.1)
+    np.testing.assert_array_equal(truth.factor, 1.0)
+
+
+def test_a_spline_takes_the_noise_of_each_sample() -> None:
+    rng = np.random.default_rng(2)
+    time = np.arange(1000) / 100
+    noise = np.outer(1e-3 * np.exp(np.sin(time)), np.ones(6))
+    measured = np.sin(time)[:, None] + noise * rng.standard_normal(noise.shape)
+    early = slice(0, 300)  # noisier than the whole
+    own, mean = (
+        smooth_twist(time[early], measured[early], sigma)
+        for sigma in (noise[early], np.sqrt((noise**2).mean(axis=0)))
+    )
+    np.testing.assert_array_equal(own.factor, 1.0)
+    assert np.all(mean.factor > 1.1)
+    np.testing.assert_array_equal(own.spacing, mean.spacing)

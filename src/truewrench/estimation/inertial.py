@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import BSpline, PchipInterpolator
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import diags_array
 
 from truewrench import _core
 from truewrench.estimation.motion_noise import twist_noise
@@ -92,11 +93,14 @@ class InertialMotion:
     def _fitted(self, piece: _Piece) -> list[_Spline]:
         fits = []
         for stream, rows in zip(self._coordinates.streams, piece.rows, strict=True):
-            time, values, noise = stream.time[rows], stream.values[rows], stream.noise
-            spacing = np.minimum(smooth_twist(time, values, noise).spacing, self._coordinates.widest)
+            time, values, noise = stream.time[rows], stream.values[rows], stream.noise[rows]
+            smooth = smooth_twist(time, values, noise)
+            spacing = np.minimum(smooth.spacing, self._coordinates.widest)
             fits += [
-                _Spline(time, column, sigma, _resolved(time, column, sigma, coarse))
-                for column, sigma, coarse in zip(values.T, noise, spacing, strict=True)
+                _Spline(time, column, sigma, _resolved(time, column, factor * sigma, coarse))
+                for column, sigma, factor, coarse in zip(
+                    values.T, noise.T, smooth.factor, spacing, strict=True
+                )
             ]
         return fits
 
@@ -142,7 +146,7 @@ class _Stream:
 
     time: Array  # (N,) [s]
     values: Array  # (N, k)
-    noise: Array  # (k,) 1 sigma, their correlation left out
+    noise: Array  # (N, k) 1 sigma, their correlation left out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +181,10 @@ def _coordinates(rig: Rig, log: Log) -> _Coordinates:
         def plain(t: Array, s: Array) -> tuple[Array, Array, Array]:
             return s[0], s[1], np.zeros((t.size, 3)) if gravity is None else np.asarray(gravity(t))
 
-        stream = _Stream(log.time[rows], log.twist[rows], twist_noise(rig, log))
+        noise = np.broadcast_to(twist_noise(rig, log), (rows.size, 6))
+        if tracking is not None and tracking.reference is None:
+            noise = _sigma(tracked_streams(rig, log)[0].covariance)
+        stream = _Stream(log.time[rows], log.twist[rows], noise)
         return _Coordinates((stream,), np.inf, 0, False, plain)
     reference = tracking.reference
     origin = 1e-9 * float(log.time_ns[0] - reference.origin_ns)
@@ -193,9 +200,8 @@ def _coordinates(rig: Rig, log: Log) -> _Coordinates:
             g + np.cross(g, p[:, 3:]),
         )
 
-    noise = np.sqrt(np.mean(np.diagonal(encoders.covariance, axis1=1, axis2=2), axis=0))
     widest = 0.5 * reference.spacing  # docs/method.md, "Joints"
-    stream = _Stream(log.time[encoders.rows], encoders.value, noise)
+    stream = _Stream(log.time[encoders.rows], encoders.value, _sigma(encoders.covariance))
     return _Coordinates((stream,), widest, 1, False, displaced)
 
 
@@ -208,13 +214,19 @@ def _of_imu(rig: Rig, log: Log) -> _Coordinates:
     streams = []
     for values, noise in ((force, rig.motion.acceleration_noise or ()), (omega, rig.motion.noise_array)):
         rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-        streams.append(_Stream(log.time[rows], values[rows], np.asarray(noise, np.float64)))
+        streams.append(_Stream(log.time[rows], values[rows], np.broadcast_to(noise, (rows.size, 3))))
 
     def felt(t: Array, s: Array) -> tuple[Array, Array, Array]:
         none = np.broadcast_to(still, (t.size, 3))
         return np.hstack([none, s[0, :, 3:]]), np.hstack([s[0, :, :3], s[1, :, 3:]]), none
 
     return _Coordinates(tuple(streams), np.inf, 0, True, felt)
+
+
+def _sigma(covariance: Array) -> Array:
+    """1 sigma (N, 6) of samples, none of them zero: an axis that a joint turns about sees nothing of it."""
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    return np.asarray(np.sqrt(variance + 1e-12 * variance.max()))
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
@@ -265,7 +277,7 @@ def _gravity(log: Log) -> PchipInterpolator:
     return PchipInterpolator(log.time[rows], log.gravity[rows], axis=0)
 
 
-def _resolved(time: Array, values: Array, sigma: float, spacing: float) -> float:
+def _resolved(time: Array, values: Array, sigma: Array, spacing: float) -> float:
     """The coarsest spacing not above a given one that halving would not improve by more than chance.
 
     Residuals of the size of their noise are not enough: among thousands of samples they hide a bias that the
@@ -273,7 +285,7 @@ def _resolved(time: Array, values: Array, sigma: float, spacing: float) -> float
     """
 
     def chi_square(intervals: int) -> float:
-        return float(np.sum(((values - uniform_spline(time, values, intervals)(time)) / sigma) ** 2))
+        return float(np.sum(((values - uniform_spline(time, values, intervals, sigma)(time)) / sigma) ** 2))
 
     span = time[-1] - time[0]
     intervals, finest = max(1, round(span / spacing)), max(1, time.size // 3 - DEGREE)
@@ -286,13 +298,13 @@ def _resolved(time: Array, values: Array, sigma: float, spacing: float) -> float
 
 
 class _Spline:
-    """A least-squares spline through samples of one sigma."""
+    """A least-squares spline through samples, each with its sigma (N,)."""
 
-    def __init__(self, time: Array, values: Array, sigma: float, spacing: float) -> None:
+    def __init__(self, time: Array, values: Array, sigma: Array, spacing: float) -> None:
         intervals = round(_FINER * (time[-1] - time[0]) / spacing)
         intervals = max(1, min(intervals, time.size // 3 - DEGREE))
         self._knots = uniform_knots(time, intervals)
-        design = BSpline.design_matrix(time, self._knots, DEGREE) / sigma
+        design = diags_array(1.0 / sigma) @ BSpline.design_matrix(time, self._knots, DEGREE)
         normal = (design.T @ design).toarray()
         normal += 1e-12 * np.trace(normal) * np.eye(len(normal))
         self._covariance = np.asarray(cho_solve(cho_factor(normal), np.eye(len(normal))))

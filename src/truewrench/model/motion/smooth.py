@@ -22,6 +22,7 @@ class SmoothTwist:
     twist: Array  # (N, 6)
     acceleration: Array  # (N, 6) its component-wise derivative
     spacing: Array  # (6,) of the knots [s]
+    factor: Array  # (6,) on the stated noise that the residuals show, 1 where they show none
 
 
 def segments(time: Array, shortest: float = 0.0) -> list[slice]:
@@ -44,17 +45,20 @@ def covered(known: Array, at: Array) -> Mask:
 
 
 def smooth_twist(time: Array, twist: Array, noise: Array) -> SmoothTwist:
-    """Fit each component by the coarsest quintic spline whose residuals its noise (6,), 1 sigma, explains.
+    """Fit each component by the coarsest quintic spline whose residuals its noise, 1 sigma, explains.
 
     The number of knot intervals grows by a third from one to about three samples per coefficient; the first
-    whose chi-square per degree of freedom is within three standard deviations of 1 is taken, else the last.
-    Times (N,), N >= 8, are strictly increasing, without gaps [s].
+    whose chi-square per degree of freedom is within three standard deviations of 1 is taken. Where none is,
+    the noise is larger than stated, by what the last of them leaves, and the first that this explains is.
+    Times (N,), N >= 8, are strictly increasing, without gaps [s]; noise (6,), or (N, 6) of each sample.
     """
-    fits = [_fit(time, y, sigma) for y, sigma in zip(twist.T, noise, strict=True)]
+    sigmas = np.broadcast_to(noise, twist.shape)
+    fits = [_fit(time, y, sigma) for y, sigma in zip(twist.T, sigmas.T, strict=True)]
     return SmoothTwist(
-        np.column_stack([spline(time) for spline, _ in fits]),
-        np.column_stack([spline(time, nu=1) for spline, _ in fits]),
-        np.array([(time[-1] - time[0]) / intervals for _, intervals in fits]),
+        np.column_stack([fit.spline(time) for fit in fits]),
+        np.column_stack([fit.spline(time, nu=1) for fit in fits]),
+        np.array([(time[-1] - time[0]) / fit.intervals for fit in fits]),
+        np.array([fit.factor for fit in fits]),
     )
 
 
@@ -64,22 +68,36 @@ def uniform_knots(time: Array, intervals: int) -> Array:
     return np.concatenate([np.full(DEGREE + 1, time[0]), inner, np.full(DEGREE + 1, time[-1])])
 
 
-def uniform_spline(time: Array, values: Array, intervals: int) -> BSpline:
-    """The least-squares spline through samples on equal intervals."""
+def uniform_spline(time: Array, values: Array, intervals: int, sigma: Array | None = None) -> BSpline:
+    """The least-squares spline through samples, of one sigma or of these (N,), on equal intervals."""
     knots = uniform_knots(time, intervals)
+    w = None if sigma is None else 1.0 / sigma
     try:  # up to ten times faster than QR and, on equal intervals, as accurate
-        return make_lsq_spline(time, values, knots, k=DEGREE, method="norm-eq")
+        return make_lsq_spline(time, values, knots, k=DEGREE, w=w, method="norm-eq")
     except np.linalg.LinAlgError:  # intervals without samples
-        return make_lsq_spline(time, values, knots, k=DEGREE, method="qr")
+        return make_lsq_spline(time, values, knots, k=DEGREE, w=w, method="qr")
 
 
-def _fit(time: Array, values: Array, sigma: float) -> tuple[BSpline, int]:
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    spline: BSpline
+    intervals: int
+    factor: float = 1.0
+
+
+def _fit(time: Array, values: Array, sigma: Array) -> _Fit:
     finest = max(1, int(time.size / _SAMPLES_PER_COEFFICIENT) - DEGREE)
-    intervals = 1
+    tried, intervals = [], 1
     while True:
-        spline = uniform_spline(time, values, intervals)
+        spline = uniform_spline(time, values, intervals, sigma)
         freedom = time.size - intervals - DEGREE
         chi_square = float(np.sum(((values - spline(time)) / sigma) ** 2) / freedom)
-        if intervals == finest or chi_square < 1.0 + 3.0 * np.sqrt(2.0 / freedom):
-            return spline, intervals
+        chance = 1.0 + 3.0 * np.sqrt(2.0 / freedom)
+        if chi_square < chance:
+            return _Fit(spline, intervals)
+        tried.append((chi_square / chance, intervals, spline))
+        if intervals == finest:
+            break
         intervals = min(finest, max(intervals + 1, int(np.ceil(intervals * 4 / 3))))
+    left = chi_square
+    return next(_Fit(spline, count, float(np.sqrt(left))) for ratio, count, spline in tried if ratio < left)
