@@ -10,6 +10,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <cmath>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -108,7 +109,7 @@ Status feed(Incremental& online, const RecordedLog& log, OnlineEstimate& out,
     } else {
       const double* R = log.R_sensor_root.rows() > 0 ? log.R_sensor_root.row(k).data() : nullptr;
       note(online.push_raw(next, log.raw.row(k).data(), R,
-                           log.temperature.size() > 0 ? log.temperature[k] : 0.0),
+                           log.temperature.size() > 0 ? log.temperature[k] : std::nan("")),
            next);
       ++k;
     }

@@ -96,7 +96,7 @@ int main() {
       std::printf("%4.0f s: sigma of the gains %.2g of range (RMS)\n", t,
                   std::sqrt(online.covariance().diagonal().mean()));
   }
-  if (online.finish() != Status::ok || online.unresolved()) return 1;
+  if (online.finish() != Status::ok || !online.sound()) return 1;
   if (truewrench::configure(corrector, online, channel_scale) != Status::ok) return 1;
 
   double squares = 0.0, nominal = 0.0;

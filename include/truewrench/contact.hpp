@@ -70,8 +70,11 @@ class Contact : public contact::Estimate {
     ready_ = valid_ = false;
   }
 
-  // How long after a moment its wrench is known: (n - 1) dt / 2, or none [s].
-  double delay() const noexcept { return newest_ || !ready_ ? 0.0 : 0.5 * (count_ - 1) * motion_period_; }
+  // How long after a moment its wrench is known: (n - 1) dt / 2, and what the motion's stamps are later; or none [s].
+  double delay() const noexcept {
+    if (newest_ || !ready_) return 0.0;
+    return 0.5 * (count_ - 1) * motion_period_ + std::max(settings_.time_offset, 0.0);
+  }
 
   // The temperature from now on [degC].
   void set_temperature(double celsius) noexcept { warmth_ = celsius - settings_.temperature_reference; }

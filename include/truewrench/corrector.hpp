@@ -36,7 +36,7 @@ class Corrector {
     if (discrepancy.size() != 0 && discrepancy.size() != n) return Status::wrong_size;
     if (!covariance.allFinite() || !quadratic.allFinite() || !discrepancy.allFinite())
       return Status::not_finite;
-    if ((covariance.diagonal().array() < 0.0).any()) return Status::not_positive;
+    if (!dense::is_covariance(covariance)) return Status::not_positive;
     typename Sensor::Inverse inverse;
     if (const Status status = generalised_inverse(sensor, inverse); status != Status::ok) return status;
 

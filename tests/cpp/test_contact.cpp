@@ -73,6 +73,21 @@ TEST(Contact, FindsTheContactAndNothingElse) {
   }
 }
 
+// Where the motion's stamps are later, its samples of the moment are, too.
+TEST(Contact, DelayIsWhenItsWrenchIsKnown) {
+  for (const double later : {-3e-3, 0.0, 3e-3}) {
+    contact::Settings s = settings_of(6, Feels::payload_on_sensor, false);
+    s.time_offset = later;
+    Contact c;
+    ASSERT_EQ(c.configure(s, 0.02), Status::ok);
+    ASSERT_EQ(c.set_periods(2e-3, 2e-3), Status::ok);
+    fill(c, s, 60, Vector6::Zero());
+    ContactWrench out;
+    const auto late = std::llround(1e9 * c.delay());
+    EXPECT_EQ(c.evaluate(58 * period - late, out), ContactState::ok) << later;
+  }
+}
+
 TEST(Contact, DerivativeIsThatOfDifferences) {
   for (const int n : {6, 8}) {
     for (const Feels feels : {Feels::payload_on_sensor, Feels::sensor_on_payload}) {
@@ -181,6 +196,15 @@ TEST(Contact, BadInputIsRefused) {
   s = good;
   s.covariance.resize(3, 3);
   EXPECT_EQ(c.configure(s, 0.02), Status::wrong_size);
+  s = good;
+  s.covariance(0, 1) = s.covariance(1, 0) = -1.1 * std::sqrt(s.covariance(0, 0) * s.covariance(1, 1));
+  EXPECT_EQ(c.configure(s, 0.02), Status::not_positive);
+  s = good;
+  s.twist_noise(2, 2) = -1e-9;
+  EXPECT_EQ(c.configure(s, 0.02), Status::not_positive);
+  s = good;
+  s.time_offset_std = -1e-3;
+  EXPECT_EQ(c.configure(s, 0.02), Status::not_positive);
   s = good;
   s.center_of_mass[1] = std::numeric_limits<double>::quiet_NaN();
   EXPECT_EQ(c.configure(s, 0.02), Status::not_finite);

@@ -76,6 +76,10 @@ TEST(Corrector, VarianceBelowZeroIsRefused) {
   EXPECT_EQ(corrector.configure({Matrix6::Identity(), Vector6::Zero(), Vector6::Ones()},
                                 -Eigen::MatrixXd::Identity(42, 42)),
             Status::not_positive);
+  Eigen::MatrixXd indefinite = Eigen::MatrixXd::Identity(42, 42);
+  indefinite(0, 1) = indefinite(1, 0) = -1.1;
+  EXPECT_EQ(corrector.configure({Matrix6::Identity(), Vector6::Zero(), Vector6::Ones()}, indefinite),
+            Status::not_positive);
   EXPECT_FALSE(corrector.configured());
 }
 

@@ -3,8 +3,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <functional>
 #include <limits>
+#include <utility>
 
 namespace truewrench {
 namespace {
@@ -322,6 +324,123 @@ TEST(IncrementalFaults, ALostFirstLagChoosesNoSpacing) {
   static_cast<void>(online.finish());
   EXPECT_NEAR(online.spacing(), 0.05, 1e-12);
   EXPECT_LT((online.gain() - loop.gain).norm() / 6.0, 0.01);
+}
+
+double nees(Incremental& online, const Eigen::MatrixXd& gain) {
+  const Eigen::MatrixXd error = online.gain() - gain;
+  const Eigen::VectorXd sigma = online.covariance().diagonal().cwiseSqrt();
+  return error.cwiseQuotient(Eigen::Map<const RowMatrix>(sigma.data(), 6, 6)).squaredNorm() / 36.0;
+}
+
+// A lag that cannot be fitted leaves nothing of itself: neither in theta and the sizes, nor in the parts.
+TEST(IncrementalFaults, ACellOfGarbageIsForgotten) {
+  for (const double garbage : {1e30, 1e60, 1e100, 1e150}) {
+    LoopCase loop(11);
+    Incremental online(loop.rig, loop.about, settings);
+    bool once = true;
+    Status worst = Status::ok;
+    loop.run(25.0, [&](bool sensor, double t, Vector6 value) {
+      if (!sensor && t > 6.0 && std::exchange(once, false)) value[0] = garbage;
+      worst =
+          std::max(worst, sensor ? online.push_raw(t, value.data()) : online.push_motion(0, t, value.data()));
+    });
+    EXPECT_EQ(worst, Status::not_factorizable);
+    static_cast<void>(online.finish());
+    EXPECT_LT(nees(online, loop.gain), 2.0) << garbage;
+    EXPECT_GE(online.agreement().p, 0.5 * constants::doubt) << garbage;
+  }
+}
+
+TEST(IncrementalFaults, SaysWhetherItIsSound) {
+  for (unsigned seed = 0; seed < 3; ++seed) {
+    using Fault = std::function<void(const LoopCase&, bool, double, Vector6&)>;
+    const Fault faults[] = {
+        [](const LoopCase& /*loop*/, bool /*sensor*/, double /*t*/, Vector6& /*value*/) {},
+        [](const LoopCase& /*loop*/, bool sensor, double t, Vector6& value) {  // a channel that hangs first
+          if (sensor && t < 6.0) value[1] = 0.02;
+        },
+        [](const LoopCase& /*loop*/, bool sensor, double /*t*/,
+           Vector6& value) {  // velocities in another unit
+          if (!sensor) value[0] *= 0.8;
+        },
+        [](const LoopCase& loop, bool sensor, double t,
+           Vector6& value) {  // a payload that is not whole at first
+          if (sensor && t < 6.0) value = loop.offset + 0.6 * (value - loop.offset);
+        },
+        [](const LoopCase& loop, bool sensor, double /*t*/, Vector6& value) {  // a channel at its end
+          if (sensor) value[2] = loop.offset[2] + std::clamp(value[2] - loop.offset[2], -0.02, 0.02);
+        }};
+    for (const auto& fault : faults) {
+      LoopCase loop(20 + seed);
+      Incremental online(loop.rig, loop.about, settings);
+      EXPECT_FALSE(online.sound());
+      loop.run(12.0, [&](bool sensor, double t, Vector6 value) {
+        fault(loop, sensor, t, value);
+        static_cast<void>(sensor ? online.push_raw(t, value.data()) : online.push_motion(0, t, value.data()));
+      });
+      EXPECT_EQ(online.finish(), Status::ok);
+      EXPECT_EQ(online.sound(), &fault == &faults[0]) << seed << " " << &fault - &faults[0];
+    }
+  }
+}
+
+// A lag of fifty periods is enough for streams of any rate.
+TEST(IncrementalFaults, SlowStreamsAreNoSilence) {
+  for (const bool slow_sensor : {false, true}) {
+    LoopCase loop(12);
+    Incremental online(loop.rig, loop.about, {.lag = 25.0, .rate = 100.0, .discrepancy = 0.0});
+    double next[2] = {0.0, 0.003};
+    const double step[2] = {slow_sensor ? 0.02 : 0.5, slow_sensor ? 0.5 : 0.02};
+    while (next[0] < 80.0) {
+      const int of = next[1] < next[0] ? 1 : 0;
+      const double t = next[of];
+      const Vector6 value = of == 1 ? loop.raw_at(t) : loop.twist_at(t);
+      EXPECT_EQ(of == 1 ? online.push_raw(t, value.data()) : online.push_motion(0, t, value.data()),
+                Status::ok);
+      next[of] += step[of];
+    }
+    EXPECT_EQ(online.dropped(), 0);
+    EXPECT_TRUE(online.ready());
+  }
+}
+
+// A thermometer is slower than the sensor, and what is not said is as it was.
+TEST(IncrementalFaults, ATemperatureStandsUntilTheNext) {
+  LoopCase loop(13);
+  loop.rig.slope_prior = 1e-3;
+  const Vector6 raw = Vector6::Zero();
+  EXPECT_EQ(Incremental(loop.rig, loop.about, settings).push_raw(0.0, raw.data(), nullptr, 20.0),
+            Status::wrong_size);
+  loop.about.temperature = Eigen::VectorXd::Zero(1);
+  Incremental online(loop.rig, loop.about, settings);
+  const Vector6 slope = 1e-3 * oracle::normal_matrix(loop.random, 6, 1);
+  double told = -1.0;
+  loop.run(20.0, [&](bool sensor, double t, Vector6 value) {
+    const double warmth = 20.0 + std::floor(0.5 * t);
+    if (sensor) value += warmth * slope;
+    const bool anew = warmth != told;
+    EXPECT_EQ(sensor ? online.push_raw(t, value.data(), nullptr, anew ? warmth : nan)
+                     : online.push_motion(0, t, value.data()),
+              Status::ok);
+    if (sensor) told = warmth;
+  });
+  EXPECT_EQ(online.finish(), Status::ok);
+  EXPECT_TRUE(online.sound());
+  EXPECT_LT(nees(online, loop.gain), 2.0);
+}
+
+TEST(IncrementalFaults, StampsMayBeginAgainWhereARecordEnds) {
+  LoopCase loop(14);
+  Incremental online(loop.rig, loop.about, settings);
+  EXPECT_EQ(loop.feed(online, 4.0), Status::ok);
+  const Vector6 raw = loop.raw_at(5.0);
+  EXPECT_EQ(online.push_raw(3600.0, raw.data()), Status::ok);
+  EXPECT_EQ(loop.feed(online, 1.0), Status::not_increasing);
+  EXPECT_EQ(online.finish(), Status::ok);
+  const std::int64_t before = online.samples();
+  EXPECT_EQ(loop.feed(online, 4.0), Status::ok);
+  EXPECT_EQ(online.finish(), Status::ok);
+  EXPECT_GT(online.samples(), 2 * before - 20);
 }
 
 }  // namespace

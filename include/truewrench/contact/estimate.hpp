@@ -4,6 +4,7 @@
 
 #include "truewrench/contact/model.hpp"
 #include "truewrench/contact/ring.hpp"
+#include "truewrench/math/dense.hpp"
 
 #include <Eigen/Cholesky>
 
@@ -199,7 +200,10 @@ class Estimate {
         !s.gravity_noise.allFinite() || !std::isfinite(s.temperature_reference) || !s.full_scale.allFinite())
       return Status::not_finite;
     if (!Ring::near(s.offset_time_ns)) return Status::not_finite;  // as a stamp
-    if (s.mass <= 0.0 || s.covariance.diagonal().minCoeff() < 0.0) return Status::not_positive;
+    if (s.mass <= 0.0 || s.time_offset_std < 0.0) return Status::not_positive;
+    for (const Eigen::MatrixXd& P :
+         {s.covariance, Eigen::MatrixXd(s.twist_noise), Eigen::MatrixXd(s.gravity_noise)})
+      if (!dense::is_covariance(P)) return Status::not_positive;
     if (s.full_scale.size() > 0 && s.full_scale.minCoeff() <= 0.0) return Status::not_positive;
     return Status::ok;
   }

@@ -4,16 +4,16 @@
 //     Incremental online(statement, about, {});   // about: a log without samples
 //     online.push_motion(0, t, twist);            // as they come, each stream with its own stamps
 //     online.push_raw(t, raw, R_sensor_root);
-//     if (online.ready()) use(online.gain(), online.covariance());
-//     online.finish();
+//     if (online.ready()) show(online.gain(), online.covariance());
+//     if (online.finish() == Status::ok && online.sound()) use(online.gain(), online.covariance());
 //
 // The first lag is fitted like a record: h by (10.7), START, ROBUST (10.2, 10.3). From there a completed block of five knots is
 // eliminated as it comes, theta known. When two lags are full they are linearised anew: what has 20 knots after it, its mask set,
 // leaves for good, and theta follows what left. That is a Gaussian on (next block, theta), and running sums give sigma and q (10.6),
 // (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit. It decides forward only.
 //
-// A push takes microseconds, one that completes a block some tens, once in two lags two milliseconds; the push that completes the
-// first lag fits it in ten to twenty, so that a hard loop hands its samples to another thread.
+// A push takes microseconds, one that completes a block some tens, once in two lags two milliseconds, the first two times up to
+// five; the push that completes the first lag fits it in ten to twenty, so that a hard loop hands its samples to another thread.
 #pragma once
 
 #include "truewrench/estimation/agreement.hpp"
@@ -24,6 +24,7 @@
 #include "truewrench/estimation/running.hpp"
 
 #include <cstdint>
+#include <limits>
 #include <span>
 
 namespace truewrench {
@@ -49,7 +50,7 @@ class Incremental {
     if (stream >= lag_.streams()) return Status::wrong_size;
     if (!readable(time, value, kComponents)) return Status::not_finite;
     Ring<MotionSample>& in = motion_[stream];
-    if (in.end() > 0 && time <= motion_last_[stream]) return Status::not_increasing;
+    if (time <= motion_last_[stream]) return Status::not_increasing;
     const Status status = silence(time);
     if (in.full() && !standing_ && (raw_.empty() || in[in.begin()].time < raw_[raw_.begin()].time))
       in.drop_before(in.begin() + 1);
@@ -62,29 +63,39 @@ class Incremental {
   }
 
   // raw (n): fractions of range. R_sensor_root: row by row, where gravity acts
-  // on what moves (no IMU): wrong_size without.
+  // on what moves (no IMU): wrong_size without. temperature [K] above the reference; NaN: as last told. Where it has a slope,
+  // `about` says that there is a thermometer, by one temperature: wrong_size without.
   Status push_raw(double time, const double* raw, const double* R_sensor_root = nullptr,
-                  double temperature = 0.0) noexcept {
+                  double temperature = std::numeric_limits<double>::quiet_NaN()) noexcept {
     if (refused_ != Status::ok) return refused_;
     if (!readable(time, raw, lag_.channels())) return Status::not_finite;
     if (lag_.felt() && R_sensor_root == nullptr) return Status::wrong_size;
     for (int k = 0; lag_.felt() && k < 9; ++k)
       if (!std::isfinite(R_sensor_root[k])) return Status::not_finite;
-    if (raw_.end() > 0 && time <= raw_last_) return Status::not_increasing;
+    const bool told = std::isfinite(temperature);
+    if (told && lag_.rig().slope_prior > 0.0 && lag_.columns().slope < 0) return Status::wrong_size;
+    if (time <= raw_last_) return Status::not_increasing;
     const Status status = silence(time);
     if (raw_.full() && !open()) raw_.drop_before(raw_.begin() + 1);
     if (raw_.full()) return Status::wrong_size;
     raw_last_ = time;
     RawSample& s = raw_.push();
     s.time = time;
-    s.temperature = std::isfinite(temperature) ? temperature : 0.0;
+    if (told) warmth_ = temperature;
+    s.temperature = warmth_;
     std::copy_n(raw, lag_.channels(), s.value.begin());
     for (int k = 0; R_sensor_root != nullptr && k < 9; ++k) s.R(k / 3, k % 3) = R_sensor_root[k];
     return worse(status, advance());
   }
 
-  // The record ends here.
-  Status finish() noexcept { return refused_ != Status::ok ? refused_ : close(); }
+  // The record ends here; stamps may begin again, as after one from an absurd future.
+  Status finish() noexcept {
+    if (refused_ != Status::ok) return refused_;
+    const Status status = close();
+    raw_last_ = kNever;
+    motion_last_.fill(kNever);
+    return status;
+  }
 
   // The attitude of the samples from here on has another heading than before, of a log whose root frame is its own: the stretch
   // ends, and how gravity is tilted is not known.
@@ -133,6 +144,10 @@ class Incremental {
   Agreement agreement();
   // Of this log and all before it; asked once it is over and covariance() was. Allocates.
   Agreement agreement_with_logs_before();
+  // Whether nothing that it can tell speaks against the result, once the record is over: no lag was lost, it is resolved, no more
+  // is left out than a verdict allows, its parts and logs agree, and no channel is noisier than would be told. Of records with a
+  // payload that slips, stuck channels and velocities, or a clipped channel 56 of 116 ended with a wrong gain: 0 sound. Allocates.
+  bool sound();
 
   // What was masked since the last call of clear_masked().
   std::size_t masked_spans() const { return masked_count_; }
@@ -187,6 +202,7 @@ class Incremental {
         status_(of.status) {
     const int n = lag_.channels();
     const auto samples = static_cast<std::size_t>(of.settings.samples());
+    motion_last_.fill(kNever);
     raw_.reserve(samples);
     for (auto& m : motion_) m.reserve(samples);
     entries_.reserve(static_cast<std::size_t>(kMostRows * kBlock * (most_blocks_ + 1)));
@@ -215,8 +231,9 @@ class Incremental {
   PoseSums pose_;
   Ring<RawSample> raw_;
   std::array<Ring<MotionSample>, kMostStreams> motion_;
-  std::array<double, kMostStreams> motion_last_{};
-  double raw_last_ = 0.0;
+  static constexpr double kNever = -std::numeric_limits<double>::infinity();
+  std::array<double, kMostStreams> motion_last_;  // [s] of the newest samples
+  double raw_last_ = kNever, warmth_ = 0.0;
   long raw_at_ = 0;  // first sample that is not in the lag
   std::array<long, kMostStreams> motion_at_{};
   double period_ = 0.0, motion_period_ = 0.0;  // [s] as the stretch began with
@@ -244,10 +261,14 @@ class Incremental {
   std::vector<double> work_, x0_, x1_;
   std::vector<char> active_;
   std::vector<int> use_;
-  // Before a first lag is fitted.
+  // Before a lag is fitted.
   struct Known {
     Sizes sizes;
     Eigen::VectorXd theta, prior;
+    RowMatrix lagged;
+    std::array<Eigen::MatrixXd, 2> parts;
+    Eigen::MatrixXd last;
+    int part = 0;
     std::vector<char> active;
     std::size_t masked_spans = 0;
     std::int64_t masked_samples = 0;
@@ -279,7 +300,10 @@ class Incremental {
     }
     return any && std::isfinite(time);
   }
-  double gap(double period) const { return std::max(5.0 * period, 6.0 * coarsest_); }
+  // Before two samples tell the period it is the longest for which the lag is long enough.
+  double gap(double period) const {
+    return std::max(5.0 * (period > 0.0 ? period : settings_.longest_period()), 6.0 * coarsest_);
+  }
   // All motion, or the sensor, was silent for five periods and six knots: the stretch is over.
   Status silence(double time) noexcept {
     const bool over =
@@ -292,12 +316,7 @@ class Incremental {
     for (std::size_t i = 0; i < lag_.streams(); ++i) any = any || !motion_[i].empty();
     return any && !raw_.empty();
   }
-  double motion_last() const {
-    double out = -1e300;
-    for (std::size_t i = 0; i < lag_.streams(); ++i)
-      if (motion_[i].end() > 0) out = std::max(out, motion_last_[i]);
-    return out;
-  }
+  double motion_last() const { return *std::max_element(motion_last_.begin(), motion_last_.end()); }
   // To which all streams have samples, of a stretch that has not begun; NaN where one has none.
   double common_begin() const {
     double out = raw_[raw_.begin()].time;
@@ -363,6 +382,7 @@ class Incremental {
   }
   bool surprised();
   Status hop(bool last) noexcept;
+  bool linearise(bool last);
   void abandon(Status status) noexcept;
   void drop_samples() noexcept {  // that wait
     raw_.clear();

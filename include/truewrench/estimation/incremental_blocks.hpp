@@ -11,7 +11,7 @@ inline double Incremental::covered() const {
   double out = raw_last_;
   const double newest = motion_last(), silent = gap(motion_period());
   for (std::size_t i = 0; i < lag_.streams(); ++i) {
-    if (motion_[i].end() == 0) return -1e300;
+    if (motion_last_[i] == kNever) return kNever;
     if (newest - motion_last_[i] > silent) continue;
     out = std::min(out, motion_last_[i] + std::min(0.0, lag_.clock(i)));
   }
@@ -203,17 +203,24 @@ inline bool Incremental::surprised() {
 
 // Two lags are full, or the stretch ends (`last`): linearise what is there at what is known now; what has 20 knots after it leaves, at
 // the end all. theta is that of what left; the first two times, that of what stays, too.
+// A lag that cannot be fitted leaves nothing: a cell of 1e30 would stand in theta and in the sizes for ever.
 inline Status Incremental::hop(bool last) noexcept {
+  keep();
+  if (linearise(last)) return Status::ok;
+  restore();
+  return status_ = Status::not_factorizable;
+}
+
+inline bool Incremental::linearise(bool last) {
   const long first = lag_.first(), leaving = lag_.end() - first - (last ? 0 : staying());
-  if (!lag_.terminal(moving_)) return status_ = Status::not_factorizable;
+  if (!lag_.terminal(moving_)) return false;
   lag_.back(first);
   int steps = hops_ == 0 ? 6 : hops_ == 1 ? 1 : 0;
   if (surprised()) {  // from START's q again: small q hold the motion, and it is taken for noise
     lag_.sizes.q = lag_.sizes.q.cwiseMax(constants::smoothness_start);
     steps = 6;
   }
-  if (steps > 0 && !run(1, steps, last ? constants::move : constants::robust_move, last))
-    return status_ = Status::not_factorizable;
+  if (steps > 0 && !run(1, steps, last ? constants::move : constants::robust_move, last)) return false;
   predict();
   weigh();
   set_mask(leaving);
@@ -221,11 +228,11 @@ inline Status Incremental::hop(bool last) noexcept {
   const bool traced = last || steps > 0 || (hops_ & (hops_ - 1)) == 0;
   const bool ok = traced ? sweep(leaving, last) : leave(leaving, last) && lag_.terminal(moving_);
   if (hops_ >= 2) Z_ = Zp_;
-  if (!ok || !solve()) return status_ = Status::not_factorizable;
+  if (!ok || !solve()) return false;
   lag_.back(first);
   depart(leaving, traced);
   if (traced) lag_.know_theta(present_, moving_);
-  return Status::ok;
+  return true;
 }
 
 // Sums of what leaves; sizes by them, and while little has left by what stays too.

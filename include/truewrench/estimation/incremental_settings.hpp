@@ -25,6 +25,8 @@ struct IncrementalSettings {
     const double h = std::min(finest, constants::knot_spacing);
     return spacing > 0.0 ? std::min(h, spacing) : h;
   }
+  // [s] of the motion, for which the lag is long enough.
+  double longest_period() const { return lag / 50.0; }
   double blocks_of_lag(double h) const { return std::ceil(std::max(lag, 20.0 * h) / (kBlock * h) - 1e-9); }
   // Of one stream, that wait for their blocks or for a first lag.
   double samples() const { return rate * (1.25 * std::max(lag, 20.0 * spacing) + 2.0) + 64.0; }

@@ -124,11 +124,15 @@ inline bool Incremental::resting() noexcept {
   return true;
 }
 
-// What a first lag that cannot be fitted must leave as it was; without an allocation.
+// What a lag that cannot be fitted must leave as it was; without an allocation.
 inline void Incremental::keep() noexcept {
   kept_.sizes = lag_.sizes;
   kept_.theta = lag_.theta;
+  kept_.lagged = lag_.lagged;
   kept_.prior = prior_;
+  kept_.parts = parts_;
+  kept_.last = Zl_;
+  kept_.part = part_;
   kept_.active = active_;
   kept_.masked_spans = masked_count_;
   kept_.masked_samples = masked_samples_;
@@ -136,7 +140,11 @@ inline void Incremental::keep() noexcept {
 inline void Incremental::restore() noexcept {
   lag_.sizes = kept_.sizes;
   lag_.theta = kept_.theta;
+  lag_.lagged = kept_.lagged;
   prior_ = kept_.prior;
+  parts_ = kept_.parts;
+  Zl_ = kept_.last;
+  part_ = kept_.part;
   active_ = kept_.active;
   masked_count_ = kept_.masked_spans;
   masked_samples_ = kept_.masked_samples;

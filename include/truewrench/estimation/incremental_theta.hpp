@@ -240,6 +240,16 @@ inline Agreement Incremental::agreement_with_logs_before() {
   return compare_parts({past, of_log()}, (all / now + all / before) * added_ + 2.0 * pose);
 }
 
+inline bool Incremental::sound() {
+  if (!ready_ || status_ != Status::ok || unresolved()) return false;
+  const auto seen = static_cast<double>(samples_), masked = static_cast<double>(masked_samples_);
+  if (!(masked <= constants::most_lost * seen)) return false;
+  if (!(lag_.sizes.raw_factor.maxCoeff() <= constants::noise_told)) return false;
+  covariance();
+  const double agree = 0.5 * constants::doubt;  // no number agrees with nothing
+  return agreement().p >= agree && agreement_with_logs_before().p >= agree;
+}
+
 // ------------------------------------------------------------------------------------------------
 // logs
 
@@ -306,7 +316,7 @@ inline Status Incremental::next_root() noexcept {
 inline Status Incremental::next_log(const RecordedLog& about) {
   if (refused_ != Status::ok) return refused_;
   if (const Status refused = check(lag_.rig(), about, settings_); refused != Status::ok) return refused;
-  const Status status = close();
+  const Status status = finish();
   const int n = lag_.channels(), before = lag_.parameters();
   const bool common = lag_.layout().tilt >= 0;
   covariance();

@@ -72,6 +72,7 @@ void add_pose(Eigen::MatrixXd& P, const double* prior, const PoseShare& share, c
     b[c] = 1.0;
     if (!dense::solve(&ww[0][0], b, 6)) return;
     std::copy_n(b, 6, inverse[c]);
+    for (int d = 0; d < c; ++d) inverse[c][d] = inverse[d][c];  // as ill-conditioned as it may be
   }
   const double times = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0;
   for (Eigen::Index i = 0; 6 * i < P.rows(); ++i) {

@@ -1,6 +1,7 @@
 // Where a record is cut, and how densely its knots lie (METHOD 10.2, 10.6).
 #pragma once
 
+#include "truewrench/estimation/gather.hpp"
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/mask.hpp"
 #include "truewrench/estimation/start.hpp"

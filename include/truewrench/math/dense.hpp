@@ -178,6 +178,23 @@ inline double dot(const double* a, const double* b, int n) {
   return sum;
 }
 
+// Whether P can be a covariance: symmetric, and below zero in no direction, but for rounding, 1e-6 of the correlations.
+inline bool is_covariance(const Eigen::MatrixXd& P) {
+  const int n = static_cast<int>(P.rows()), ld = padded(n);
+  std::vector<double> work(static_cast<std::size_t>(n * ld + 8), 0.0);
+  constexpr double rounding = 1e-6;
+  for (int i = 0; i < n; ++i) {
+    if (!(P(i, i) >= 0.0)) return false;
+    for (int j = i; j < n; ++j) {
+      const double scale = std::sqrt(P(i, i)) * std::sqrt(P(j, j)), of = 0.5 * (P(i, j) + P(j, i));
+      if (!(std::abs(P(i, j) - P(j, i)) <= rounding * scale) || (scale == 0.0 && of != 0.0)) return false;
+      work[static_cast<std::size_t>(i * ld + j)] = i == j ? 1.0 + rounding : scale > 0.0 ? of / scale : 0.0;
+    }
+  }
+  double logdet = 0.0;
+  return factor(work.data(), ld, n, logdet);
+}
+
 // The inverse of a symmetric positive definite matrix, and its log det; false where it is not.
 inline bool invert(const Eigen::MatrixXd& S, Eigen::MatrixXd& inverse, double& logdet) {
   const int n = static_cast<int>(S.rows()), half = padded(n), ld = 2 * half;
