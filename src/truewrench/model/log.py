@@ -23,9 +23,13 @@ class Reference:
     spacing: float  # of the knots of the joints' fit behind it [s]
     gravity_time: Array  # (M,) [s]
     gravity: Array | None  # (M, 3) free fall at these times in sensor axes [m/s^2], None on orbit
+    # (2K,) begins and ends of pauses that it shortens, as the log has them, and by how much there [s]
+    pause_edges: Array = field(default_factory=lambda: np.zeros(1))
+    pause_cut: Array = field(default_factory=lambda: np.zeros(1))
 
     def motion(self, time: Array) -> tuple[Array, Array, Array]:
         """Twist (N, 6), its component-wise derivative and free fall (N, 3) at times (N,) since the origin."""
+        time = time - np.interp(time, self.pause_edges, self.pause_cut)
         ends = np.repeat(self.breakpoints[[0, -1]], 5).reshape(2, 5)
         twist = BSpline(np.concatenate([ends[0], self.breakpoints, ends[1]]), self.twist, 5)
         gravity = np.zeros((len(time), 3))

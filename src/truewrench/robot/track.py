@@ -24,6 +24,7 @@ from truewrench.robot.arm import Robot, robot_of
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import SensorMotion, chain_of, sensor_motion
 from truewrench.robot.parts import together, unwrapped
+from truewrench.robot.pauses import Pauses
 
 _FEWEST = 16  # rows of a joint stream that a motion can be made of
 _WIDER = 2.0  # knots of the reference, in units of the coarsest that the encoders accept (docs/method.md)
@@ -63,16 +64,23 @@ def track(rig: Rig, log: Log, *, exact_positions: bool = False) -> Log:
             expected = f"{robot.n}: {', '.join(robot.joints)}"
             raise InputError.at(log.path, name, f"{values.shape[1]} joints", expected)
     log = unwrapped(rig, log)
-    base = BasePath.of(rig, log)
-    position, velocity = base.within(log, log.position), base.within(log, log.velocity)
-    within = together(rig, replace(log, position=position, velocity=velocity))
+    pauses = Pauses.of(log)
+    short = pauses.without(log) if pauses else log
+    base = BasePath.of(rig, short)
+    position, velocity = base.within(short, log.position), base.within(short, log.velocity)
+    within = together(rig, replace(short, position=position, velocity=velocity))
     if log.position is None:
         found = _integrated(rig, robot, base, within)
     elif rig.motion.position_noise is not None and not exact_positions:
         found = _encoders(rig, robot, base, within)
     else:
         found = _exact_positions(rig, robot, base, within)
-    return replace(found, position=log.position, velocity=log.velocity)
+    tracking = found.tracking
+    if pauses and tracking is not None and tracking.reference is not None:
+        tracking = replace(tracking, reference=pauses.within(tracking.reference))
+    return replace(
+        found, time_ns=log.time_ns, tracking=tracking, position=log.position, velocity=log.velocity
+    )
 
 
 def measured_twists(rig: Rig, log: Log) -> Log:
