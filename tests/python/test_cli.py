@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pyarrow.csv as pacsv
 import pytest
+import typer
 import yaml
 
 import truewrench
-from truewrench.cli import main
+from truewrench.cli import app, main
 from truewrench.model.calibration import Calibration, Verdict, load_calibration
 from truewrench.model.rig import Rig
 
@@ -45,6 +46,13 @@ def test_main_returns_the_status_and_the_process_exits_with_it(capsys: pytest.Ca
     for words, status in ((["--version"], 0), (["inspect", "nowhere.csv"], 2)):
         done = subprocess.run([sys.executable, "-m", "truewrench", *words], capture_output=True, check=False)
         assert done.returncode == status
+
+
+def test_no_word_of_a_help_text_is_taken_for_markup() -> None:
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    words = [option.help or "" for command in commands.values() for option in command.params]
+    assert len(words) > 50
+    assert not [help_text for help_text in words if "[" in help_text]
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no device that is always full")

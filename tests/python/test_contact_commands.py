@@ -139,6 +139,7 @@ def test_words_for_what_is_wrong(
     out = tmp_path / "out.csv"
     base = ["apply", str(rig), str(log), "-o", str(out)]
     assert status_of([*base, "--tool", str(tool), "--at", "1,2,3"]) == 2
+    assert status_of([*base, "--tool", str(tool), "--at", "0,0,0.1,0,0,90"]) == 2
     assert "six numbers" in capsys.readouterr().err
     other = tmp_path / "other.yaml"
     write_yaml(other, a_rig(sensor={"feels": "sensor_on_payload"}))

@@ -71,6 +71,8 @@ def test_a_set_up_that_is_not_as_stated_ends_in_3(files: Path) -> None:
         (["--known", "weight=2:1"], "known: found `weight`, expected one of mass"),
         (["--flange", "0,0,0"], "--flange: found `0,0,0`, expected 6 numbers"),
         (["--housing", "-1,0,0,0"], "--housing: found a mass of -1"),
+        (["--housing", "1,0,0,40"], "--housing: found 40 m, expected at most 10 m (mm?)"),
+        (["--flange", "0,0,0.04,0,0,90"], "--flange: found an angle of 90, expected radians (degrees?)"),
         (["--export", "ur,fanuc"], "--export: found `fanuc`, expected a list of ur"),
         (["--on", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
         (["--mounting-sigma", "inf"], "--mounting-sigma"),

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from truewrench.cli.common import Outcome, progress_bar, report_notes, with_wrench_topic
 from truewrench.model.errors import InputError
 
@@ -37,6 +39,7 @@ def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool,
 def view_of(at: str | None, axes: Literal["sensor", "base"] | None) -> View:
     """Where and how to express the wrench; InputError if `at` is not six numbers."""
     from truewrench.correction.contact.run import View
+    from truewrench.tool.checks import check_place
 
     values: list[float] = [0.0] * 6
     if at is not None:
@@ -46,6 +49,7 @@ def view_of(at: str | None, axes: Literal["sensor", "base"] | None) -> View:
             values = []
         if len(values) != 6 or not all(map(math.isfinite, values)):
             raise InputError.at(None, "--at", f"`{at}`", "six numbers: x,y,z,roll,pitch,yaw in m and rad")
+        check_place("--at", np.array(values))
     return View(tuple(values), axes or "sensor")
 
 

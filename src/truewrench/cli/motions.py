@@ -43,9 +43,9 @@ def plan(
         bool, typer.Option("--motion", help="With --tool: a motion, which tells inertia.")
     ] = False,
     poses: Annotated[int | None, typer.Option(help="With --tool: how many; 12 unless stated.")] = None,
-    dwell: Annotated[float | None, typer.Option(help="With --tool: at each pose [s]; 3.")] = None,
+    dwell: Annotated[float | None, typer.Option(help="With --tool: seconds at each pose; 3.")] = None,
     cone: Annotated[
-        float | None, typer.Option(help="With --tool: largest tilt of gravity from the start [deg]; 180.")
+        float | None, typer.Option(help="With --tool: largest tilt of gravity from the start, degrees; 180.")
     ] = None,
     as_json: JsonOption = False,
     debug: DebugOption = False,
@@ -105,7 +105,7 @@ def follow(
         Literal["com", "sensor"], typer.Option(help="The point that the plan moves: mass or sensor.")
     ] = "com",
     payload: Annotated[str | None, typer.Option(help="Payload carried; the first of the rig.")] = None,
-    rate: Annotated[float, typer.Option(min=1.0, max=1e6, help="Commands a second [Hz].")] = 100.0,
+    rate: Annotated[float, typer.Option(min=1.0, max=1e6, help="Commands a second.")] = 100.0,
     as_json: JsonOption = False,
     debug: DebugOption = False,
 ) -> Outcome:

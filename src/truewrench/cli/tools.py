@@ -41,16 +41,16 @@ def tool(
     ] = None,
     mounting_sigma: Annotated[
         float | None,
-        typer.Option(min=0.0, max=np.pi, help="[rad] of the channels' axes in the sensor frame."),
+        typer.Option(min=0.0, max=np.pi, help="Of the channels' axes in the sensor frame, radians."),
     ] = None,
     tilt_sigma: Annotated[
-        float | None, typer.Option(min=0.0, max=np.pi, help="[rad] of gravity's direction.")
+        float | None, typer.Option(min=0.0, max=np.pi, help="Of gravity's direction, radians.")
     ] = None,
     flange: Annotated[
-        str | None, typer.Option(help="x,y,z,roll,pitch,yaw of the sensor frame on the flange [m, rad].")
+        str | None, typer.Option(help="x,y,z,roll,pitch,yaw of the sensor frame on the flange, m and rad.")
     ] = None,
     housing: Annotated[
-        str | None, typer.Option(help="mass,x,y,z of the sensor's housing, sensor frame [kg, m].")
+        str | None, typer.Option(help="mass,x,y,z of the sensor's housing in the sensor frame, kg and m.")
     ] = None,
     on: Annotated[
         Path | None, typer.Option(metavar="TOOL", help="A tool.yaml that this one sits on.")

@@ -1,4 +1,4 @@
-"""Long pauses of a joint log, shortened: a motion that is laid through them would ask for memory by the day."""
+"""Long pauses of a joint log, shortened: a motion laid through them would ask for memory by the day."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truewrench.model.arrays import Array, Integers
+from truewrench.model.arrays import Integers
 from truewrench.model.log import Log, Reference
 
 _SHORTENED = 10.0  # [s] that is left of a pause, and
@@ -52,5 +52,7 @@ class Pauses:
 
     def within(self, reference: Reference) -> Reference:
         """A reference of the shortened log, for the times of the log as it is."""
-        edges: Array = 1e-9 * (self.edges_ns - reference.origin_ns)
-        return replace(reference, pause_edges=edges, pause_cut=1e-9 * self.cut_ns)
+        edges, cut = (
+            np.asarray(1e-9 * ns, np.float64) for ns in (self.edges_ns - reference.origin_ns, self.cut_ns)
+        )
+        return replace(reference, pause_edges=edges, pause_cut=cut)

@@ -27,7 +27,8 @@ _CLEARLY = 20.0  # times the noise: a turn that differences of rows show
 _FAR = 1.0  # [rad] that gravity's direction should have gone
 _FROZEN = 5e-3  # of the way that its direction should have gone; tolerance
 _DEGREES = np.radians([0.8, 1.25])  # share of -Omega x g that is found where Omega is in degrees; tolerance
-_LARGEST = 1e6  # of a length, an angle, a mass: tolerance
+_LARGEST = 1e6  # of a mass: tolerance
+_FARTHEST = 10.0  # [m] between frames of one wrist: tolerance
 _LIKE = 0.2  # of the squares of the change of g that another unit leaves unexplained; tolerance
 
 
@@ -59,9 +60,20 @@ def check_options(
             raise InputError.at(None, f"--{name}", f"{given!r}", f"{count} finite numbers in SI units")
         if name == "housing" and values[0] < 0.0:
             raise InputError.at(None, f"--{name}", f"a mass of {values[0]:g}", "a number of at least 0")
+        check_place(f"--{name}", values[1:] if name == "housing" else values)
     for name, sigma in sigmas.items():
         if sigma is not None and not 0.0 <= sigma <= np.pi:
             raise InputError.at(None, f"--{name}", f"{sigma:g}", "an angle from 0 to pi [rad]")
+
+
+def check_place(option: str, values: Array) -> None:
+    """Refuse a place, x, y, z and then roll, pitch, yaw if any, that no frame of a wrist has: other units."""
+    farthest = float(np.abs(values[:3]).max())
+    if farthest > _FARTHEST:
+        raise InputError.at(None, option, f"{farthest:g} m", f"at most {_FARTHEST:g} m (mm?)")
+    turn = float(np.abs(values[3:]).max(initial=0.0))
+    if turn > 2.0 * np.pi:
+        raise InputError.at(None, option, f"an angle of {turn:g}", "radians (degrees?)")
 
 
 def check_positions(place: str | Path | None, position: Array) -> None:
