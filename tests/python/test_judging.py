@@ -401,9 +401,10 @@ def test_a_payload_that_is_hardly_known_is_not_in_other_units(
     data = 1e-8 * np.eye(36) + sigma**2 * sum(np.outer(u, u) for u in (x.ravel() for x in of))
     P = np.linalg.inv(np.linalg.inv(data) + np.eye(36) / prior**2)
     pulled = ONE.ravel() + P @ np.linalg.solve(data, (gain - ONE).ravel())
-    assert not suspected_setup_errors(
-        pulled.reshape(6, 6), P, ONE, prior, SPAN, SPAN, centers_of_mass=[center]
-    )
+    for relative in ([], [(sigma, sigma)]):
+        assert not suspected_setup_errors(
+            pulled.reshape(6, 6), P, ONE, prior, SPAN, SPAN, centers_of_mass=[center], relative=relative
+        )
 
 
 def test_least_squares_name_the_units_where_the_estimate_is_lost() -> None:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from test_judging import departed, estimate_of, play, rig_of
 
 from truewrench import robots
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.estimate import Estimate, Event, FoundNoise, Slow
 from truewrench.judging import Comparisons, Suspicion, judge
 from truewrench.judging.attribution import _changes, _misfit, slow_looks
 from truewrench.judging.words import motion_scatter
 from truewrench.model.calibration_parts import KINDS
-from truewrench.model.rig import load_rig
+from truewrench.model.rig import Rig, load_rig
+from truewrench.simulation.free_body import simulate
 
 MISTAKE = Suspicion("axes", "suspected set-up error: axes mixed up", 3.0)
 
@@ -199,3 +202,33 @@ def test_no_more_than_three_kinds_are_named_over_all_reasons() -> None:
     reasons = judge(estimate, Comparisons(), rig, [log]).verdict.reasons
     assert len(reasons) == 3
     assert len({kind for kind in KINDS if re.search(rf"\b{kind}\b", " ".join(reasons))}) <= 3
+
+
+def test_halves_that_differ_more_than_quarters_are_a_change_partway() -> None:
+    rig = rig_of()
+    estimate, log = estimate_of(rig)
+    for halves, quarters, changed in ((1e-40, 1e-6, True), (1e-40, 1e-30, False), (1e-6, 0.5, False)):
+        told = replace(estimate, p_halves=halves, p_quarters=quarters)
+        (reason, *_) = judge(told, Comparisons(), rig, [log]).verdict.reasons
+        assert ("the payload slipped or the sensor changed partway" in reason) == changed
+
+
+def test_a_gain_of_which_nothing_was_told_is_not_usable_however_little_is_required() -> None:
+    """A prior below `required` is accurate by itself, and no more than believed."""
+    rig = rig_of(gain_prior=0.01, required=0.02)
+    estimate, log = estimate_of(rig)
+    assert judge(estimate, Comparisons(), rig, [log]).verdict.usable
+    P = estimate.normalised_covariance.copy()
+    np.fill_diagonal(P[:36, :36], (0.9 * 0.01) ** 2)  # by what may follow the pose: before it, it was known
+    verdict = judge(replace(estimate, normalised_covariance=P), Comparisons(), rig, [log]).verdict
+    assert not verdict.usable
+    assert "nothing was told of any gain" in verdict.reasons[0]
+
+
+def test_a_mass_in_grams_is_named_where_moments_are_all_lever() -> None:
+    rig = load_rig(Path(__file__).parents[2] / "examples" / "rig.yaml")
+    wrong = rig.to_mapping()
+    wrong["payloads"]["default"]["mass"] *= 1000
+    found = calibrate(Rig.from_mapping(wrong), simulate(rig).log, held_out=False)
+    assert "mass of the payload 1000 times too large (g for kg)" in found.verdict.reasons[0]
+    assert not any("centre of mass" in reason for reason in found.verdict.reasons)

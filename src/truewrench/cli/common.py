@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -58,10 +59,19 @@ LogsArgument = Annotated[
 ]
 
 
-def check_folder(path: Path) -> None:
-    """Refuse a file where results want a folder, before any work is done."""
+def check_folder(path: Path, *, write: bool = False) -> None:
+    """Refuse a file where results want a folder, before any work is done.
+
+    Whether it can be written is tried, too, where results that cannot be had again depend on it.
+    """
     if path.exists() and not path.is_dir():
         raise InputError.at(path, "", "a file", "a folder, or a name that is free")
+    if write:
+        there = next(place for place in (path, *path.absolute().parents) if place.exists())
+        try:
+            tempfile.TemporaryFile(dir=there).close()
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 TABLE_NAMES = ("", ".csv", ".txt", ".parquet", ".pq")

@@ -16,7 +16,7 @@ from truewrench.model.errors import InputError, UnsupportedError
 
 if TYPE_CHECKING:
     from truewrench.live.json_lines import Lines
-    from truewrench.live.ros2 import Topics
+    from truewrench.live.ros2 import Counts, Topics
     from truewrench.model.calibration import Calibration
     from truewrench.model.rig import Rig
 
@@ -112,7 +112,7 @@ def stream(
     if made is not None:
         return _correct(made, topics, limit, as_json)
     if output is not None:
-        check_folder(output)
+        check_folder(output, write=True)
     return _calibrate(settings, payload, output, topics, limit, as_json)
 
 
@@ -144,8 +144,7 @@ def _contact(
             from truewrench.live.ros2_contact import contact_topics
 
             topics = Topics(named[0], named[1], reliable=named[2], interface=named[3])
-            counts = contact_topics(run, found.rig, topics, stop, _Complaints(), seconds)
-            figures = dataclasses.asdict(counts)
+            figures = _some_used(contact_topics(run, found.rig, topics, stop, _Complaints(), seconds))
         else:
             from truewrench.live.contact_lines import contact_lines
             from truewrench.live.lines import Output
@@ -163,8 +162,7 @@ def _correct(calibration: Calibration, topics: Topics | None, seconds: float, as
         if topics is not None:
             from truewrench.live.ros2 import correct_topic
 
-            counts = correct_topic(calibration, topics, stop, _Complaints(), seconds)
-            figures = dataclasses.asdict(counts)
+            figures = _some_used(correct_topic(calibration, topics, stop, _Complaints(), seconds))
         else:
             from truewrench.live.json_lines import correct_lines
             from truewrench.live.lines import Output
@@ -181,6 +179,14 @@ def _all_right(lines: Lines) -> dict[str, int]:
         found = f"{lines.refused} of {lines.read} lines refused, the first: {lines.first}"
         raise InputError(f"{INPUT}: {found}")
     return {"lines": lines.read}
+
+
+def _some_used(counts: Counts) -> dict[str, int]:
+    """Figures of topics; InputError where not one message could be used."""
+    if not counts.used:
+        told = f"{counts.received} received, {counts.refused} refused"
+        raise InputError(f"ROS 2: no message could be used: {told}")
+    return dataclasses.asdict(counts)
 
 
 def _counted(figures: dict[str, int], verdict: dict[str, Any]) -> Outcome:

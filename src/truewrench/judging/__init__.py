@@ -51,6 +51,7 @@ CONDITION = 100.0  # of the normalised gain, beyond which it is told: words only
 SURE = 20.0  # nats of the odds of a set-up error: the order of words only
 SINGULAR = 1e12  # that only rounding keeps from infinity: tolerance
 QUIET = 0.1  # times the stated noise, below which what is refused may have been smoothed: words only
+CHANGED, PARTWAY = 25.0, 3.0  # nats of halves against chance, times those of quarters: words only
 LOUD = 2.0  # times the stated noise, from which on a motion stream is the one that departs: words only
 
 
@@ -83,10 +84,10 @@ class Judgement:
 def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log]) -> Judgement:
     """Whether an estimate may be used, on which axes, and every reason why not.
 
-    Usable: solved, resolved, something learnt; at most 20% of the raw output explained by no motion; every
-    required gain as accurate as `required`, (10.9) and (10.10) within; no set-up test fails, no channel is
-    dead or at a rail; at most 20% masked; the parts of the record agree, and data that were held out do not
-    say that the nominal gain is better.
+    Usable: solved, resolved, some gain determined; at most 20% of the raw output explained by no motion;
+    every required gain as accurate as `required`, (10.9) and (10.10) within; no set-up test fails, no channel
+    is dead or at a rail; at most 20% masked; the parts of the record agree, and data that were held out do
+    not say that the nominal gain is better.
     """
     n = rig.sensor.n
     required = rig.required_array
@@ -106,6 +107,8 @@ def judge(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence
         reasons += of_record
         if len(undetermined) == 6 * n:
             reasons += still_motion(logs) or [_nothing_learnt(estimate)]
+        elif not _determined(estimate, n).any():
+            reasons.append(_nothing_told(estimate, rig, logs, named))
     if estimate.solved and not silent:  # whose gains look like any mistake
         suspicions = _suspicions(estimate, comparisons, rig, logs, named, alone=not of_record)
         # a mistake that is sure comes before what it does to the record; none is beside something slow which
@@ -131,6 +134,12 @@ def _std(estimate: Estimate, n: int) -> Array:
     variance = np.diag(estimate.normalised_covariance)[: 6 * n]
     known = np.where(np.isfinite(variance) & (variance >= 0.0), variance, np.inf)
     return np.asarray(np.sqrt(known)).reshape(n, 6)
+
+
+def _determined(estimate: Estimate, n: int) -> Mask:
+    """(n, 6) of which gains the data tell more than their prior, as `Calibration.gain_determined`."""
+    prior = np.asarray(estimate.gain_prior)[: 6 * n].reshape(n, 6)
+    return np.asarray(_std(estimate, n) <= _core.UNDETERMINED * prior)
 
 
 def _undetermined(estimate: Estimate, rig: Rig, silent: Sequence[int]) -> tuple[Undetermined, ...]:
@@ -239,6 +248,16 @@ def _nothing_learnt(estimate: Estimate) -> str:
     return f"{nothing}the payload's wrench is {100 * swing:.2g}% of range (RMS of its largest axis)"
 
 
+def _nothing_told(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[str]) -> str:
+    if not slow_found(estimate):
+        return "nothing was told of any gain: none is known to half of what was believed of it before"
+    return (
+        "nothing was told of any gain: beside what may follow the pose "
+        f"({_named(looks_slow(estimate, rig, logs), named)}) none is known to half of what was believed of "
+        "it before"
+    )
+
+
 def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[str]) -> list[str]:
     """What of the record speaks against the result: unresolved, masked, in disagreement; a singular gain."""
     reasons = []
@@ -262,14 +281,29 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[st
     parts = [f"{name}, p = {value:.1g}" for name, value in p.items() if not value >= AGREE]  # NaN, too
     if parts:
         changed = ", or sensor or payload changed between logs" if not estimate.p_worst_log >= AGREE else ""
+        partway = (
+            "the payload slipped or the sensor changed partway, or " if _changed_partway(estimate) else ""
+        )
         reasons.append(
-            f"parts of the record disagree on the gain ({'; '.join(parts)}): something does not fit the "
-            f"model ({_named(kinds_of_disagreement(estimate, rig, logs), named)}){changed}; "
+            f"parts of the record disagree on the gain ({'; '.join(parts)}): {partway}something does not fit "
+            f"the model ({_named(kinds_of_disagreement(estimate, rig, logs), named)}){changed}; "
             f"{_largest_departure(estimate, rig, logs)}"
         )
     if not _condition(estimate, rig) < SINGULAR:
         reasons.append("the gain is singular: some wrench leaves no trace in the channels")
     return reasons
+
+
+def _changed_partway(estimate: Estimate) -> bool:
+    """Whether halves differ by far more than quarters in turn, which a change has both sides of.
+
+    Of 32 records with a slip, or a step of the gain, in their middle 28; of 56 with cables, hysteresis, drift,
+    links that are off or foreign velocities 3.
+    """
+    halves, quarters = (
+        -float(np.log(max(p, np.finfo(np.float64).tiny))) for p in (estimate.p_halves, estimate.p_quarters)
+    )
+    return halves > CHANGED and halves > PARTWAY * quarters
 
 
 def _named(kinds: Sequence[str], named: list[str]) -> str:

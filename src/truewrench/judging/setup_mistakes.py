@@ -27,6 +27,7 @@ SCALES: tuple[tuple[float, str], ...] = (
     (1e-3, "kN for N, or g for kg in the payload"),
     (9.80665, "N for kgf"),
     (1 / 9.80665, "kgf for N"),
+    (1e3 / 9.80665, "gf for N"),
     (4.4482216, "N for lbf"),
     (1 / 4.4482216, "lbf for N"),
     (180 / math.pi, "radians for degrees"),

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import qr
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from truewrench import _core
@@ -48,6 +49,7 @@ NAMED = 0.05  # share of the odds from which on a hypothesis is worth naming
 MOST = 3  # hypotheses that are named
 NEGLIGIBLE = 20.0  # nats: what is less likely by so much is not pursued: tolerance
 GROSS, FAR = 1.5, 6.0  # of nominal, and of the prior's sigma, that some gain is off: no turn, no late clock
+MORE = 0.1  # of what is uncertain along a payload's error, below which the payload is not what is: tolerance
 LOST = 10.0  # times the stated noise of the sensor, from which on the estimate describes nothing: tolerance
 SAME = 1e-9  # of a determinant: tolerance
 SHORTLIST = 12  # signed permutations of each family that are evaluated in full: tolerance
@@ -91,8 +93,8 @@ class _Seen:
         share = np.maximum(self.width @ (self.open.T @ solved), 0.0)
         if not (share < 1.0).all():
             return math.inf
-        error = share / (1.0 - share)
-        cost = 0.5 * np.sum((error**2 - share**2) / np.diag(self.width))
+        error, variance = share / (1.0 - share), np.diag(self.width)
+        cost = 0.5 * np.sum((error**2 - share**2) / np.where(variance > 0.0, variance, 1.0))
         return float(cost - (self.basis.shape[1] / 2 - 1) * np.sum(np.log1p(-share)))
 
 
@@ -157,6 +159,7 @@ def _of_gain(
         sensor.range_array,
         sensor.channel_scale,
         centers_of_mass=[rig.payloads[name].center_of_mass_array for name in names],
+        relative=[(u.mass, u.inertia) for u in (rig.payloads[name].uncertainty for name in names)],
         before_pose=before_pose,
         prior_in_estimate=before_pose is not None,
         unknown=_unknown(rig, names) if before_pose is None else (),
@@ -195,6 +198,7 @@ def suspected_setup_errors(
     channel_scale: Array,
     *,
     centers_of_mass: Sequence[Array] = (),
+    relative: Sequence[tuple[float, float]] = (),
     before_pose: Array | None = None,
     prior_in_estimate: bool = True,
     unknown: Sequence[Array] = (),
@@ -205,15 +209,17 @@ def suspected_setup_errors(
     nominal, and False for `prior_in_estimate` means that it has not pulled them there (least squares). The
     covariance (6n, 6n), row by row, has what the payload's uncertainty leaves open, or `unknown` (6, 6) each
     are by what 1 sigma of the payloads turns gains; `before_pose` is that before (10.10), if the other is
-    after it. A wrong mass, centre of mass or inertia is looked for in payloads with these centres [m].
+    after it. A wrong mass, centre of mass or inertia is looked for in payloads with these centres [m], known
+    to as much, `relative` of mass and inertia.
     """
     known = all(np.all(np.abs(x) < WIDEST) for x in (gain, covariance, nominal))  # NaN is not
     if not known or not prior > 0.0:
         return ()
     prior = min(prior, WIDEST)
     P = covariance if before_pose is None or not np.isfinite(before_pose).all() else before_pose
-    relative = [d for c in centers_of_mass for d in payload_directions(span, c)[:2]]
-    seen = _seen_in_data(gain, P, covariance - P, nominal, prior, prior_in_estimate, relative, unknown)
+    by = [d for c in centers_of_mass for d in payload_directions(span, c)[:2]]
+    known_to = np.array(relative, np.float64).ravel()
+    seen = _seen_in_data(gain, P, covariance - P, nominal, prior, prior_in_estimate, by, known_to, unknown)
     if seen.value.size == 0:
         return ()
     n, spread = len(nominal), min(prior, COMMON)
@@ -282,6 +288,7 @@ def _seen_in_data(
     prior: float,
     prior_in_estimate: bool,
     relative: Sequence[Array],
+    known_to: Array,
     unknown: Sequence[Array],
 ) -> _Seen:
     """Likelihood of the data alone. The prior is isotropic, so it leaves along the axes of the covariance."""
@@ -304,7 +311,12 @@ def _seen_in_data(
             variance = np.append(variance, prior**2 * UNSEEN / (1.0 - UNSEEN))
     V, E = np.diag(variance) + basis @ added @ basis.T, basis @ open_.T
     inverse = np.linalg.pinv(E)
-    return _Seen(basis, value, V, E, inverse @ V @ inverse.T, np.reshape(unknown, (-1, 6, 6)))
+    width = inverse @ V @ inverse.T
+    if known_to.size == len(width):  # what else is uncertain along them is no error of a payload
+        less = known_to / np.sqrt(np.maximum(np.diag(width), np.finfo(np.float64).tiny))
+        less = np.where(less < MORE, less, 1.0)
+        width *= np.outer(less, less)
+    return _Seen(basis, value, V, E, width, np.reshape(unknown, (-1, 6, 6)))
 
 
 def _beside_sound(
@@ -341,14 +353,22 @@ def _log_evidence(
     )
     factor = spread * factor.reshape(-1, r, 6 * n)
     along = means[..., None, :, :] @ seen.turned
-    along = along.reshape(*along.shape[:-2], 6 * n) @ seen.basis.T
-    totals = factor @ np.swapaxes(factor, 1, 2) + seen.variance + np.swapaxes(along, -2, -1) @ along
+    along = np.swapaxes(along.reshape(*along.shape[:-2], 6 * n) @ seen.basis.T, -2, -1)
+    along = np.broadcast_to(along, (len(hypotheses), *along.shape[-2:]))
+    totals = factor @ np.swapaxes(factor, 1, 2) + seen.variance + along @ np.swapaxes(along, 1, 2)
     found = np.full(len(hypotheses), -np.inf)
     for k, (h, total) in enumerate(zip(hypotheses, totals, strict=True)):
+        drift = np.zeros((r, 1))
         if h.drift is not None:
-            along = seen.basis @ (nominal @ h.drift).ravel()
-            total += np.outer(along, along)
+            drift = (seen.basis @ (nominal @ h.drift).ravel())[:, None]
+            total += drift @ drift.T
         root, fault = dpotrf(total.T, lower=1)  # symmetric; transposed it is in LAPACK's order
+        if fault > 0:  # what a mistake makes small is lost beside the rest: from the parts, not their squares
+            value, vector = np.linalg.eigh(seen.variance)
+            parts = factor[k], vector * np.sqrt(np.maximum(value, 0.0)), along[k], drift
+            upper = np.asarray(qr(np.hstack(parts).T, mode="r")[0])[:r]
+            root = np.asfortranarray(upper.T * np.sign(np.diagonal(upper)))
+            fault = int(not np.all(np.diagonal(root) > 0.0))
         if fault == 0:
             white, _ = dtrtrs(root, misfit[k], lower=1)
             found[k] = -0.5 * (white @ white) - np.log(np.diagonal(root)).sum()

@@ -17,7 +17,6 @@ from truewrench.correction.apply import corrector, used_in_part, without_weight
 from truewrench.correction.warmth import Warmth
 from truewrench.io.recordings.choice import KEYS
 from truewrench.live.progress import Progress
-from truewrench.live.ros2_merge import RESTART
 from truewrench.live.ros2_node import Node, finish, lost, ros_type, taken, unreliable
 from truewrench.live.ros2_sources import SensorSource, Source, motion_sources
 from truewrench.live.ros2_types import (
@@ -29,6 +28,7 @@ from truewrench.live.ros2_types import (
     Time,
     WrenchStamped,
 )
+from truewrench.live.stamps import RESTART, BeganAgainError
 from truewrench.live.stop import Stop
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
@@ -72,6 +72,22 @@ class Counts:
     used: int = 0  # those that became a wrench, or part of the record
     refused: int = 0  # those that were wrong
     lost: int = 0  # those that did not arrive, where the middleware knows
+
+
+class _Frames:
+    """The frames of a sensor's messages, which are one sensor's."""
+
+    def __init__(self, topic: str, complain: Complain) -> None:
+        self._topic, self._complain, self._seen = topic, complain, list[str]()
+
+    def see(self, header: Header) -> None:
+        """Tell where there are more than one."""
+        if header.frame_id in self._seen:
+            return
+        self._seen.append(header.frame_id)
+        if len(self._seen) > 1:
+            frames = ", ".join(f"`{frame}`" for frame in self._seen)
+            self._complain(f"{self._topic}: messages of frames {frames}: is it more than one sensor?")
 
 
 class _Order:
@@ -141,7 +157,7 @@ def correct_topic(
     name = _sensor_topic(node, sensor, topics, stop)
     wrenches = _Wrenches(node, topics.output, calibration.n)
     wrenches.withheld, wrenches.warmth = calibration.withheld, warmth
-    reader = node.reader(name, sensor.kind, topics.reliable)
+    reader, frames = node.reader(name, sensor.kind, topics.reliable), _Frames(name, complain)
     thermometer = _thermometer(node, calibration.rig, complain) if warmth.follows else None
     begun = time.monotonic()
     silent = True
@@ -156,6 +172,7 @@ def correct_topic(
             counts.received += 1
             try:
                 _, stamp, channels = sensor.read(message, info)
+                frames.see(sensor.header(message, info))
                 order.check(stamp)
                 wrenches.write(correct, sensor.header(message, info), channels, with_std)
             except InputError as error:
@@ -244,9 +261,10 @@ def calibrate_topics(
         (name, source, node.reader(name, source.kind, topics.reliable))
         for name, source in zip(names, [sensor, *others], strict=True)
     ]
-    begun = time.monotonic()
+    begun, frames = time.monotonic(), _Frames(names[0], complain)
     told, progress, silent = begun, Progress(0, 0.0, 0, reason="no estimate yet"), True
-    while not stop.requested and time.monotonic() - begun < seconds:
+    over = False
+    while not (stop.requested or over) and time.monotonic() - begun < seconds:
         node.wait(_WAIT)
         with_std = correct is not None and wrenches.std_wanted
         for topic, source, reader in readers:
@@ -254,6 +272,8 @@ def calibrate_topics(
                 counts.received += 1
                 try:
                     columns, stamp, values = source.read(message, info)
+                    if source is sensor:
+                        frames.see(sensor.header(message, info))
                     if columns:
                         session.record.add(columns, stamp, values)
                         counts.used += 1
@@ -263,6 +283,11 @@ def calibrate_topics(
                             wrenches.warmth.latest = celsius
                     if correct is not None and source is sensor:
                         wrenches.write(correct, sensor.header(message, info), values, with_std)
+                except BeganAgainError as error:  # what comes is no part of this record
+                    counts.refused += 1
+                    if not over:
+                        complain(f"{topic}: {error}: the record ends here")
+                    over = True
                 except InputError as error:
                     counts.refused += 1
                     complain(f"{topic}: {error}")

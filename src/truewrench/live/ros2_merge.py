@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from truewrench.live.stamps import RESTART
 from truewrench.model.errors import InputError
 
 _PATIENCE = 0.05  # [s] after which a topic that is late is no longer waited for
-RESTART = 1_000_000_000  # [ns] back in time, which is another run of the source and no disorder
 
 
 @dataclass(order=True)

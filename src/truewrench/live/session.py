@@ -22,6 +22,7 @@ from truewrench.calibrating.pipeline import calibrate
 from truewrench.estimation.evidence import Evidence
 from truewrench.io.tables import read_log, write_table
 from truewrench.live.progress import Progress
+from truewrench.live.stamps import RESTART, BeganAgainError
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
 from truewrench.model.files import atomic_output
@@ -72,6 +73,9 @@ class Record:
         if stream is None:
             stream = self._streams[names] = _Stream()
         if stream.time and time_ns <= stream.time[-1]:
+            if time_ns <= stream.time[-1] - RESTART:
+                back = 1e-9 * (stream.time[-1] - time_ns)
+                raise BeganAgainError(f"time: stamps begin again, {back:.3g} s back")
             raise InputError(f"time: {time_ns} ns after {stream.time[-1]} ns, expected time that increases")
         stream.time.append(time_ns)
         stream.values.extend(values)
@@ -158,8 +162,13 @@ class LiveCalibration:
             log = replace(self._read(path), path=target)
             calibration = calibrate(self.rig, log, "map", evidence=self.evidence.append)
             if target is not None:
-                with atomic_output(target) as whole:
-                    shutil.copyfile(path, whole)
+                try:
+                    with atomic_output(target) as whole:
+                        shutil.copyfile(path, whole)
+                except InputError as error:  # of what cannot be recorded again
+                    kept = Path(tempfile.mkdtemp(prefix="truewrench-")) / RECORD
+                    shutil.copyfile(path, kept)
+                    raise InputError(f"{error}; the record is kept as {kept}") from error
                 calibration.write_yaml(target.with_name(CALIBRATION))
         return self._progress(columns, self.record.samples, calibration, final=True)
 

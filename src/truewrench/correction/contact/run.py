@@ -26,6 +26,7 @@ CAPACITY = 32768  # rows after which one that has no wrench will never have one
 _UNTOLD = (0, np.full(3, np.nan), np.zeros(3))  # stamp, free fall, Omega
 NEWEST_WINDOW = 0.02  # [s] of the kernels without delay
 LONGEST = 1.0  # [s] of a delay
+_DRIFTED = 10.0  # times the noise of a sample, from which on what the offset may have done is said
 
 _AXES = ("cfx", "cfy", "cfz", "cmx", "cmy", "cmz")
 NEW_COLUMNS = (*_AXES, *(f"{axis}_std" for axis in _AXES), "contact_chi2")
@@ -152,6 +153,8 @@ class ContactRun:
         self._view, self._n, self._rig = view or View(), tool.n, tool.rig
         self._place, self._delay, self._time_offset = place, delay, tool.time_offset
         self._told = _UNTOLD
+        self._offset = tool.offset_time_ns, tool.offset_walk
+        self._drifted: tuple[str, ...] = ()
         self._read = 0  # rows so far,
         self._bases: dict[int, Array] = {}  # and how the base is turned in those whose wrench is to come
         if self._view.axes == "base" and not self.motion.attitude_known:
@@ -172,8 +175,8 @@ class ContactRun:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is worth saying of all rows."""
-        return () if self._warm else self._warmth.note
+        """What is worth saying of all rows so far."""
+        return (*self._drifted, *(() if self._warm else self._warmth.note))
 
     @property
     def lag(self) -> int:
@@ -205,6 +208,8 @@ class ContactRun:
         if late.size:
             expected = f"less than {_core.FARTHEST_NS} ns on either side of zero"
             raise InputError.at(self._place, "time", f"{time_ns[late[0]]} ns", expected)
+        if not self._read and len(time_ns):
+            self._drifted = self._drift(int(time_ns[0]))
         motion = self.motion.read(time_ns, columns)
         if motion.base is not None and self._view.axes == "base":
             self._bases |= {self._read + k: R for k, R in enumerate(motion.base)}
@@ -217,6 +222,21 @@ class ContactRun:
         args = (raw, motion.twist, motion.fall, motion.turn, celsius, motion.noise)
         stamps = np.ascontiguousarray(time_ns, dtype=np.int64)
         return self._seen(self._rows.feed(stamps, *map(np.ascontiguousarray, args)))
+
+    def _drift(self, first_ns: int) -> tuple[str, ...]:
+        """Where the offset was told so long before or after a first row that small contacts do not show."""
+        offset_ns, walk = self._offset
+        since = 1e-9 * abs(first_ns - offset_ns)
+        drift, noise = walk * np.sqrt(since), self._rig.sensor.noise_array
+        i = int(np.argmax(drift / noise))
+        if not drift[i] > _DRIFTED * noise[i]:
+            return ()
+        when, channel = "before" if first_ns > offset_ns else "after", self._rig.sensor.channels[i]
+        return (
+            f"the tool's offset was told {since:.3g} s {when} the first row: by its walk it may be "
+            f"{drift[i]:.3g} off in {channel}, {drift[i] / noise[i]:.2g} times the noise, and only larger "
+            "contacts are told (a clock that counts from another moment? else identify it again, or tare)",
+        )
 
     def _fall_felt(self, time_ns: Integers, told: Array, turning: Array) -> Array:
         """Free fall (N, 3) where the motion was at the sensor's stamps, turned on from its last row."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from truewrench.io.recordings.faults import faults_of
+from truewrench.io.recordings.faults import CDR, faults_of
 from truewrench.io.recordings.layout import Definitions
 from truewrench.model.arrays import Integers
 from truewrench.model.errors import InputError
@@ -200,6 +200,18 @@ def _check(path: Path) -> None:
         raise InputError.at(path, "", f"{_FORMATS[suffix]} under this name", f"a name that ends in {suffix}")
     if suffix == ".db3":
         _check_closed(path)
+    if suffix == ".mcap":
+        _check_profile(path)
+
+
+def _check_profile(path: Path) -> None:
+    """The header of an MCAP says whose messages it holds: after magic, code and length a string of 4 + n."""
+    with path.open("rb") as file:
+        head = file.read(21)
+        size = int.from_bytes(head[17:], "little")
+        profile = file.read(min(size, 256)).decode("utf-8", "replace")
+    if len(head) == 21 and head[8] == 1 and profile != "ros2":
+        raise InputError.at(path, "", f"an MCAP of the profile `{profile}`", f"`ros2`, with {CDR}")
 
 
 def _check_closed(database: Path) -> None:
