@@ -27,14 +27,13 @@ SCALES: tuple[tuple[float, str], ...] = (
     (1e-3, "kN for N, or g for kg in the payload"),
     (9.80665, "N for kgf"),
     (1 / 9.80665, "kgf for N"),
-    (1e3 / 9.80665, "gf for N"),
     (4.4482216, "N for lbf"),
     (1 / 4.4482216, "lbf for N"),
     (180 / math.pi, "radians for degrees"),
     (math.pi / 180, "degrees for radians"),
     (1e6, "micro-units for units"),
     (1e-6, "units for micro-units"),
-    (1e2, "per cent for fractions, or N cm for N m"),
+    (1e2, "per cent for fractions, N cm for N m, or gf for N"),
     (1e-2, "fractions for per cent, or N m for N cm"),
 )
 """What multiplies the raw output, and the mistake that does it: on all axes, on forces or on moments."""
