@@ -43,6 +43,7 @@ from truewrench.model.errors import InputError, UnsupportedError, check_word
 from truewrench.model.log import Log
 from truewrench.model.repeats import without_repeats
 from truewrench.model.rig import Rig
+from truewrench.robot.attitude import check_fall
 from truewrench.robot.compensation import uncompensated
 from truewrench.robot.parts import unwrapped
 from truewrench.robot.track import tracked
@@ -94,6 +95,8 @@ def calibrate(
         raise InputError.at(None, "process_density", f"{process_density}", "a number from 0 to 1e12")
     for log in records:
         log.check_sizes(1e300, raw=False)  # differences overflow; what else is too large cannot be solved
+        if rig.in_gravity and log.reference is None:
+            check_fall(rig, log)
     if estimator not in _REFERENCES:  # `tracked` unwraps those of the others
         records = [without_repeats(unwrapped(rig, log)) for log in records]
     _check_sensor(rig, estimator)

@@ -299,7 +299,7 @@ def _draw_reading_errors(path: Path, motion: WrenchMotion, coarse: Comparison, g
         f"{late[coarse.name, 'online']:.2g} N m; right, {late[good.name, 'ekf']:.2g} N m and "
         f"{late[good.name, 'online']:.2g} N m. Conclusion: with online, and without tuning, what is left of "
         "the gain's error soon hides below the noise of either sensor; with the filter it does not for the "
-        "good one. Online updates four times a second, and reads the uncorrected sensor before. "
+        "good one. Online updates every two to three seconds, and reads the uncorrected sensor before. "
         f"{_OURS}"
     )
     reading_error_figure(path, columns, caption)

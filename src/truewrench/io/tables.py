@@ -32,10 +32,13 @@ from truewrench.io.table import (
 )
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError
+from truewrench.model.files import is_special
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import free_fall
 from truewrench.robot.track import track
+
+_SAME_NS = 1_000_000  # [ns] that two columns of the time may be apart
 
 
 def open_table(
@@ -53,6 +56,10 @@ def open_table(
 
 
 def _opened(path: Path, rig: Rig | None, whole: bool) -> Table:
+    if re.match(r"[a-z][a-z0-9+]+:/", str(path)) and not exists(path):
+        raise InputError.at(path, "", "an address", "a file: download it first")
+    if is_special(path):
+        raise InputError.at(path, "", "a device or a pipe", "a file, which is read more than once")
     if exists(path) and is_recording(path):
         if rig is None:
             raise InputError.at(path, "", "a recording", "a table: CSV or Parquet")
@@ -133,6 +140,8 @@ class TimeReader:
             expected = "a column `time_ns` or `time_s`"
             raise InputError.at(table.path, "header", f"no time (nearest column: `{near}`)", expected)
         self.name = "time_ns" if "time_ns" in table.names else "time_s"
+        self._also = "time_s" if self.name == "time_ns" and "time_s" in table.names else None
+        self._apart: int | None = None  # of the two, at the first row [ns]
         self._last: int | None = None
 
     def read(self, chunk: Chunk) -> Integers:
@@ -146,7 +155,19 @@ class TimeReader:
             i = int(np.flatnonzero(time <= before)[0])
             raise column.error(i, f"{time[i]} ns after {before[i]} ns", "time that strictly increases")
         self._last = int(time[-1])
+        if self._also is not None:
+            self._check_other(chunk, time)
         return time
+
+    def _check_other(self, chunk: Chunk, time: Integers) -> None:
+        column = chunk.column(str(self._also))
+        apart = time - to_nanoseconds(column, per_second=True)
+        self._apart = int(apart[0]) if self._apart is None else self._apart
+        off = np.flatnonzero(np.abs(apart - self._apart) > _SAME_NS)
+        if off.size:
+            i = int(off[0])
+            found = f"{1e-9 * (apart[i] - self._apart):.6g} s less since the first row than `time_ns`"
+            raise column.error(i, found, "the same time in both, or one of them")
 
 
 def read_log(source: str | Path, rig: Rig, *, max_rows: int | None = None) -> Log:

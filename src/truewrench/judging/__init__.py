@@ -297,8 +297,8 @@ def _of_record(estimate: Estimate, rig: Rig, logs: Sequence[Log], named: list[st
 def _changed_partway(estimate: Estimate) -> bool:
     """Whether halves differ by far more than quarters in turn, which a change has both sides of.
 
-    Of 32 records with a slip, or a step of the gain, in their middle 28; of 56 with cables, hysteresis, drift,
-    links that are off or foreign velocities 3.
+    Of 32 records with a slip, or a step of the gain, in their middle 28; of 56 with cables, hysteresis,
+    drift, links that are off or foreign velocities 3.
     """
     halves, quarters = (
         -float(np.log(max(p, np.finfo(np.float64).tiny))) for p in (estimate.p_halves, estimate.p_quarters)

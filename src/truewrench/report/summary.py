@@ -186,6 +186,7 @@ def exports_summary(exports: Exports) -> Iterator[RenderableType]:
         f"{name} cannot hold the whole gain: within the range it errs by up to {_largest(loss.worst)}, "
         f"RMS {_largest(loss.rms)} (without calibration {_largest(loss.rms_before)})."
         for name, loss in exports.loss.items()
+        if loss.worst.any()
     ]
     lines += [f"No {name}: {reason}." for name, reason in exports.left_out.items()]
     if lines:

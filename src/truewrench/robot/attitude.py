@@ -20,6 +20,7 @@ from truewrench.model.motion.spatial import cross_matrix, rotated, turns_between
 from truewrench.model.rig import Rig
 
 _NO_RATE = 1e6  # [rad/s]: tolerance
+_OTHER_GRAVITY = 0.02  # of its size: no drift of an accelerometer, but another planet or unit
 _OPPOSITE = 1e-12  # 1 + cosine of two directions that are taken for opposite
 
 
@@ -47,6 +48,17 @@ def attitude_of(rig: Rig, log: Log) -> tuple[Array, Array] | None:
     fall = log.gravity[known] / np.linalg.norm(log.gravity[known], axis=1, keepdims=True)
     turns = _turns(log.time[known], *_angular_velocity(log))
     return log.time[known], _followed(down, fall, turns)
+
+
+def check_fall(rig: Rig, log: Log) -> None:
+    """Refuse gx gy gz of another size than the rig's `gravity`: of another unit, or planet."""
+    if log.gravity is None or log.attitude is not None or rig.motion.source == "joints":
+        return
+    stated = float(np.linalg.norm(rig.gravity_array))
+    size = float(np.nanmedian(np.linalg.norm(log.gravity, axis=1)))
+    if abs(size - stated) > _OTHER_GRAVITY * max(stated, 1.0):
+        expected = f"{stated:.4g} m/s^2, the size of the rig's `gravity`"
+        raise InputError.at(log.path, "gx gy gz", f"free fall of {size:.4g} m/s^2", expected)
 
 
 def own_roots(rig: Rig, log: Log, *, twists: bool = False) -> Array:

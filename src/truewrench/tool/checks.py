@@ -12,6 +12,7 @@ from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
+from truewrench.robot.attitude import check_fall
 from truewrench.robot.joint_faults import joint_faults
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS
@@ -19,7 +20,6 @@ from truewrench.tool.parameters import ELEMENTS
 KNOWN = ("mass", *(f"center_of_mass.{axis}" for axis in "xyz"), *(f"inertia.{name}" for name in ELEMENTS))
 """What may be stated of a tool."""
 
-_OTHER_GRAVITY = 0.02  # of its size: no drift of an accelerometer, but another planet or unit
 _TURNS = 4.0 * np.pi  # [rad] no joint of an arm is beyond
 _FASTEST = 40.0  # [rad/s]
 _NEXT = 0.3  # [s] between rows whose attitudes are compared
@@ -102,11 +102,7 @@ def check_logs(rig: Rig, logs: Sequence[Log]) -> None:
         if not len(log.time_ns):
             raise InputError.at(log.path, "", "no row", "poses, or a motion")
         log.check_channels()
-        if log.gravity is not None and log.attitude is None and rig.motion.source != "joints":
-            size = float(np.nanmedian(np.linalg.norm(log.gravity, axis=1)))
-            if abs(size - stated) > _OTHER_GRAVITY * max(stated, 1.0):
-                expected = f"{stated:.4g} m/s^2, the size of the rig's `gravity`"
-                raise InputError.at(log.path, "gx gy gz", f"free fall of {size:.4g} m/s^2", expected)
+        check_fall(rig, log)
         if log.position is not None and rig.motion.source == "joints":
             check_positions(log.path, log.position)
         omega = log.angular_velocity if log.twist is None else log.twist[:, 3:]

@@ -7,7 +7,7 @@ import numpy as np
 
 from truewrench.model.arrays import Array
 from truewrench.model.files import atomic_output
-from truewrench.tool.identify import Evidence
+from truewrench.tool.identify import Evidence, exported_body
 from truewrench.tool.model import Tool
 from truewrench.tool.parameters import ELEMENTS, symmetric
 from truewrench.tool.words import correlations
@@ -17,7 +17,7 @@ _DASHES = ("", "6 3", "2 2")
 _STYLE = """body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse}td,th{padding:.2rem .8rem;border-bottom:1px solid #ccc;text-align:right}
 td:first-child,th:first-child{text-align:left}.good{color:#00603f}.bad{color:#a03000}
-figure{margin:1.5rem 0}figcaption{color:#444}svg{max-width:100%;height:auto}"""
+.scroll{overflow-x:auto}figure{margin:1.5rem 0}figcaption{color:#444}svg{max-width:100%;height:auto}"""
 
 
 def write_page(path: str | Path, tool: Tool, evidence: Evidence) -> None:
@@ -109,9 +109,11 @@ def _body_caption(tool: Tool) -> str:
 
 def _body(tool: Tool) -> str:
     """Two side views of the solid ellipsoid of equal inertia: semi-axes^2 = 5 x second moments per mass."""
-    inertia, center = symmetric(tool.exported.inertia), tool.exported.center_of_mass
-    std = tool.whole.center_of_mass_std
-    S = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / tool.exported.mass
+    whole, of, told = tool.whole, tool.layout.body, not tool.exported.inertia_assumed
+    # without the housing, which the sensor does not feel
+    carried = exported_body(whole.theta[of], whole.covariance[of, of], told, np.zeros(4))
+    inertia, center, std = symmetric(carried.inertia), carried.center_of_mass, whole.center_of_mass_std
+    S = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / carried.mass
     values, axes = np.linalg.eigh(S)
     half = (axes * np.sqrt(5.0 * np.maximum(values, 1e-9))) @ axes.T
     reach = 1.15 * float(max(np.abs(center).max() + np.linalg.norm(half, axis=1).max(), 0.06))
@@ -198,7 +200,7 @@ def _in_time(tool: Tool, evidence: Evidence) -> list[str]:
 
 
 def _plot(time: Array, points: Array, lines: Array, unit: str) -> str:
-    width, height, margin = 680.0, 240.0, 60.0
+    width, height, margin = 680.0, 240.0, 100.0
     span = max(float(time[-1] - time[0]), 1e-9)
     low, high = float(min(points.min(), lines.min())), float(max(points.max(), lines.max()))
     room = max(high - low, 1e-9)
@@ -237,7 +239,8 @@ def _held(tool: Tool) -> str:
         for kind, one in kinds.items()
     )
     return (
-        "<h2>Held-out poses</h2><table><tr><th></th><th>force [N]</th><th>usual recipe</th><th>moment "
-        f"[N m]</th><th>usual recipe</th></tr>{rows}</table><p>RMS of what is left in poses that the fit did "
-        "not see, beside ten linear parameters with an exact gain and a fixed offset.</p>"
+        '<h2>Held-out poses</h2><div class="scroll"><table><tr><th></th><th>force [N]</th>'
+        "<th>usual recipe</th><th>moment [N m]</th><th>usual recipe</th></tr>"
+        f"{rows}</table></div><p>RMS of what is left in poses that the fit did not see, beside ten linear "
+        "parameters with an exact gain and a fixed offset.</p>"
     )

@@ -33,6 +33,7 @@ from truewrench.model.files import write_yaml
 from truewrench.model.log import Log
 from truewrench.model.repeats import without_marks, without_repeats
 from truewrench.model.rig import Rig
+from truewrench.robot.attitude import check_fall
 from truewrench.robot.track import tracked
 
 FORMAT = "truewrench-validation/1"
@@ -174,6 +175,8 @@ def validate(calibration: Calibration, rig: Rig, logs: Log | Sequence[Log], *, s
     if moving:
         rig.check_motion("by which a calibration is validated")
     for log in moving:
+        if rig.in_gravity:
+            check_fall(rig, log)
         if rig.payloads[log.payload].unknown:
             expected = "a known payload, by which the gains are compared"
             raise InputError.at(rig.path, f"payloads.{log.payload}", "an unknown body", expected)

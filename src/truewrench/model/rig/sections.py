@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from unicodedata import category
 
 import numpy as np
 from pydantic import AfterValidator, ValidationInfo, model_validator
@@ -114,6 +115,8 @@ class SensorSpec(Section):
         for i, name in enumerate(self.channels):
             if name in self.channels[:i]:
                 raise refuse(f"channels.{i}", shown(name), "every channel name once")
+            if any(category(letter) == "Cc" for letter in name):  # a terminal obeys them
+                raise refuse(f"channels.{i}", repr(name), "a name without control characters")
         if len(self.noise) != n:
             raise refuse("noise", f"{len(self.noise)} entries", f"{n}: one per channel")
         if self.compensated is True:

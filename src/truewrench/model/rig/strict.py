@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -123,7 +123,8 @@ Positives = tuple[Positive, ...]
 NonNegatives = tuple[NonNegative, ...]
 ThreeNumbers = Annotated[Numbers, AfterValidator(of_length(3, "x, y, z"))]
 SixNumbers = Annotated[Numbers, AfterValidator(of_length(6, "one per axis"))]
-SixPositives = Annotated[Positives, AfterValidator(of_length(6, "one per axis"))]
+Counted = Annotated[Positive, Field(le=1e100)]  # whose square is a number, too
+SixPositives = Annotated[tuple[Counted, ...], AfterValidator(of_length(6, "one per axis"))]
 ForAllOrEach = Annotated[float | tuple[float | None, ...], BeforeValidator(_for_all_or_each)]
 Matrix = tuple[SixNumbers, ...]
 
@@ -190,7 +191,9 @@ def _problem(
     where = ": ".join(part for part in (file, place) if part)
     if kind == "missing":
         without = ", which only `reference_noise` makes up for (logs with ref_*)"
-        return f"{where}: missing required key{without if place in ('motion', 'payloads') else ''}"
+        choices = _choices(model, details["loc"])
+        expected = f", expected {' or '.join(f'`{word}`' for word in choices)}" if choices else ""
+        return f"{where}: missing required key{without if place in ('motion', 'payloads') else expected}"
     if kind == "extra_forbidden":
         known = list(_fields_at(model, details["loc"][:-1]))
         near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.0)[0]
@@ -222,6 +225,22 @@ def key_path(keys: Sequence[int | str]) -> str:
 
 def _fields_at(model: type[BaseModel], keys: Sequence[int | str]) -> Iterator[str]:
     """The keys that the section at a key path knows."""
+    here = _section_at(model, keys)
+    if isinstance(here, type) and issubclass(here, BaseModel):
+        yield from (field.alias or name for name, field in here.model_fields.items())
+
+
+def _choices(model: type[BaseModel], keys: Sequence[int | str]) -> tuple[str, ...]:
+    """The words that the key at a path may have; none where it takes other values."""
+    here = _section_at(model, keys[:-1])
+    if not (isinstance(here, type) and issubclass(here, BaseModel)):
+        return ()
+    field = here.model_fields.get(str(keys[-1]))
+    kind = None if field is None else field.annotation
+    return get_args(kind) if get_origin(kind) is Literal else ()
+
+
+def _section_at(model: type[BaseModel], keys: Sequence[int | str]) -> Any:
     here: Any = model
     for key in keys:
         if isinstance(here, type) and issubclass(here, BaseModel):
@@ -235,5 +254,4 @@ def _fields_at(model: type[BaseModel], keys: Sequence[int | str]) -> Iterator[st
         if get_origin(here) in (Union, UnionType):
             options = [option for option in get_args(here) if option is not type(None)]
             here = options[0] if len(options) == 1 else here
-    if isinstance(here, type) and issubclass(here, BaseModel):
-        yield from (field.alias or name for name, field in here.model_fields.items())
+    return here
