@@ -10,11 +10,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from truewrench.calibrating.pipeline import calibrate
 from truewrench.model.errors import InputError
 from truewrench.model.log import Log
 from truewrench.model.motion.trajectory import HarmonicTwist, attitude
 from truewrench.model.rig import Rig
-from truewrench.robot.attitude import attitude_at, attitude_of, free_fall
+from truewrench.robot.attitude import attitude_at, attitude_of, check_fall, free_fall
 
 Array = NDArray[np.float64]
 
@@ -182,3 +183,13 @@ def test_a_rate_that_no_body_has_is_bad_input(heavy: Rig) -> None:
     log.twist[7, 4] = 1e90
     with pytest.raises(InputError, match=r"wx wy wz: found 1e\+90 rad/s, expected an angular velocity"):
         attitude_of(heavy, log)
+
+
+@pytest.mark.parametrize("size", [1.0 / 9.81, 0.9, 3.28])
+def test_free_fall_of_another_size_is_bad_input(heavy: Rig, size: float) -> None:
+    log, _ = turned_log(START)
+    assert log.gravity is not None
+    check_fall(heavy, log)
+    other = replace(log, gravity=size * log.gravity)
+    with pytest.raises(InputError, match=r"gx gy gz: found free fall of .* expected 9.81 m/s\^2"):
+        calibrate(heavy, other)

@@ -55,6 +55,13 @@ def test_no_word_of_a_help_text_is_taken_for_markup() -> None:
     assert not [help_text for help_text in words if "[" in help_text]
 
 
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_no_internal_fault(tmp_path: Path, closed: str) -> None:
+    (tmp_path / "log.csv").write_text("time_s,raw_0\n0,1\n1,2\n", encoding="utf-8")
+    words = f"{sys.executable} -m truewrench inspect log.csv {closed}"
+    assert subprocess.run(words, shell=True, cwd=tmp_path, check=False).returncode == 0
+
+
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no device that is always full")
 @pytest.mark.parametrize("words", [["--version"], ["inspect", "log.csv"], ["inspect", "log.csv", "--json"]])
 def test_a_full_disk_below_standard_output_is_no_internal_fault(tmp_path: Path, words: list[str]) -> None:

@@ -123,6 +123,18 @@ def test_missing_required_key_is_named(settings: dict[str, Any], rig_of: RigOf, 
         rig_of(settings)
 
 
+def test_a_missing_word_is_named_with_those_that_it_may_be(settings: dict[str, Any], rig_of: RigOf) -> None:
+    del settings["sensor"]["feels"]
+    with pytest.raises(InputError, match=r"expected `payload_on_sensor` or `sensor_on_payload`"):
+        rig_of(settings)
+
+
+def test_names_that_a_terminal_obeys_are_refused(settings: dict[str, Any], rig_of: RigOf) -> None:
+    settings["sensor"]["channels"][0] = "f\x1b[31mx"
+    with pytest.raises(InputError, match=r"channels\[0\]: found '.*', expected a name without control"):
+        rig_of(settings)
+
+
 @pytest.mark.parametrize(
     ("key", "near"),
     [

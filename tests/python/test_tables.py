@@ -438,3 +438,12 @@ def test_recorded_tools_are_read(external_data: Path, settings: dict[str, Any]) 
     assert log.gravity is not None
     np.testing.assert_allclose(np.linalg.norm(log.gravity, axis=1), 9.81, rtol=1e-6)
     np.testing.assert_allclose(np.diff(log.time), 0.01, rtol=1e-9)
+
+
+def test_two_columns_of_the_time_say_the_same(cells: Cells, csv_of: CsvOf, rig: Rig) -> None:
+    times = [int(x) for x in cells["time_ns"]]
+    cells["time_s"] = [repr(100.0 + 1e-9 * (t - times[0])) for t in times]
+    read_log(csv_of(cells), rig)
+    cells["time_s"] = [repr(2e-9 * t) for t in times]
+    with pytest.raises(InputError, match=r"row \d+.*`time_s`.*expected the same time in both"):
+        read_log(csv_of(cells), rig)

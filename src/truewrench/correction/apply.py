@@ -89,7 +89,7 @@ class Run:
     @property
     def read(self) -> list[str]:
         """Columns that a wrench takes."""
-        return [self._time.name, *self._raw, *self._celsius]
+        return [*self._time.columns, *self._raw, *self._celsius]
 
     def samples(self) -> Iterator[tuple[Integers, Array, Array]]:
         """Stamps (N,), raw (N, n), wrenches and their sigma (N, 12), where all channels have a sample."""

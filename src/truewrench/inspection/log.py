@@ -106,7 +106,7 @@ def _read(table: Table, groups: dict[str, list[str]]) -> tuple[Integers, dict[st
     counters = {name: _StreamCounter(columns) for name, columns in groups.items() if columns}
     times: list[Integers] = [np.empty(0, dtype=np.int64)]
     columns = [column for group in groups.values() for column in group]
-    for chunk in table.chunks([reader.name, *columns]):
+    for chunk in table.chunks([*reader.columns, *columns]):
         time = reader.read(chunk)
         times.append(time)
         for counter in counters.values():

@@ -141,6 +141,7 @@ class TimeReader:
             raise InputError.at(table.path, "header", f"no time (nearest column: `{near}`)", expected)
         self.name = "time_ns" if "time_ns" in table.names else "time_s"
         self._also = "time_s" if self.name == "time_ns" and "time_s" in table.names else None
+        self.columns = (self.name, *([] if self._also is None else [self._also]))  # that it reads
         self._apart: int | None = None  # of the two, at the first row [ns]
         self._last: int | None = None
 
@@ -281,7 +282,7 @@ def read_columns(table: Table, names: Sequence[str]) -> tuple[Integers, dict[str
     time_ns: Integers = np.empty(0, dtype=np.int64)
     columns = {name: np.empty(0) for name in names}
     nan_counts = dict.fromkeys(names, 0)
-    for chunk in table.chunks([reader.name, *names]):
+    for chunk in table.chunks([*reader.columns, *names]):
         end = rows + chunk.rows
         if end > len(time_ns):  # one array a column throughout: small ones would leave the memory in pieces
             time_ns = _longer(time_ns, end)

@@ -107,7 +107,7 @@ class _Pass:
         self._table, self._run, self._progress = table, run, progress
         self._raw = raw_columns(table, n)
         self._time = TimeReader(table)
-        self.read = list(dict.fromkeys([self._time.name, *(c for c in run.columns if c in table.names)]))
+        self.read = list(dict.fromkeys([*self._time.columns, *(c for c in run.columns if c in table.names)]))
 
     def blocks(self, names: list[str] | None) -> Iterator[tuple[Chunk | None, Contacts]]:
         """Chunks in their order, each with the wrenches known with it; a last one without rows."""
