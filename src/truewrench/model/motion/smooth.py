@@ -1,6 +1,6 @@
 """The motion behind a logged twist, from the twist alone: where it breaks, and splines through each piece."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -47,9 +47,10 @@ def covered(known: Array, at: Array) -> Mask:
 def smooth_twist(time: Array, twist: Array, noise: Array) -> SmoothTwist:
     """Fit each component by the coarsest quintic spline whose residuals its noise, 1 sigma, explains.
 
-    The number of knot intervals grows by a third from one to about three samples per coefficient; the first
-    whose chi-square per degree of freedom is within three standard deviations of 1 is taken. Where none is,
-    the noise is larger than stated, by what the last of them leaves, and the first that this explains is.
+    The number of knot intervals grows by a third from one to about three samples per coefficient, until
+    chi-square per degree of freedom is within three standard deviations of 1. Where it is above 1, or never
+    there, the noise is larger than stated, and of the fits before the first is taken from which to the last
+    chi-square falls by no more than chance.
     Times (N,), N >= 8, are strictly increasing, without gaps [s]; noise (6,), or (N, 6) of each sample.
     """
     sigmas = np.broadcast_to(noise, twist.shape)
@@ -87,17 +88,21 @@ class _Fit:
 
 def _fit(time: Array, values: Array, sigma: Array) -> _Fit:
     finest = max(1, int(time.size / _SAMPLES_PER_COEFFICIENT) - DEGREE)
-    tried, intervals = [], 1
+    tried: list[tuple[float, _Fit]] = []  # squares over the stated noise
+    intervals = 1
     while True:
         spline = uniform_spline(time, values, intervals, sigma)
+        squares = float(np.sum(((values - spline(time)) / sigma) ** 2))
         freedom = time.size - intervals - DEGREE
-        chi_square = float(np.sum(((values - spline(time)) / sigma) ** 2) / freedom)
-        chance = 1.0 + 3.0 * np.sqrt(2.0 / freedom)
-        if chi_square < chance:
-            return _Fit(spline, intervals)
-        tried.append((chi_square / chance, intervals, spline))
-        if intervals == finest:
+        explained = squares / freedom < 1.0 + 3.0 * np.sqrt(2.0 / freedom)
+        if explained or intervals == finest:
             break
+        tried.append((squares, _Fit(spline, intervals)))
         intervals = min(finest, max(intervals + 1, int(np.ceil(intervals * 4 / 3))))
-    left = chi_square
-    return next(_Fit(spline, count, float(np.sqrt(left))) for ratio, count, spline in tried if ratio < left)
+    level = max(1.0, squares / freedom)
+    factor = 1.0 if explained else float(np.sqrt(level))
+    for more, fit in tried:
+        knots = intervals - fit.intervals
+        if more - squares < level * (knots + 3.0 * np.sqrt(2.0 * knots)):
+            return replace(fit, factor=factor)
+    return _Fit(spline, intervals, factor)
