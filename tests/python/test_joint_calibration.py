@@ -149,6 +149,12 @@ def test_calibration_holds_a_part_of_the_joint_log_out(calibrated: tuple[Calibra
     assert all(axis.better is not False for axis in calibrated[0].improvement.values())
 
 
+def test_a_base_of_which_a_log_says_nothing_is_said_to_stand_still(
+    calibrated: tuple[Calibration, Truth],
+) -> None:
+    assert any("base is taken to stand still" in note for note in calibrated[0].figures["notes"])
+
+
 def test_validation_on_another_joint_log_keeps_the_gain_and_finds_a_wrong_one(
     scene: Callable[..., Scene], calibrated: tuple[Calibration, Truth]
 ) -> None:

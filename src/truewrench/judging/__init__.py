@@ -11,7 +11,7 @@ from truewrench.estimation.estimate import AGREE, Estimate, odd_log
 from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.judging.advice import Disturbed, advice
 from truewrench.judging.blind import blind_to
-from truewrench.judging.channels import channel_faults, still_motion
+from truewrench.judging.channels import channel_faults, still_bases, still_motion
 from truewrench.judging.setup_odds import Suspicion, gross_errors, setup_errors
 from truewrench.judging.words import (
     CHANNELS,
@@ -367,7 +367,7 @@ def _if_room(kinds: Sequence[str], named: list[str]) -> str:
 
 
 def _notes(estimate: Estimate, comparisons: Comparisons, rig: Rig, logs: Sequence[Log]) -> list[str]:
-    notes = []
+    notes = still_bases(logs)
     if comparisons.not_held_out:
         notes.append(f"not compared on data held out: {comparisons.not_held_out}")
     if estimate.solved and not estimate.converged:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truewrench.model.arrays import Array, Mask
-from truewrench.model.log import Log
+from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 
 FEWEST = 10  # samples from which on a repeated value is no coincidence: tolerance
@@ -67,6 +67,21 @@ def still_motion(logs: Sequence[Log]) -> list[str]:
             where = f" in log {k + 1}" if len(logs) > 1 else ""
             found.append(f"nothing moved{where}: every column of the motion {columns[0]}")
     return found
+
+
+def still_bases(logs: Sequence[Log]) -> list[str]:
+    """A note on logs of joints that say nothing of their base."""
+    silent = [
+        log_name(logs, k)
+        for k, log in enumerate(logs)
+        if (log.position is not None or log.velocity is not None)
+        and log.base_twist is None
+        and log.base_attitude is None
+    ]
+    if not silent:
+        return []
+    where = f" in {', '.join(silent)}" if len(logs) > 1 else ""
+    return [f"no columns base_vx ... base_wz{where}: the robot's base is taken to stand still"]
 
 
 def _silence(values: Array) -> str:
