@@ -408,3 +408,13 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any]) -> None
 def test_parts_of_a_motion_that_disagree_or_cannot_be_compared_are_told(p: float, told: bool) -> None:
     motion: Any = SimpleNamespace(factors=(1.0,), slow=0.0, agreement=p)
     assert bool(misfit_of_motion(motion)) is told
+
+
+def test_a_gain_that_is_hardly_believed_is_named_where_no_weight_is_felt() -> None:
+    for prior, mass in ((1.0, MASS), (0.01, 0.02)):
+        rig = tool_rig(a_rig(sensor={"gain_prior": prior}))
+        tool = tw.identify_tool(rig, pose_log(rig, mass, CENTER)[0])
+        (reason,) = [reason for reason in tool.verdict.reasons if "No weight is felt" in reason]
+        loose = prior > 0.1
+        assert (f"a gain that is believed to {100 * prior:.0f}%" in reason) == loose
+        assert any("Calibrate the sensor first" in step for step in tool.verdict.needed) == loose

@@ -145,6 +145,14 @@ def _undone(logs: Sequence[Log]) -> dict[str, list[str]]:
     return {"filters": list(dict.fromkeys(filters)), "vibrations": list(dict.fromkeys(vibrations))}
 
 
+def _believed(solution: Solution) -> float:
+    """1 sigma of the gains to forces beforehand, RMS, fraction of range."""
+    sensor = solution.problem.rig.sensor
+    gain_std, _ = solution.problem.priors_of_motion
+    of_range = gain_std * sensor.range_array / sensor.channel_scale[:, None]
+    return float(np.sqrt(np.mean(of_range[:3, :3] ** 2)))
+
+
 def _reasons(
     rig: Rig,
     solution: Solution,
@@ -160,10 +168,14 @@ def _reasons(
     relative = float(np.sqrt(solution.covariance[body, body]))
     light = not determined["mass"] or relative > LIGHT
     if light:
+        believed = _believed(solution)  # weights are known no better than gains are
+        loose = f" a gain that is believed to {100.0 * believed:.0f}%," if believed > 0.5 * LIGHT else ""
         reasons.append(
             f"No weight is felt beyond what is uncertain ({np.exp(solution.x[body]):.3g} kg, 1 sigma "
-            f"{100.0 * relative:.0f}%): a weight already subtracted, or a tool lighter than the noise."
+            f"{100.0 * relative:.0f}%):{loose} a weight already subtracted, or a tool lighter than the noise."
         )
+        if loose:
+            needed.append("Calibrate the sensor first: `tool` takes a calibration in place of the rig.")
         needed.append("Log the raw output, or state what the driver subtracts (`sensor.compensated`).")
     elif not all(determined["center_of_mass"]):
         lacking = ", ".join(a for a, k in zip("xyz", determined["center_of_mass"], strict=True) if not k)
