@@ -174,9 +174,9 @@ def _reasons(
             f"No weight is felt beyond what is uncertain ({np.exp(solution.x[body]):.3g} kg, 1 sigma "
             f"{100.0 * relative:.0f}%):{loose} a weight already subtracted, or a tool lighter than the noise."
         )
-        if loose:
-            needed.append("Calibrate the sensor first: `tool` takes a calibration in place of the rig.")
-        needed.append("Log the raw output, or state what the driver subtracts (`sensor.compensated`).")
+        calibrate = "Calibrate the sensor first: `tool` takes a calibration in place of the rig."
+        log = "Log the raw output, or state what the driver subtracts (`sensor.compensated`)."
+        needed.append(calibrate if loose else log)
     elif not all(determined["center_of_mass"]):
         lacking = ", ".join(a for a, k in zip("xyz", determined["center_of_mass"], strict=True) if not k)
         reasons.append(f"The centre of mass along {lacking} is not determined.")
