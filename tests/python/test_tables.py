@@ -447,3 +447,10 @@ def test_two_columns_of_the_time_say_the_same(cells: Cells, csv_of: CsvOf, rig: 
     cells["time_s"] = [repr(2e-9 * t) for t in times]
     with pytest.raises(InputError, match=r"row \d+.*`time_s`.*expected the same time in both"):
         read_log(csv_of(cells), rig)
+
+
+def test_a_header_without_an_end_is_refused_as_such(rig: Rig, tmp_path: Path) -> None:
+    path = tmp_path / "wide.csv"
+    path.write_text("time_ns," + ",".join(f"c{k}" for k in range(200_000)) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"line 1: found more than 1048576 bytes, expected a header"):
+        read_log(path, rig)

@@ -17,6 +17,7 @@ from truewrench.model.calibration import AXES
 from truewrench.model.errors import InputError
 
 _BLOCK = 4 << 20  # bytes read at once
+_HEADER = 1 << 20  # bytes of a header
 _END = 1 << 18  # bytes of a file's end that tell whether its last line is whole
 _TELLING = 50  # cells with a number that tell how long one is
 
@@ -151,7 +152,11 @@ class CsvTable(Table):
 
 
 def _read_header(path: Path, file: BinaryIO) -> tuple[bytes, list[str]]:
-    line = file.readline(1 << 20)
+    line = file.readline(_HEADER + 1)
+    if len(line) > _HEADER:
+        raise InputError.at(
+            path, "line 1", f"more than {_HEADER} bytes", "a header with the names of the columns"
+        )
     try:
         text = line.decode("utf-8-sig")
     except UnicodeDecodeError:
