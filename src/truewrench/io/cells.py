@@ -114,6 +114,7 @@ def to_nanoseconds(column: Column, per_second: bool) -> Integers:
     fits = (values >= -limit) & (values <= limit)  # False for NaN
     if not per_second and not whole:
         fits &= values == np.rint(values)
+        words = " in a column of floats, of 53 bits"
     if not fits.all():
         i = int(np.flatnonzero(~fits)[0])
         raise column.error(i, f"{values[i].item()!r}{words}", _expected_time(per_second))
