@@ -38,7 +38,7 @@ class Incremental {
  public:
   // What check() refuses is not taken: every push then answers so, and status().
   Incremental(const Statement& rig, const RecordedLog& about, const IncrementalSettings& settings)
-      : Incremental(accepted(rig, about, settings)) {}
+      : Incremental(Accepted::of(rig, about, settings)) {}
 
   // ---------------------------------------------------------------- samples
   // Values that are NaN are missing; a row of nothing else is refused.
@@ -165,32 +165,6 @@ class Incremental {
   struct Spread {
     double A[7][7] = {}, B[7][7] = {};
   };
-
-  // What it stands on.
-  struct Accepted {
-    Statement rig;
-    RecordedLog about;
-    IncrementalSettings settings;
-    Status status = Status::ok;
-  };
-  // In the place of what is refused, so that nothing is read out of bounds: a sensor of six channels.
-  static Accepted stand_in(Status refused) {
-    Accepted out;
-    out.rig.noise = out.rig.offset_prior = Vector6::Ones();
-    out.rig.nominal = Matrix6::Identity();
-    out.rig.body_prior = {Eigen::Matrix<double, 10, 1>::Zero()};
-    out.about.motion.resize(1);
-    out.about.motion[0].sigma = Vector6::Ones();
-    out.about.motion[0].group = Eigen::VectorXi::Zero(6);
-    out.settings = {.lag = 1.0, .rate = 1.0, .finest = constants::knot_spacing};
-    out.status = refused;
-    return out;
-  }
-  static Accepted accepted(const Statement& rig, const RecordedLog& about,
-                           const IncrementalSettings& settings) {
-    const Status status = check(rig, about, settings);
-    return status != Status::ok ? stand_in(status) : Accepted{rig, about, settings, status};
-  }
 
   explicit Incremental(const Accepted& of)
       : settings_(of.settings),

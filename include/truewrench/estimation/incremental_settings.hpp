@@ -52,4 +52,32 @@ inline Status check(const Statement& rig, const RecordedLog& about, const Increm
   return check(settings);
 }
 
+// What the estimator stands on.
+struct Accepted {
+  Statement rig;
+  RecordedLog about;
+  IncrementalSettings settings;
+  Status status = Status::ok;
+
+  static Accepted of(const Statement& rig, const RecordedLog& about, const IncrementalSettings& settings) {
+    const Status status = check(rig, about, settings);
+    return status != Status::ok ? stand_in(status) : Accepted{rig, about, settings, status};
+  }
+
+ private:
+  // In the place of what is refused, so that nothing is read out of bounds: a sensor of six channels.
+  static Accepted stand_in(Status refused) {
+    Accepted out;
+    out.rig.noise = out.rig.offset_prior = Vector6::Ones();
+    out.rig.nominal = Matrix6::Identity();
+    out.rig.body_prior = {Eigen::Matrix<double, 10, 1>::Zero()};
+    out.about.motion.resize(1);
+    out.about.motion[0].sigma = Vector6::Ones();
+    out.about.motion[0].group = Eigen::VectorXi::Zero(6);
+    out.settings = {.lag = 1.0, .rate = 1.0, .finest = constants::knot_spacing};
+    out.status = refused;
+    return out;
+  }
+};
+
 }  // namespace truewrench
