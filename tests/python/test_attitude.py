@@ -193,3 +193,15 @@ def test_free_fall_of_another_size_is_bad_input(heavy: Rig, size: float) -> None
     other = replace(log, gravity=size * log.gravity)
     with pytest.raises(InputError, match=r"gx gy gz: found free fall of .* expected 9.81 m/s\^2"):
         calibrate(heavy, other)
+
+
+def test_free_fall_that_an_attitude_contradicts_is_bad_input(heavy: Rig) -> None:
+    log, R_sensor_root = turned_log(START)
+    assert log.gravity is not None
+    quaternion = Rotation.from_matrix(R_sensor_root.transpose(0, 2, 1)).as_quat()[:, [3, 0, 1, 2]]
+    both = replace(log, attitude=quaternion)
+    check_fall(heavy, both)
+    with pytest.raises(InputError, match="found free fall 180 deg from that by qw qx qy qz"):
+        check_fall(heavy, replace(both, gravity=-log.gravity))
+    with pytest.raises(InputError, match=r"found free fall of 1 m/s\^2"):
+        check_fall(heavy, replace(both, gravity=log.gravity / 9.81))

@@ -140,6 +140,22 @@ def test_poses_with_another_mass_than_the_motion_are_refused() -> None:
     assert any("static poses tell another sensor" in reason for reason in verdict.reasons)
 
 
+def test_a_payload_that_slips_among_the_poses_is_told_beside_motion() -> None:
+    """The offset may wander so far that the poses still agree with the motion."""
+    case = Case(3)
+    slipped = case.still[1]
+    raw = slipped.raw.copy()
+    assert slipped.gravity is not None
+    late = np.arange(len(raw)) >= len(raw) // 2
+    mass = BODIES[slipped.payload][0]
+    force = mass * slipped.gravity[late]
+    moment = np.cross([0.02, 0.0, 0.0], force)
+    raw[late] += np.hstack([np.zeros_like(force), moment]) @ case.gain.T
+    verdict = tw.calibrate(case.rig, [case.moved, case.still[0], replace(slipped, raw=raw)]).verdict
+    assert not verdict.usable
+    assert any("the first and the last poses of log 3" in reason for reason in verdict.reasons)
+
+
 def test_a_motion_of_another_sensor_is_named_among_poses() -> None:
     case = Case(3)
     again = Rig.from_mapping(stated() | {"plan": {"duration": 10, "seed": 8}})

@@ -27,6 +27,7 @@ FOLLOWED = 0.02  # share of the raw output that least squares leave, up to which
 LEFT, MISFIT = 0.003, 4.0  # the same, and chi-square, from which on joints may be logged otherwise,
 STANDARD = 9.81  # [m/s^2] of free fall
 BETTER = 10.0  # and how many times less must be left then
+_SAME = 0.1  # of it, within which the free fall is the stated one: tolerance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,6 +186,8 @@ def _of_motion(rig: Rig, logs: Sequence[Log]) -> Iterator[_Guess]:
         yield words, rig, scaled(np.where(np.arange(robot.n) == j, -1.0, 1.0))
     for axis in np.vstack([np.eye(3), -np.eye(3)]):
         fall = tuple((STANDARD * axis + 0.0).tolist())
+        if np.linalg.norm(rig.gravity_array - fall) < _SAME * STANDARD:  # it is what is stated
+            continue
         words = f"gravity is not {_listed(rig.gravity)} in the root frame, but {_listed(fall)}"
         yield words, rig.model_copy(update={"gravity": fall}), scaled(np.ones(robot.n))
 

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from truewrench.calibrating.reference_body import Known
+from truewrench.calibrating.still_agreement import agreement_of_still
 from truewrench.calibrating.still_poses import (
     StillEstimate,
     compare_still,
+    differing_poses,
     estimate_still,
     misfit_of_still,
     still_figures,
@@ -50,6 +52,8 @@ class Pooled:
     moving: tuple[int, ...]  # which of them move
     still: StillEstimate | None = None  # what the poses of the others said beyond it; None without any
     agreement: float = 1.0  # p of the poses' departure from what motion told; 1 without poses
+    # of how likely chance makes a log of poses depart from the others, and its last poses from the first
+    poses_agree: tuple[Array, Array] | None = None
     parts: InParts | None = None  # of the logs that move, where they are long
 
     def reports(self, logs: Sequence[Log], reports: Sequence[LogReport]) -> tuple[LogReport, ...]:
@@ -79,6 +83,11 @@ class Pooled:
                 f"the static poses tell another sensor than the motion (p = {self.agreement:.1g}): something "
                 "touched a pose, a payload is another than stated, or a cable pulls"
             ]
+        if self.poses_agree is not None:  # where the offset has taken up a slip, it agrees with motion
+            at_rest = [k for k in range(len(logs)) if k not in self.moving]
+            of_logs, of_halves = np.ones(len(logs)), np.ones(len(logs))
+            of_logs[at_rest], of_halves[at_rest] = self.poses_agree
+            reasons += differing_poses(logs, (of_logs, of_halves))
         return [*reasons, *compare_still(rig, poses, self.still, held_out).reasons]
 
 
@@ -129,7 +138,9 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
     )
     alone = estimate_still(rig, still_logs)
     agreement = _agreement(estimate_still(rig, still_logs, before, alone.sizes))
-    return Pooled(whole, moving, still, agreement, parts)
+    known = not any(rig.payloads[log.payload].unknown for log in still_logs)
+    among_poses = agreement_of_still(rig, still_logs, alone) if known else None
+    return Pooled(whole, moving, still, agreement, among_poses, parts)
 
 
 def moving_logs(rig: Rig, logs: Sequence[Log]) -> tuple[int, ...]:

@@ -166,6 +166,13 @@ def misfit_of_still(found: StillEstimate) -> list[str]:
     return reasons
 
 
+def differing_poses(logs: Sequence[Log], p: tuple[Array, Array]) -> list[str]:
+    """Reasons, where a log of poses, or its last ones, tell another gain: by p of logs and of halves (L,)."""
+    between = "sensor or payload changed between logs"
+    slipped = "the payload slipped, something hung on it, or the sensor changed"
+    return differing(logs, p, between, "the first and the last poses of", slipped)
+
+
 def judge_still(
     rig: Rig, logs: Sequence[Log], found: StillEstimate, compared: Comparison, p: tuple[Array, Array]
 ) -> Judgement:
@@ -175,9 +182,7 @@ def judge_still(
     first (L,).
     """
     known, reasons = known_logs(rig, logs), [*scale_unknown(rig, logs), *misfit_of_still(found)]
-    between = "sensor or payload changed between logs"
-    slipped = "the payload slipped, something hung on it, or the sensor changed"
-    reasons += differing(logs, p, between, "the first and the last poses of", slipped)
+    reasons += differing_poses(logs, p)
     spare = sum(len(s.problem.poses) - s.problem.vector.logs for s in found.solutions.values())
     if spare < FREEDOM + 3 * len(found.solutions):
         reasons.append(

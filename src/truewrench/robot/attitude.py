@@ -21,6 +21,7 @@ from truewrench.model.rig import Rig
 
 _NO_RATE = 1e6  # [rad/s]: tolerance
 _OTHER_GRAVITY = 0.02  # of its size: no drift of an accelerometer, but another planet or unit
+_CONTRADICTS = 10.0  # [deg] beyond any tilt of the root frame
 _OPPOSITE = 1e-12  # 1 + cosine of two directions that are taken for opposite
 
 
@@ -51,14 +52,24 @@ def attitude_of(rig: Rig, log: Log) -> tuple[Array, Array] | None:
 
 
 def check_fall(rig: Rig, log: Log) -> None:
-    """Refuse gx gy gz of another size than the rig's `gravity`: of another unit, or planet."""
-    if log.gravity is None or log.attitude is not None or rig.motion.source == "joints":
+    """Refuse gx gy gz of another size than the rig's `gravity`, or that an attitude contradicts."""
+    if log.gravity is None or rig.motion.source == "joints":
         return
-    stated = float(np.linalg.norm(rig.gravity_array))
-    size = float(np.nanmedian(np.linalg.norm(log.gravity, axis=1)))
+    sizes, stated = np.linalg.norm(log.gravity, axis=1), float(np.linalg.norm(rig.gravity_array))
+    size = float(np.nanmedian(sizes))
     if abs(size - stated) > _OTHER_GRAVITY * max(stated, 1.0):
         expected = f"{stated:.4g} m/s^2, the size of the rig's `gravity`"
         raise InputError.at(log.path, "gx gy gz", f"free fall of {size:.4g} m/s^2", expected)
+    if log.attitude is None or stated == 0.0:
+        return
+    both = np.isfinite(log.attitude).all(axis=1) & (sizes > 0.0)  # False for NaN
+    if both.any():
+        fall = _from_root(log.attitude[both]) @ rig.gravity_array
+        cosine = np.einsum("ki,ki->k", fall, log.gravity[both]) / (stated * sizes[both])
+        apart = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))))
+        if apart > _CONTRADICTS:
+            found = f"free fall {apart:.3g} deg from that by qw qx qy qz"
+            raise InputError.at(log.path, "gx gy gz", found, "one direction of both, or one of them")
 
 
 def own_roots(rig: Rig, log: Log, *, twists: bool = False) -> Array:

@@ -30,7 +30,7 @@ def agreement_of_logs(solution: Solution, threads: int) -> Array:
     p = np.ones(v.logs)
     if len(logs) < 2:
         return p
-    of_moves = {log: _motion(solution, move, move, threads) for log, move in moves.items()}
+    of_moves = {log: _motion(solution, move, move, threads, of_log=True) for log, move in moves.items()}
     if None in of_moves.values():
         return np.full(v.logs, np.nan)
     kept = np.arange(v.slope.start) if problem.rig.sensor.pool_offsets else v.shared
@@ -121,7 +121,9 @@ def apart(prior: tuple[Array, Array], said: Sequence[tuple[Array, Array]], place
     return p
 
 
-def _motion(solution: Solution, part: Move, move: Move, threads: int) -> MotionInformation | None:
+def _motion(
+    solution: Solution, part: Move, move: Move, threads: int, *, of_log: bool = False
+) -> MotionInformation | None:
     """What a move, or a part of it, says alone, at the places of all."""
     problem = solution.problem
     gain, body = problem.motion_of(solution.x)
@@ -136,6 +138,7 @@ def _motion(solution: Solution, part: Move, move: Move, threads: int) -> MotionI
         walk=solution.rate,
         threads=threads,
         linear_there=True,
+        of_log=of_log,
     )
     if found is None:
         return None

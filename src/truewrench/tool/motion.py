@@ -56,11 +56,13 @@ def motion_information(
     walk: float,
     threads: int = 0,
     linear_there: bool = False,
+    of_log: bool = False,
 ) -> MotionFit | None:
     """Run the estimator about a gain and a body; None where it finds nothing that could be solved.
 
     With `linear_there` its sizes are its own, and what it says is linear about this gain and body, as what
-    parts say that are to be compared: a gain of moments and an inertia are a product.
+    parts say that are to be compared: a gain of moments and an inertia are a product. `of_log`: with another
+    log's, so that the tilt of a root frame that is this log's alone is integrated out.
 
     The rig is that of `settings_of`, the gain (n, 6) in raw units, mounting within; the body (10,) log m, c,
     inertia; 1 sigma of gravity's tilt in rad. Moves of one log have one clock; `walk` is the rate of the
@@ -102,7 +104,8 @@ def motion_information(
         if not (fit.linearise() and fit.solve(frozen=True)):
             return None
         P = np.asarray(fit.covariance)
-    return _taken(rig, moves, found, P, stated, units, assumed.tilt_prior > 0.0)
+    alone = of_log and any(len(stream.own_roots) for stream in streams)
+    return _taken(rig, moves, found, P, stated, units, assumed.tilt_prior > 0.0 and not alone)
 
 
 def _taken(
