@@ -145,8 +145,9 @@ class Incremental {
   // Of this log and all before it; asked once it is over and covariance() was. Allocates.
   Agreement agreement_with_logs_before();
   // Whether nothing that it can tell speaks against the result, once the record is over: no lag was lost, it is resolved, no more
-  // is left out than a verdict allows, its parts and logs agree, and no channel is noisier than would be told. Of records with a
-  // payload that slips, stuck channels and velocities, or a clipped channel 56 of 116 ended with a wrong gain: 0 sound. Allocates.
+  // is left out than a verdict allows, its parts and logs agree, and no channel is noisier than would be told. Of 288 records with a
+  // payload that slips, stuck channels and velocities, or clipped channels 113 ended with a wrong gain, 85 of them resolved: of these
+  // sound are the 12 whose channel hung from first to last, which reads nothing. Allocates.
   bool sound();
 
   // What was masked since the last call of clear_masked().

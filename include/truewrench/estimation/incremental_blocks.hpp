@@ -201,9 +201,8 @@ inline bool Incremental::surprised() {
   return false;
 }
 
-// Two lags are full, or the stretch ends (`last`): linearise what is there at what is known now; what has 20 knots after it leaves, at
-// the end all. theta is that of what left; the first two times, that of what stays, too.
-// A lag that cannot be fitted leaves nothing: a cell of 1e30 would stand in theta and in the sizes for ever.
+// Two lags are full, or the stretch ends (`last`). A lag that cannot be fitted leaves nothing: a cell of 1e30 would stand in theta and
+// in the sizes for ever.
 inline Status Incremental::hop(bool last) noexcept {
   keep();
   if (linearise(last)) return Status::ok;
@@ -211,6 +210,8 @@ inline Status Incremental::hop(bool last) noexcept {
   return status_ = Status::not_factorizable;
 }
 
+// Linearise what is there at what is known now; what has 20 knots after it leaves, at the end all. theta is that of what left; the
+// first two times, that of what stays, too.
 inline bool Incremental::linearise(bool last) {
   const long first = lag_.first(), leaving = lag_.end() - first - (last ? 0 : staying());
   if (!lag_.terminal(moving_)) return false;

@@ -52,8 +52,7 @@ class Pooled:
     moving: tuple[int, ...]  # which of them move
     still: StillEstimate | None = None  # what the poses of the others said beyond it; None without any
     agreement: float = 1.0  # p of the poses' departure from what motion told; 1 without poses
-    # of how likely chance makes a log of poses depart from the others, and its last poses from the first
-    poses_agree: tuple[Array, Array] | None = None
+    alone: StillEstimate | None = None  # what the poses say by themselves
     parts: InParts | None = None  # of the logs that move, where they are long
 
     def reports(self, logs: Sequence[Log], reports: Sequence[LogReport]) -> tuple[LogReport, ...]:
@@ -75,7 +74,8 @@ class Pooled:
         """What the poses have against the result."""
         if self.still is None:
             return []
-        poses = [log for k, log in enumerate(logs) if k not in self.moving]
+        at_rest = [k for k in range(len(logs)) if k not in self.moving]
+        poses = [logs[k] for k in at_rest]
         if self.agreement >= AGREE:
             reasons = misfit_of_still(self.still)
         else:
@@ -83,10 +83,10 @@ class Pooled:
                 f"the static poses tell another sensor than the motion (p = {self.agreement:.1g}): something "
                 "touched a pose, a payload is another than stated, or a cable pulls"
             ]
-        if self.poses_agree is not None:  # where the offset has taken up a slip, it agrees with motion
-            at_rest = [k for k in range(len(logs)) if k not in self.moving]
+        # where the offset has taken up a slip, it agrees with motion
+        if self.alone is not None and not any(rig.payloads[log.payload].unknown for log in poses):
             of_logs, of_halves = np.ones(len(logs)), np.ones(len(logs))
-            of_logs[at_rest], of_halves[at_rest] = self.poses_agree
+            of_logs[at_rest], of_halves[at_rest] = agreement_of_still(rig, poses, self.alone)
             reasons += differing_poses(logs, (of_logs, of_halves))
         return [*reasons, *compare_still(rig, poses, self.still, held_out).reasons]
 
@@ -138,9 +138,7 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
     )
     alone = estimate_still(rig, still_logs)
     agreement = _agreement(estimate_still(rig, still_logs, before, alone.sizes))
-    known = not any(rig.payloads[log.payload].unknown for log in still_logs)
-    among_poses = agreement_of_still(rig, still_logs, alone) if known else None
-    return Pooled(whole, moving, still, agreement, among_poses, parts)
+    return Pooled(whole, moving, still, agreement, alone, parts)
 
 
 def moving_logs(rig: Rig, logs: Sequence[Log]) -> tuple[int, ...]:

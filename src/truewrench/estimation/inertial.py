@@ -181,9 +181,10 @@ def _coordinates(rig: Rig, log: Log) -> _Coordinates:
         def plain(t: Array, s: Array) -> tuple[Array, Array, Array]:
             return s[0], s[1], np.zeros((t.size, 3)) if gravity is None else np.asarray(gravity(t))
 
-        noise = np.broadcast_to(twist_noise(rig, log), (rows.size, 6))
         if tracking is not None and tracking.reference is None:
             noise = _sigma(tracked_streams(rig, log)[0].covariance)
+        else:
+            noise = np.broadcast_to(twist_noise(rig, log), (rows.size, 6))
         stream = _Stream(log.time[rows], log.twist[rows], noise)
         return _Coordinates((stream,), np.inf, 0, False, plain)
     reference = tracking.reference

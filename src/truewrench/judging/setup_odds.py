@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import qr
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from truewrench import _core
@@ -353,22 +352,14 @@ def _log_evidence(
     )
     factor = spread * factor.reshape(-1, r, 6 * n)
     along = means[..., None, :, :] @ seen.turned
-    along = np.swapaxes(along.reshape(*along.shape[:-2], 6 * n) @ seen.basis.T, -2, -1)
-    along = np.broadcast_to(along, (len(hypotheses), *along.shape[-2:]))
-    totals = factor @ np.swapaxes(factor, 1, 2) + seen.variance + along @ np.swapaxes(along, 1, 2)
+    along = along.reshape(*along.shape[:-2], 6 * n) @ seen.basis.T
+    totals = factor @ np.swapaxes(factor, 1, 2) + seen.variance + np.swapaxes(along, -2, -1) @ along
     found = np.full(len(hypotheses), -np.inf)
     for k, (h, total) in enumerate(zip(hypotheses, totals, strict=True)):
-        drift = np.zeros((r, 1))
         if h.drift is not None:
-            drift = (seen.basis @ (nominal @ h.drift).ravel())[:, None]
-            total += drift @ drift.T
+            along = seen.basis @ (nominal @ h.drift).ravel()
+            total += np.outer(along, along)
         root, fault = dpotrf(total.T, lower=1)  # symmetric; transposed it is in LAPACK's order
-        if fault > 0:  # what a mistake makes small is lost beside the rest: from the parts, not their squares
-            value, vector = np.linalg.eigh(seen.variance)
-            parts = factor[k], vector * np.sqrt(np.maximum(value, 0.0)), along[k], drift
-            upper = np.asarray(qr(np.hstack(parts).T, mode="r")[0])[:r]
-            root = np.asfortranarray(upper.T * np.sign(np.diagonal(upper)))
-            fault = int(not np.all(np.diagonal(root) > 0.0))
         if fault == 0:
             white, _ = dtrtrs(root, misfit[k], lower=1)
             found[k] = -0.5 * (white @ white) - np.log(np.diagonal(root)).sum()

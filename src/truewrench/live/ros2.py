@@ -172,9 +172,10 @@ def correct_topic(
             counts.received += 1
             try:
                 _, stamp, channels = sensor.read(message, info)
-                frames.see(sensor.header(message, info))
+                header = sensor.header(message, info)
+                frames.see(header)
                 order.check(stamp)
-                wrenches.write(correct, sensor.header(message, info), channels, with_std)
+                wrenches.write(correct, header, channels, with_std)
             except InputError as error:
                 counts.refused += 1
                 complain(f"{name}: {error}")
