@@ -60,6 +60,41 @@ def test_white_noise_is_left_as_it_is() -> None:
         assert colour_of(time, noisy) is None
 
 
+def starts_and_stops(seed: int, count: int = 15_000) -> Array:
+    """Accelerations of quintic moves of 0.8 to 1.8 s with rests between, 300 times the noise."""
+    rng = np.random.default_rng(seed)
+    out = np.zeros((count, 6))
+    begin = 0
+    while begin < count:
+        s = np.linspace(0.0, 1.0, int(RATE * rng.uniform(0.8, 1.8)))[:, None]
+        move = (s - 3.0 * s**2 + 2.0 * s**3) * rng.uniform(-3.0, 3.0, 6)
+        out[begin : begin + len(s)] += move[: count - begin]
+        begin += len(s) + int(RATE * rng.uniform(0.2, 1.0))
+    return out
+
+
+def test_motions_that_start_and_stop_are_no_filter() -> None:
+    found = 0
+    for seed in range(40):
+        moves = starts_and_stops(seed)
+        noisy = moves + 1e-3 * np.random.default_rng(seed + 1).standard_normal(moves.shape)
+        found += colour_of(np.arange(len(moves)) / RATE, noisy, NOISE) is not None
+    assert found <= 1
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_filter_is_found_beside_motions_that_start_and_stop(order: int) -> None:
+    corners = []
+    for seed in range(8):
+        moves = starts_and_stops(seed)
+        noisy = moves + 1e-3 * np.random.default_rng(seed + 1).standard_normal(moves.shape)
+        filtered = lfilter(*butter(order, 40.0 / (0.5 * RATE)), noisy, axis=0)[SETTLED:]
+        colour = colour_of(np.arange(len(filtered)) / RATE, filtered, NOISE)
+        assert colour is not None
+        corners.append(colour.corner * RATE)
+    assert np.median(corners) == pytest.approx(40.0, rel=0.25)
+
+
 def test_lines_steps_and_bursts_are_no_filter() -> None:
     time, _, noisy = samples(0)
     ripple = 0.01 * np.sin(2 * np.pi * 31.0 * time)[:, None]
