@@ -171,6 +171,34 @@ def test_sigma_is_what_the_errors_are(payloads: dict[str, Any]) -> None:
     assert chi2.ppf(1e-4, 720) < sum(squares) < chi2.ppf(1.0 - 1e-4, 720)
 
 
+def crept(log: Log, share: float, seed: int) -> Log:
+    """In any order, where a pose has a share of the load of the one before in place of its own."""
+    order = np.random.default_rng(seed).permutation(len(log.raw))
+    assert log.gravity is not None
+    raw = log.raw[order]
+    settled = raw - raw.mean(axis=0)
+    lags = np.roll(settled, 1, axis=0) - settled
+    lags[0] = 0.0
+    return replace(log, raw=raw + share * lags, gravity=log.gravity[order])
+
+
+def test_what_scatters_the_poses_is_within_sigma_as_far_as_it_follows_them() -> None:
+    squares: dict[Any, float] = {"auto": 0.0, 0: 0.0}
+    for stated in squares:
+        settings = settings_of(SEVERAL, uncertainty=5e-3) | {"gravity_tilt_prior": 0}
+        settings["sensor"] |= {"noise": [2e-3] * 3 + [2e-4] * 3, "discrepancy": stated}
+        rig = Rig.from_mapping(settings)
+        for seed in range(20):
+            logs, gain = poses(rig, seed, walk=0.0)
+            found = tw.calibrate(rig, [crept(log, 4e-3, seed) for log in logs], held_out=False)
+            d = (found.gain - gain).ravel()
+            squares[stated] += d @ np.linalg.solve(found.covariance[:36, :36], d) / 36.0 / 20.0
+            said = [assumed for assumed in found.assumed if "scatter of the poses" in assumed.what]
+            assert bool(said) == (stated == "auto")
+    assert squares[0] > 1.6
+    assert squares["auto"] < 1.4
+
+
 @pytest.mark.parametrize("payloads", [ONE, SEVERAL], ids=["one", "several"])
 def test_poses_in_several_logs_say_what_they_say_in_one(payloads: dict[str, Any]) -> None:
     """But for the offset, which each log has anew: here from the middle on."""

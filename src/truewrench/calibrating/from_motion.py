@@ -103,7 +103,7 @@ def calibrate_from_motion(
         worse += _set_within(rig, logs, places)
     comparisons = replace(_comparisons(estimate, compared, rig, worse, known, refused), logged=tuple(logged))
     judgement = judge(estimate, comparisons, rig, logs)
-    assumed = findings(estimate, rig, logs)
+    assumed = (*findings(estimate, rig, logs), *pooled.assumed())
     clock.append(time.perf_counter())
     show(Evidence(tuple(logs), estimate))
     return replace(

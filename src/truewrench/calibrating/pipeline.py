@@ -194,6 +194,7 @@ def _from_still_poses(
         logs=tuple(still_reports(logs, found)),
         time_offset_std=rig.sensor.time_offset_prior,  # at rest nothing tells it
         axes=judgement.axes,
+        assumed=found.hidden.assumed(),
         improvement=compared.improvement,
         figures={
             **still_figures(found),

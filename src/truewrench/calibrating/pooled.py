@@ -34,7 +34,7 @@ from truewrench.estimation.joint import Joint, body_part, explained
 from truewrench.estimation.parts import InParts, is_long
 from truewrench.estimation.static_poses import stands_still
 from truewrench.model.arrays import Array
-from truewrench.model.calibration import LogReport
+from truewrench.model.calibration import Assumed, LogReport
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import own_roots
@@ -63,6 +63,10 @@ class Pooled:
             for k, report in zip(places, still_reports([logs[k] for k in places], self.still), strict=True):
                 out[k] = report
         return tuple(out)
+
+    def assumed(self) -> tuple[Assumed, ...]:
+        """What the poses need beside the rig as stated."""
+        return () if self.still is None else self.still.hidden.assumed()
 
     def figures(self) -> dict[str, Any]:
         """What there is to say of the poses in calibration.yaml."""
@@ -136,6 +140,7 @@ def estimate_pooled(rig: Rig, logs: Sequence[Log], *, threads: int, online: bool
         sources=_sources(rig, joint, told["normalised_covariance"]),
         joint=joint,
     )
+    whole = still.hidden.beside(rig, whole, at_rest)
     alone = estimate_still(rig, still_logs)
     agreement = _agreement(estimate_still(rig, still_logs, before, alone.sizes))
     return Pooled(whole, moving, still, agreement, alone, parts)

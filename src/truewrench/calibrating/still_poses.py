@@ -23,6 +23,7 @@ from truewrench.calibrating.known_wrench import (
     improvement_by_axis,
     worse_on_rows,
 )
+from truewrench.calibrating.pose_following import Following, following, weights
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
 from truewrench.estimation.assembly import log_report
@@ -56,6 +57,7 @@ class StillEstimate:
     before: Known  # what was known of gain, tilt and bodies before the poses
     known: Known  # the same and the offsets `pose offset K` after them
     unturned: int  # poses of which nothing tells how they are turned about gravity, where it may be tilted
+    hidden: Following  # what may have followed the pose
 
     @property
     def sizes(self) -> dict[str, Array]:
@@ -84,7 +86,15 @@ def estimate_still(
     split = split_poses(rig, logs)
     (poses, unturned), begin = _tilted(rig, logs, split.poses), before or Known.stated(rig)
     solutions, known = _solved(rig, logs, poses, split.end_ns, begin, sizes)
-    return StillEstimate(_as_estimate(rig, logs, solutions, known), poses, solutions, begin, known, unturned)
+    hidden = following(rig, [*solutions.values()], gain_covariance(rig, begin), gain_covariance(rig, known))
+    estimate = hidden.beside(rig, _as_estimate(rig, logs, solutions, known), range(len(logs)))
+    return StillEstimate(estimate, poses, solutions, begin, known, unturned, hidden)
+
+
+def gain_covariance(rig: Rig, known: Known) -> Array:
+    """(6n, 6n), normalised."""
+    unit = (rig.sensor.channel_scale[:, None] / rig.sensor.range_array).ravel()
+    return np.asarray(known.plain(rig).of(["gain"])[1] / np.outer(unit, unit))
 
 
 def _tilted(rig: Rig, logs: Sequence[Log], poses: Poses) -> tuple[Poses, int]:
@@ -214,9 +224,7 @@ def judge_still(
 
 def _blind_to(rig: Rig, found: StillEstimate) -> tuple[BlindTo, ...]:
     """A force that follows the pose as weight does: nothing at rest tells it from weight."""
-    force = (
-        np.vstack([_weights(rig, s)[:, :3] for s in found.solutions.values()]) / rig.sensor.range_array[:3]
-    )
+    force = np.vstack([weights(rig, s)[:, :3] for s in found.solutions.values()]) / rig.sensor.range_array[:3]
     swing = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(force.T, bias=True))[0], 1e-18)))
     effect = min(_CABLE / swing, rig.sensor.gain_prior)
     words = (
@@ -224,13 +232,6 @@ def _blind_to(rig: Rig, found: StillEstimate) -> tuple[BlindTo, ...]:
         f"{effect:.2g} and leave no trace: at rest it looks like weight"
     )
     return (BlindTo("cable", _CABLE, effect, words),)
-
-
-def _weights(rig: Rig, solution: Solution) -> Array:
-    """(T, 6) wrench of the payload as it was found, with the rig's sign."""
-    layout, x = Layout(rig.sensor.n), solution.x
-    fall = solution.problem.poses.R_sensor_root @ rig.gravity_array
-    return rig.sensor.sign * weight(float(np.exp(x[layout.log_mass])), x[layout.center_of_mass], fall)
 
 
 def compare_still(rig: Rig, logs: Sequence[Log], found: StillEstimate, held_out: bool) -> Comparison:

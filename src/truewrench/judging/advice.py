@@ -95,6 +95,9 @@ def _words(
         elif source == "slow":
             causes += [slow] if slow not in causes else []
             cures.append(f"{times} times less of it, or a record {longer} times as long")
+        elif source == "poses":
+            causes.append("what may follow the pose by as much as poses scatter")
+            cures.append(f"{times} times less of what scatters them (hysteresis, creep, a cable)")
         elif source == "pose":
             hidden = f"this one hides {100 * estimate.A:.0f} % of its pose"
             moved = f"a motion of several frequencies an axis ({hidden})"
