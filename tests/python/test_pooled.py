@@ -181,3 +181,42 @@ def test_poses_beside_a_motion_that_cannot_be_solved_end_in_its_reason() -> None
     found = tw.calibrate(case.rig, [short, *case.still])
     assert not found.verdict.usable
     assert found.verdict.reasons
+
+
+def same_sensor(seed: int, count: int, heavier: float = 1.0, **odd: Any) -> tuple[Rig, list[Log], Array]:
+    """Logs of one sensor, the second of another payload, or with these of `simulate`."""
+    settings = stated()
+    settings["sensor"] |= {"discrepancy": "auto", "noise": [2e-3] * 3 + [2e-4] * 3}
+    settings["payloads"] = {"default": settings["payloads"]["default"]}
+    settings["required"] = 0.05
+    truth = simulate(Rig.from_mapping(settings), seed=seed).truth
+    logs = []
+    for k in range(count):
+        own = deepcopy(settings)
+        own["plan"]["seed"] = k
+        own["simulate"] |= {"gain": truth.gain.tolist()} | (odd if k == 1 else {})
+        own["payloads"]["default"]["mass"] *= heavier if k == 1 else 1.0
+        logs.append(simulate(Rig.from_mapping(own), seed=100 * seed + k).log)
+    return Rig.from_mapping(settings), logs, truth.gain
+
+
+def test_one_disturbed_log_of_three_costs_what_it_tells() -> None:
+    """Not what it would cost if all were as disturbed."""
+    squares, sigma = [], []
+    play = {"imperfections": {"hysteresis": {"size": 5e-3, "form": "play"}}}
+    for seed in range(6):
+        rig, logs, gain = same_sensor(seed, 3, **play)
+        found, clean = (tw.calibrate(rig, some, held_out=False) for some in (logs, logs[::2]))
+        d = (found.gain - gain).ravel()
+        squares.append(d @ np.linalg.solve(found.covariance[:36, :36], d) / 36.0)
+        sigma.append(np.sqrt(np.mean(found.gain_std[:, :3] ** 2) / np.mean(clean.gain_std[:, :3] ** 2)))
+    assert np.mean(squares) < 1.4
+    assert np.median(sigma) < 1.5
+
+
+def test_of_two_logs_that_contradict_each_other_neither_is_believed() -> None:
+    for seed in range(8):
+        rig, logs, gain = same_sensor(seed, 2, heavier=1.1)
+        found = tw.calibrate(rig, logs, held_out=False)
+        worst = np.abs((found.gain - gain) / found.gain_std).max()
+        assert not (found.verdict.usable and worst > 5.0)

@@ -72,32 +72,46 @@ inline std::optional<Information> of_shared(const Fit& fit, std::size_t l, const
   return out;
 }
 
-// (10.11) of each log against the others; of a single one nothing. `pose`: (10.10), since what follows the pose need not be the same
-// in two.
-inline std::vector<Agreement> agreement_of_logs(const Fit& fit, const std::vector<std::vector<Moment>>& found,
-                                                const Eigen::MatrixXd& pose) {
-  const std::size_t count = fit.logs().size();
-  if (count < 2) return {};
+// What each of several logs says of the parameters that others have, too, and their sum; the gains come first.
+struct ToldByLogs {
+  std::vector<int> shared;  // places in theta
+  std::vector<Information> said;
+  Information all;
+};
+
+inline std::optional<ToldByLogs> told_by_logs(const Fit& fit) {
+  ToldByLogs out;
   std::vector<int> logs_of(fit.active.size(), 0);
-  for (std::size_t l = 0; l < count; ++l)
+  for (std::size_t l = 0; l < fit.logs().size(); ++l)
     for (const int at : fit.layout().log(l).global) ++logs_of[static_cast<std::size_t>(at)];
-  std::vector<int> shared, place(fit.active.size(), -1);
+  std::vector<int> place(fit.active.size(), -1);
   for (const int at : fit.active_places())
     if (logs_of[static_cast<std::size_t>(at)] > 1) {
-      place[static_cast<std::size_t>(at)] = static_cast<int>(shared.size());
-      shared.push_back(at);
+      place[static_cast<std::size_t>(at)] = static_cast<int>(out.shared.size());
+      out.shared.push_back(at);
     }
-  std::vector<Information> said;
-  const auto size = static_cast<Eigen::Index>(shared.size());
-  Eigen::MatrixXd S = Eigen::MatrixXd::Zero(size, size);
-  Eigen::VectorXd g = Eigen::VectorXd::Zero(size);
-  for (std::size_t l = 0; l < count; ++l) {
+  const auto size = static_cast<Eigen::Index>(out.shared.size());
+  out.all = {Eigen::MatrixXd::Zero(size, size), Eigen::VectorXd::Zero(size)};
+  for (std::size_t l = 0; l < fit.logs().size(); ++l) {
     const auto of = of_shared(fit, l, place, size);
-    if (!of) return std::vector<Agreement>(count, {std::nan("")});
-    said.push_back(*of);
-    S += of->S;
-    g += of->g;
+    if (!of) return std::nullopt;
+    out.said.push_back(*of);
+    out.all.S += of->S;
+    out.all.g += of->g;
   }
+  return out;
+}
+
+// (10.11) of each log against the others. `pose`: (10.10), since what follows the pose need not be the same in two.
+inline std::vector<Agreement> agreement_of_logs(const Fit& fit, const std::optional<ToldByLogs>& told,
+                                                const std::vector<std::vector<Moment>>& found,
+                                                const Eigen::MatrixXd& pose) {
+  const std::size_t count = fit.logs().size();
+  if (!told) return std::vector<Agreement>(count, {std::nan("")});
+  const std::vector<int>& shared = told->shared;
+  const std::vector<Information>& said = told->said;
+  const Eigen::MatrixXd& S = told->all.S;
+  const Eigen::VectorXd& g = told->all.g;
   const Eigen::VectorXd prior = Fit::pick(fit.prior, shared),
                         away = (Fit::pick(fit.theta, shared) - Fit::pick(fit.layout().mean(), shared))
                                    .cwiseQuotient(prior);

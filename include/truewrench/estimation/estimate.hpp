@@ -5,8 +5,10 @@
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/pose.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <vector>
 
 namespace truewrench {
@@ -68,32 +70,43 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
   out.added = best.added;
   out.pose = pose_share(fit);
   // delta_i^2 for (10.10): found, or its moment and 1 sd where d stayed out; over one period of the motion
+  const double stated = std::max(settings.discrepancy, 0.0);
+  const auto logs = static_cast<Eigen::Index>(fit.logs().size());
+  Eigen::MatrixXd of_log(n, logs);
   out.discrepancy2 = Eigen::VectorXd::Zero(n);
   double total = 0.0;
-  for (std::size_t l = 0; l < fit.logs().size(); ++l) {
+  for (Eigen::Index l = 0; l < logs; ++l) {
+    const LogFit& log = fit.logs()[static_cast<std::size_t>(l)];
     double rows = 0.0;
-    for (const Stretch& s : fit.logs()[l].stretches) rows += s.raw.size.sum();
-    const Sizes& z = fit.logs()[l].sizes;
+    for (const Stretch& s : log.stretches) rows += s.raw.size.sum();
+    const Sizes& z = log.sizes;
     for (int i = 0; i < n; ++i) {
       const int r = raw_group(i, n);
-      const Moment& m = best.moments[l][static_cast<std::size_t>(r)];
+      const Moment& m = best.moments[static_cast<std::size_t>(l)][static_cast<std::size_t>(r)];
       double f2 = best.found ? z.delta[r] * z.delta[r] : m.delta2 + m.sd;
       const double x = z.k * out.pose.period;
       if (z.form == Form::walk) f2 *= 2.0 * (1.0 - std::exp(-x));
       if (z.form == Form::matern) f2 *= std::min(1.0, 2.0 * (1.0 - (1.0 + x) * std::exp(-x)));
       out.discrepancy2[i] += rows * f2;
+      of_log(i, l) = std::max(f2, stated * stated);
     }
     total += rows;
   }
   out.discrepancy2 /= total;
-  out.gain_covariance = out.covariance.topLeftCorner(6 * n, 6 * n) + out.added;
-  if (settings.discrepancy != 0.0) {
-    const double stated = std::max(settings.discrepancy, 0.0);
-    add_pose(out.gain_covariance, fit.prior.data() + fit.layout().C, out.pose,
+  const Eigen::MatrixXd before = out.covariance.topLeftCorner(6 * n, 6 * n) + out.added;
+  out.gain_covariance = before;
+  const double* prior = fit.prior.data() + fit.layout().C;
+  if (settings.discrepancy != 0.0)
+    add_pose(out.gain_covariance, prior, out.pose,
              [&](int i) { return std::max(out.discrepancy2[i], stated * stated); });
-  }
-  out.logs = agreement_of_logs(fit, found,
-                               out.gain_covariance - out.covariance.topLeftCorner(6 * n, 6 * n) - out.added);
+  if (logs < 2) return;
+  const std::optional<ToldByLogs> told = told_by_logs(fit);
+  out.logs = agreement_of_logs(fit, told, found, out.gain_covariance - before);
+  if (settings.discrepancy == 0.0 || !told) return;
+  const Eigen::VectorXd f2 = by_share(fit, *told, of_log);
+  if (f2.size() == 0) return;
+  out.gain_covariance = before;
+  add_pose(out.gain_covariance, prior, out.pose, [&](int i) { return f2[i]; });
 }
 
 }  // namespace truewrench

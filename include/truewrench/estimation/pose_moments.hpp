@@ -59,32 +59,40 @@ struct PoseMoments {
   }
 };
 
-// (10.10): Cov(C_i) += f_i^2 A / (1 - A) (E w w^T)^-1 / 6, what is added to element ij multiplied by g_i g_j so that no gain's
-// variance rises above its prior's. P (6n, 6n), prior (6n): of the gains; f2(i): of a channel.
-template <typename OfChannel>
-void add_pose(Eigen::MatrixXd& P, const double* prior, const PoseShare& share, const OfChannel& f2) {
-  double inverse[6][6];
+// (E w w^T)^-1 A / (1 - A) / 6, as ill-conditioned as it may be; whether it is there.
+inline bool unit_covariance(const PoseShare& share, double (&unit)[6][6]) {
   const double least = 1e-12 * std::max(share.ww.trace(), 1e-12);
+  const double times = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0;
   for (int c = 0; c < 6; ++c) {
     double ww[6][6], b[6] = {};
     for (int i = 0; i < 6; ++i)
       for (int j = 0; j < 6; ++j) ww[i][j] = share.ww(i, j) + (i == j ? least : 0.0);
     b[c] = 1.0;
-    if (!dense::solve(&ww[0][0], b, 6)) return;
-    std::copy_n(b, 6, inverse[c]);
-    for (int d = 0; d < c; ++d) inverse[c][d] = inverse[d][c];  // as ill-conditioned as it may be
+    if (!dense::solve(&ww[0][0], b, 6)) return false;
+    for (int d = 0; d < 6; ++d) unit[c][d] = times * b[d];
+    for (int d = 0; d < c; ++d) unit[c][d] = unit[d][c];
   }
-  const double times = std::min(share.A, 1.0 - 1e-9) / std::max(1.0 - share.A, 1e-9) / 6.0;
+  return true;
+}
+
+// By what a gain's row is multiplied so that its variance does not rise above its prior's.
+inline double within_prior(double prior, double P, double added) {
+  return std::sqrt(std::clamp((prior - P) / std::max(added, 1e-300), 0.0, 1.0));
+}
+
+// (10.10): Cov(C_i) += f_i^2 A / (1 - A) (E w w^T)^-1 / 6, what is added to element ij multiplied by g_i g_j so that no gain's
+// variance rises above its prior's. P (6n, 6n), prior (6n): of the gains; f2(i): of a channel.
+template <typename OfChannel>
+void add_pose(Eigen::MatrixXd& P, const double* prior, const PoseShare& share, const OfChannel& f2) {
+  double unit[6][6];
+  if (!unit_covariance(share, unit)) return;
   for (Eigen::Index i = 0; 6 * i < P.rows(); ++i) {
-    const double size = f2(static_cast<int>(i)) * times;
+    const double size = f2(static_cast<int>(i));
     double g[6];
-    for (int c = 0; c < 6; ++c) {
-      const Eigen::Index at = 6 * i + c;
-      g[c] =
-          std::sqrt(std::clamp((prior[at] - P(at, at)) / std::max(size * inverse[c][c], 1e-300), 0.0, 1.0));
-    }
     for (int c = 0; c < 6; ++c)
-      for (int d = 0; d < 6; ++d) P(6 * i + c, 6 * i + d) += g[c] * g[d] * size * inverse[c][d];
+      g[c] = within_prior(prior[6 * i + c], P(6 * i + c, 6 * i + c), size * unit[c][c]);
+    for (int c = 0; c < 6; ++c)
+      for (int d = 0; d < 6; ++d) P(6 * i + c, 6 * i + d) += g[c] * g[d] * size * unit[c][d];
   }
 }
 
