@@ -132,6 +132,31 @@ def test_topics_have_the_numbers_of_a_table_and_a_tare_is_heard() -> None:
     assert told[0]["accepted"] == "true"
 
 
+def test_messages_of_two_sensors_on_one_topic_are_told() -> None:
+    tool, time_ns, raw, _ = tool_and_rows()
+    node, complaints = Node(), list[str]()
+    sender = node.writer("/ft/raw", WrenchStamped)
+
+    def play() -> None:
+        try:
+            end = time.monotonic() + 60.0
+            while time.monotonic() < end and not sender.get_matched_subscriptions():
+                time.sleep(0.05)
+            for k, frame in enumerate(("left", "right", "left")):
+                sender.write(WrenchStamped.of(Header(Time.of(int(time_ns[k])), frame), raw[k].tolist()))
+            while time.monotonic() < end and not complaints:
+                time.sleep(0.02)
+        finally:
+            stop.request()
+
+    with Stop() as stop:
+        thread = threading.Thread(target=play)
+        thread.start()
+        contact_topics(ContactRun(tool, None), tool.rig, Topics(reliable=True), stop, complaints.append, 60.0)
+        thread.join()
+    assert complaints == ["/ft/raw: messages of frames `left`, `right`: is it more than one sensor?"]
+
+
 def test_rows_of_several_topics_come_out_in_order() -> None:
     merger = Merger(["/a", "/b"])
     merger.add("/a", 10, ("raw_0",), (1.0,), "header", 0.0)

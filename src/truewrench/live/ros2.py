@@ -74,7 +74,7 @@ class Counts:
     lost: int = 0  # those that did not arrive, where the middleware knows
 
 
-class _Frames:
+class Frames:
     """The frames of a sensor's messages, which are one sensor's."""
 
     def __init__(self, topic: str, complain: Complain) -> None:
@@ -157,7 +157,7 @@ def correct_topic(
     name = _sensor_topic(node, sensor, topics, stop)
     wrenches = _Wrenches(node, topics.output, calibration.n)
     wrenches.withheld, wrenches.warmth = calibration.withheld, warmth
-    reader, frames = node.reader(name, sensor.kind, topics.reliable), _Frames(name, complain)
+    reader, frames = node.reader(name, sensor.kind, topics.reliable), Frames(name, complain)
     thermometer = _thermometer(node, calibration.rig, complain) if warmth.follows else None
     begun = time.monotonic()
     silent = True
@@ -262,7 +262,7 @@ def calibrate_topics(
         (name, source, node.reader(name, source.kind, topics.reliable))
         for name, source in zip(names, [sensor, *others], strict=True)
     ]
-    begun, frames = time.monotonic(), _Frames(names[0], complain)
+    begun, frames = time.monotonic(), Frames(names[0], complain)
     told, progress, silent = begun, Progress(0, 0.0, 0, reason="no estimate yet"), True
     over = False
     while not (stop.requested or over) and time.monotonic() - begun < seconds:

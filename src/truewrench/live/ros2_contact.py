@@ -9,7 +9,7 @@ from typing import Any
 from truewrench.correction.contact.run import ContactRun, Contacts
 from truewrench.io.recordings.choice import KEYS
 from truewrench.live.contact_lines import LiveContact
-from truewrench.live.ros2 import DIAGNOSTICS, Counts, Topics
+from truewrench.live.ros2 import DIAGNOSTICS, Counts, Frames, Topics
 from truewrench.live.ros2_merge import Merger
 from truewrench.live.ros2_node import Node, finish, lost, taken
 from truewrench.live.ros2_service import tare_service
@@ -100,7 +100,7 @@ def contact_topics(
     tares, publisher, merger = node.reader(TARE, Empty, False), _Publisher(node), Merger(awaited)
     nothing, frame = (math.nan,) * rig.sensor.n, ""
     channels = tuple(f"raw_{i}" for i in range(rig.sensor.n))
-    begun = time.monotonic()
+    begun, frames = time.monotonic(), Frames(names[0], complain)
     with tare_service(TARE, complain) as service:
         while not stop.requested and time.monotonic() - begun < seconds:
             node.wait(_WAIT)
@@ -112,6 +112,8 @@ def contact_topics(
                     try:
                         columns, stamp, values = source.read(message, info)
                         header = source.header(message, info) if isinstance(source, SensorSource) else None
+                        if header is not None:
+                            frames.see(header)
                         if columns and merger.add(name, stamp, columns, values, header, now):
                             run.restart()
                             complain(f"{name}: stamps begin again at {stamp} ns: so does everything")
