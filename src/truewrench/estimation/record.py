@@ -25,6 +25,7 @@ from truewrench.robot.arm import robot_of
 from truewrench.robot.attitude import attitude_of, own_roots
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import chain_of
+from truewrench.robot.lateness import in_step
 from truewrench.robot.track import measured_twists
 
 _NO_BIAS = 1e-9  # 1 sigma that holds a constant at zero
@@ -76,7 +77,13 @@ def recorded(
         out.source = _core.Source.twist
         fall: Array = np.zeros((len(log.time_ns), 3))
         if joints:
-            log = measured_twists(rig, log)
+            moved, tau = in_step(log)
+            log = measured_twists(rig, moved)
+            if tau != 0.0:
+                late = f"{abs(1e3 * tau):.2f} ms {'late' if tau > 0.0 else 'early'}"
+                notes.append(
+                    f"the velocities are {late} against the positions, which are read at their clock"
+                )
         if rig.in_gravity:
             R_sensor_root = _attitude(rig, log)
             fall = R_sensor_root.reshape(-1, 3, 3) @ assumptions.gravity
