@@ -284,3 +284,20 @@ def test_an_unknown_body_is_found_beside_known_ones() -> None:
     assert any("unknown payload `b`" in note for note in calibration.figures["notes"])
     alone = tw.calibrate(rig, logs[1])
     assert "no log carries a known payload" in alone.verdict.reasons[0]
+
+
+@pytest.mark.parametrize("prior", [1e6, 1e80, 1e200])
+@pytest.mark.parametrize("count", [2, 3, 12])
+def test_a_prior_however_wide_ends_in_a_reason(prior: float, count: int) -> None:
+    logs, gain = poses(Rig.from_mapping(settings_of(SEVERAL)), 1)
+    logs = [
+        replace(log, time_ns=log.time_ns[:count], raw=log.raw[:count], twist=np.zeros((count, 6)))
+        for log in logs
+    ]
+    logs = [replace(log, gravity=None if log.gravity is None else log.gravity[:count]) for log in logs]
+    settings = settings_of(SEVERAL)
+    settings["sensor"]["gain_prior"] = prior
+    found = tw.calibrate(Rig.from_mapping(settings), logs)
+    assert np.isfinite(found.covariance).all()
+    assert found.verdict.usable or found.verdict.reasons
+    assert np.abs((found.gain - gain) / found.gain_std).max() < 5.0

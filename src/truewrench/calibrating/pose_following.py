@@ -80,7 +80,10 @@ def following(rig: Rig, solutions: Sequence[Solution], before: Array, after: Arr
     w = np.vstack([_about_means(s, weights(rig, s)) / rig.sensor.range_array for s in solutions])
     value, vector = np.linalg.eigh(w.T @ w / max(count, 1))
     seen = value > _RANK * max(float(value[-1]), np.finfo(np.float64).tiny)
-    K = np.kron(np.eye(rig.sensor.n), (vector[:, seen] * (f2 / seen.sum() / value[seen])) @ vector[:, seen].T)
+    K = np.kron(
+        np.eye(rig.sensor.n),
+        (vector[:, seen] * (f2 / max(int(seen.sum()), 1) / value[seen])) @ vector[:, seen].T,
+    )
     told = np.eye(len(after)) - np.linalg.solve(before, after).T
     return Following(told @ K @ told.T, f2)
 

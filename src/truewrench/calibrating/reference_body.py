@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truewrench import _core
+from truewrench.estimation.assumptions import assumed_gain_prior
 from truewrench.estimation.joint import EXACT, Joint, body_part
 from truewrench.estimation.static_poses import Poses
 from truewrench.model.arrays import Array, Integers
@@ -24,6 +25,9 @@ from truewrench.tool.parameters import Layout, second_moments, symmetric
 from truewrench.tool.prior import S_STD, Prior
 from truewrench.tool.solve import Solution
 
+WIDEST = (
+    1e3  # 1 sigma of a gain, beyond which it is not known: tolerance, as squares of more are lost beside 1
+)
 _WIDE = 1e3  # sigma of the rig's prior, where the joint distribution holds it: tolerance, 1e-6 of a variance
 
 
@@ -117,7 +121,7 @@ class Known:
         joint, parts = self.joint, self._parts(name)
         held = [part for part in parts if part in joint.places]
         if self.reference is None:
-            prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), rig.sensor.gain_prior, {})
+            prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), assumed_gain_prior(rig), {})
             problem: Problem = PosesOfOne(rig, prior, poses, end_ns)
             return problem, problem.prior_of_all()[0]
         wide = [layout.gain, layout.tilt]
@@ -143,7 +147,7 @@ class Known:
         information = np.zeros((size, size))
         information[: at.size, : at.size] = np.linalg.inv(P / np.outer(scale, scale)) / np.outer(scale, scale)
         told = MotionInformation(np.append(at, np.zeros(size - at.size)), information, np.zeros(size))
-        prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), rig.sensor.gain_prior, {}, on=beside)
+        prior = Prior(mean, np.diag(np.maximum(std, EXACT) ** 2), assumed_gain_prior(rig), {}, on=beside)
         problem = PosesOfOne(rig, prior, poses, end_ns, motion=told)
         return problem, problem.prior_of_all()[0]
 
@@ -214,7 +218,7 @@ def _mapped(joint: Joint, old: str, new: str, at: Integers, value: Array, J: Arr
 def _stated_std(rig: Rig) -> Array:
     """(6n,) 1 sigma of the gains [raw units, SI]."""
     units = (rig.sensor.channel_scale[:, None] / rig.sensor.range_array).ravel()
-    return np.asarray(rig.sensor.gain_prior * units)
+    return np.asarray(assumed_gain_prior(rig) * units)
 
 
 def _tilt_std(rig: Rig) -> float:

@@ -27,6 +27,7 @@ from truewrench.calibrating.pose_following import Following, following, weights
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
 from truewrench.estimation.assembly import log_report
+from truewrench.estimation.assumptions import assumed_gain_prior
 from truewrench.estimation.estimate import Estimate, of_joint, without_motion
 from truewrench.estimation.static_poses import APART, WALK, Poses, split_poses, stands_still
 from truewrench.estimation.unknowns import horizontal_axes
@@ -153,7 +154,7 @@ def _as_estimate(rig: Rig, logs: Sequence[Log], solutions: dict[str, Solution], 
         count,
         solved=True,
         **told,
-        gain_prior=np.full(6 * n, rig.sensor.gain_prior),
+        gain_prior=np.full(6 * n, assumed_gain_prior(rig)),
         offset_temperature=last.x[v.slope].copy() if v.warm else None,
         converged=True,
         iterations=max(found.steps for found in solutions.values()),

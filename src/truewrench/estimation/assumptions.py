@@ -23,6 +23,14 @@ _KAPPA_CLOCK, _GAMMA_CLOCK = 0.5, 0.5  # means of (10.4), (10.5) where nothing i
 _KAPPA_FILTER, _GAMMA_FILTER = 0.0, 1.0  # of a first-order filter of the sensor
 
 
+WIDEST = 1e3  # 1 sigma of a gain, beyond which nothing is known of it: tolerance, of squares that are summed
+
+
+def assumed_gain_prior(rig: Rig) -> float:
+    """1 sigma of a normalised gain as poses and bounds assume it: as stated, and no wider than matters."""
+    return min(rig.sensor.gain_prior, WIDEST)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Assumptions:
     """Numbers that an estimate of n channels assumes; a sigma of 0 holds a parameter at its mean."""

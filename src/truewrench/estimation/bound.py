@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from truewrench.estimation.assumptions import assumed_gain_prior
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.estimation.unknowns import Motion, Unknown, Wrench, unknowns_of, wrench_rates
 from truewrench.model.arrays import Array
@@ -123,7 +124,7 @@ def oracle_rms(rig: Rig, wrenches: Sequence[Array]) -> float:
     variance = 0.0
     for i in range(n):
         # the offset of each log is eliminated from the information on the row
-        row = sensor.gain_prior**-2.0 * np.eye(6)
+        row = assumed_gain_prior(rig) ** -2.0 * np.eye(6)
         for w in pooled:
             row += w.T @ w / noise[i] ** 2
             if offset_prior[i] > 0.0:

@@ -100,9 +100,9 @@ def colour_of(
     if alone is not None and alone.below(time, values, without) < HOLDS:  # else what is steeper is no corner
         return alone.colour
     beside = filter_model(found, tails, lowest - TOLD)
-    if beside is not None and not beside.explains(stated, found.period):
-        beside = None  # a steep filter's slope was taken for a tail
-    if beside is not None and beside.below(time, values, without) > 1.0 / HOLDS:  # motions go on below
+    # else a steep filter's slope was taken for a tail, which goes on below as motions do
+    believed = beside is not None and beside.explains(stated, found.period)
+    if beside is not None and believed and beside.below(time, values, without) > 1.0 / HOLDS:
         return beside.colour
     thinned = thinning_of(time, values, stated, without)
     if thinned is not None:
