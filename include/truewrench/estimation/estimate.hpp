@@ -100,6 +100,7 @@ inline void finish(const Candidate& best, const Settings& settings, Estimate& ou
     add_pose(out.gain_covariance, prior, out.pose,
              [&](int i) { return std::max(out.discrepancy2[i], stated * stated); });
   if (logs < 2) return;
+  // compared as if all were as disturbed: which of them is was for the fit to guess; then each by its share
   const std::optional<ToldByLogs> told = told_by_logs(fit);
   out.logs = agreement_of_logs(fit, told, found, out.gain_covariance - before);
   if (settings.discrepancy == 0.0 || !told) return;

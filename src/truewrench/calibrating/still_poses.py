@@ -87,12 +87,13 @@ def estimate_still(
     split = split_poses(rig, logs)
     (poses, unturned), begin = _tilted(rig, logs, split.poses), before or Known.stated(rig)
     solutions, known = _solved(rig, logs, poses, split.end_ns, begin, sizes)
-    hidden = following(rig, [*solutions.values()], gain_covariance(rig, begin), gain_covariance(rig, known))
-    estimate = hidden.beside(rig, _as_estimate(rig, logs, solutions, known), range(len(logs)))
+    estimate = _as_estimate(rig, logs, solutions, known)
+    hidden = following(rig, [*solutions.values()], _gain_covariance(rig, begin), estimate.before_pose)
+    estimate = hidden.beside(rig, estimate, range(len(logs)))
     return StillEstimate(estimate, poses, solutions, begin, known, unturned, hidden)
 
 
-def gain_covariance(rig: Rig, known: Known) -> Array:
+def _gain_covariance(rig: Rig, known: Known) -> Array:
     """(6n, 6n), normalised."""
     unit = (rig.sensor.channel_scale[:, None] / rig.sensor.range_array).ravel()
     return np.asarray(known.plain(rig).of(["gain"])[1] / np.outer(unit, unit))

@@ -44,9 +44,7 @@ def _lateness(log: Log) -> tuple[float, float]:
     count, overlap = 0, 1.0
     for piece in segments(time) if rows.size > 1 else []:
         t, dq, q = time[piece], log.velocity[rows[piece]], log.position[rows[piece]]
-        if t.size < 4:
-            continue
-        m = max(2, round(WINDOW / float(np.median(np.diff(t)))))
+        m = max(2, round(WINDOW / float(np.median(np.diff(t))))) if t.size >= 4 else t.size
         if t.size <= m:
             continue
         steps = 0.5 * (dq[1:] + dq[:-1]) * np.diff(t)[:, None]
