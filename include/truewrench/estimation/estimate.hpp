@@ -4,6 +4,7 @@
 #include "truewrench/estimation/agreement_of_fit.hpp"
 #include "truewrench/estimation/hyperparameters.hpp"
 #include "truewrench/estimation/pose.hpp"
+#include "truewrench/estimation/told_by_logs.hpp"
 
 #include <algorithm>
 #include <cmath>

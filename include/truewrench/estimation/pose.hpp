@@ -1,7 +1,6 @@
 // How far what follows the pose can hide in the gain of a fit (METHOD (10.10)).
 #pragma once
 
-#include "truewrench/estimation/agreement_of_fit.hpp"
 #include "truewrench/estimation/fit.hpp"
 #include "truewrench/estimation/pose_moments.hpp"
 
@@ -135,35 +134,6 @@ inline PoseShare pose_share(const Fit& fit) {
       sums.samples += rows;
     }
   return sums.share();
-}
-
-// f_i^2 (n) of several logs, found as f_il^2 (n, L): the mean by the share that a log has in the estimate of a channel's gains,
-// tr T_l, T_l = (sum_l S_l + Pi^-1)^-1 S_l; and no less than the median of the logs, as of two that contradict each other either may
-// have been given the disturbance. Of size 0: no log tells any.
-inline Eigen::VectorXd by_share(const Fit& fit, const ToldByLogs& told, const Eigen::MatrixXd& f2) {
-  const Eigen::Index gains = 6 * f2.rows(), size = told.all.S.rows();
-  Eigen::MatrixXd S = told.all.S, P;
-  for (Eigen::Index i = 0; i < size; ++i)
-    S(i, i) += 1.0 / fit.prior[told.shared[static_cast<std::size_t>(i)]];
-  double logdet = 0.0;
-  if (size < gains || !dense::invert(S, P, logdet)) return {};
-  Eigen::VectorXd sum = Eigen::VectorXd::Zero(f2.rows()), all = sum;
-  for (Eigen::Index l = 0; l < f2.cols(); ++l) {
-    const Eigen::MatrixXd T = dense::transposed_times(P, told.said[static_cast<std::size_t>(l)].S);
-    for (Eigen::Index k = 0; k < gains; ++k) {
-      sum[k / 6] += std::max(T(k, k), 0.0) * f2(k / 6, l);
-      all[k / 6] += std::max(T(k, k), 0.0);
-    }
-  }
-  if (!(all.minCoeff() > 0.0)) return {};
-  std::vector<double> sorted(static_cast<std::size_t>(f2.cols()));
-  for (Eigen::Index i = 0; i < f2.rows(); ++i) {
-    for (Eigen::Index l = 0; l < f2.cols(); ++l) sorted[static_cast<std::size_t>(l)] = f2(i, l);
-    std::sort(sorted.begin(), sorted.end());
-    const double median = 0.5 * (sorted[(sorted.size() - 1) / 2] + sorted[sorted.size() / 2]);
-    sum[i] = std::max(sum[i] / all[i], median);
-  }
-  return sum;
 }
 
 }  // namespace truewrench
