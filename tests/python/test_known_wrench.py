@@ -166,6 +166,38 @@ def test_one_weight_in_many_poses_leaves_18_directions(
     assert "moment about x, always tied to force along y: gains of all channels" in words
 
 
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [
+        ("sensor", "gain_prior", 1e-300),
+        ("sensor", "gain_prior", 1e6),
+        ("sensor", "gain_prior", 1e200),
+        ("sensor", "offset_prior", [1e-300] * 6),
+        ("sensor", "offset_prior", [1e200] * 6),
+        ("sensor", "noise", [1e-12] * 6),
+        ("sensor", "range", [1e29] * 6),
+        ("reference_noise", None, [1e6] * 6),
+    ],
+)
+@pytest.mark.parametrize(("rows", "rank"), [(40, 6), (40, 3), (3, 6)])
+def test_whatever_is_stated_ends_in_a_reason(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    truth: tuple[Array, Array],
+    section: str,
+    key: str | None,
+    value: Any,
+    rows: int,
+    rank: int,
+) -> None:
+    settings = deepcopy(SETTINGS)
+    settings[section] = settings[section] | {key: value} if key else value
+    status, said = through_command(capsys, tmp_path, weights(truth, rows, rank=rank), settings)
+    assert status in (0, 2, 3)
+    assert said["verdict"]["usable"] or said["verdict"]["reasons"]
+    assert status == 2 or (tmp_path / "out" / "report.html").exists()
+
+
 def test_a_rig_that_does_not_say_how_good_the_reference_is_is_refused(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, truth: tuple[Array, Array]
 ) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimation.assembly import log_report
+from truewrench.estimation.assumptions import assumed_gain_prior
 from truewrench.estimation.estimate import AGREE, Estimate, odd_log, without_motion, worst_of
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
@@ -121,7 +122,7 @@ def _as_estimate(rig: Rig, found: KnownWrenchEstimate) -> Estimate:
         covariance=found.covariance,
         normalised_covariance=found.normalised_covariance,
         before_pose=found.normalised_covariance[: 6 * n, : 6 * n],
-        gain_prior=np.full(6 * n, rig.sensor.gain_prior),
+        gain_prior=np.full(6 * n, assumed_gain_prior(rig)),
         offsets=found.offsets,
         offsets_std=found.offsets_std,
         offset_temperature=found.offset_temperature,

@@ -23,12 +23,19 @@ _KAPPA_CLOCK, _GAMMA_CLOCK = 0.5, 0.5  # means of (10.4), (10.5) where nothing i
 _KAPPA_FILTER, _GAMMA_FILTER = 0.0, 1.0  # of a first-order filter of the sensor
 
 
-WIDEST = 1e3  # 1 sigma of a gain, beyond which nothing is known of it: tolerance, of squares that are summed
+# 1 sigma of what is normalised, beyond which it is known, or nothing is: tolerance, of squares in sums
+NARROWEST, WIDEST = 1e-9, 1e3
 
 
 def assumed_gain_prior(rig: Rig) -> float:
-    """1 sigma of a normalised gain as poses and bounds assume it: as stated, and no wider than matters."""
-    return min(rig.sensor.gain_prior, WIDEST)
+    """1 sigma of a normalised gain as poses and bounds assume it: as stated, within what matters."""
+    return min(max(rig.sensor.gain_prior, NARROWEST), WIDEST)
+
+
+def assumed_offset_prior(rig: Rig) -> Array:
+    """(n,) of the offsets likewise, fraction of range; 0: there is none."""
+    stated = rig.sensor.offset_prior_array / rig.sensor.channel_scale
+    return np.where(stated > 0.0, np.clip(stated, NARROWEST, WIDEST), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

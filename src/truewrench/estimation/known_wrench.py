@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truewrench.estimation.assumptions import assumed_gain_prior, assumed_offset_prior
 from truewrench.estimation.lasting_errors import Spread, spread_of_sizes, whitened
 from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.estimation.wrench_errors import (
@@ -75,7 +76,8 @@ def estimate_from_known_wrench(
     Rows are synchronous: raw channels and reference of a row belong together (`with_reference_on_time`, which
     made the `clocks`). Rows that contradict all others by more than chance are left out, one mis-noted
     weight, say. The rig's payloads and motion play no part. Sizes of `errors` may be those of an estimate
-    with the same kinds of log; else they are found. InputError: a log without a row that has both sides.
+    with the same kinds of log; else they are found. InputError: a log without a row that has both sides;
+    noise and range too far apart.
     """
     problem, complete, log_of = _problem(rig, logs)
     assert rig.reference_noise is not None
@@ -86,12 +88,16 @@ def estimate_from_known_wrench(
         np.array(rig.reference_noise),
     )
     stated = tuple(as_stated(rows, rig.sensor.n) for rows in kinds)
-    fit = fit_with(problem, kinds, stated, np.ones(len(problem.raw), dtype=bool))
-    if errors is None:
-        fit = fit_with_found(problem, kinds, fit)
-    elif any(found.found for found in errors):
-        told = {found.stepped: found for found in errors}
-        fit = fit_with(problem, kinds, tuple(told.get(s.stepped, s) for s in stated), fit.used)
+    try:
+        fit = fit_with(problem, kinds, stated, np.ones(len(problem.raw), dtype=bool))
+        if errors is None:
+            fit = fit_with_found(problem, kinds, fit)
+        elif any(found.found for found in errors):
+            told = {found.stepped: found for found in errors}
+            fit = fit_with(problem, kinds, tuple(told.get(s.stepped, s) for s in stated), fit.used)
+    except np.linalg.LinAlgError as error:
+        place = "sensor.range, sensor.noise, reference_noise"
+        raise InputError.at(rig.path, place, str(error).lower(), "noise of 1e-12 to 1 of range") from error
     return _result(rig, logs, problem, complete, log_of, kinds, fit, clocks)
 
 
@@ -124,8 +130,8 @@ def _problem(rig: Rig, logs: Sequence[Log]) -> tuple[Problem, list[Integers], In
     columns = (offset_of[:, None] == np.arange(offset_of[-1] + 1)).astype(np.float64)
     mean = np.zeros((sensor.n, 6 + columns.shape[1] + with_slope))
     mean[:, :6] = sensor.nominal_gain_array * span / scale[:, None]
-    std = np.full(mean.shape, sensor.gain_prior)
-    std[:, 6:] = (sensor.offset_prior_array / scale)[:, None]
+    std = np.full(mean.shape, assumed_gain_prior(rig))
+    std[:, 6:] = assumed_offset_prior(rig)[:, None]
     if with_slope:
         slope = np.concatenate([t[rows] for t, rows in zip(departure, complete, strict=True)])
         columns = np.column_stack([columns, slope])

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from truewrench.estimation.assumptions import assumed_gain_prior, assumed_offset_prior
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
@@ -56,7 +57,7 @@ def least_squares(
     )
     ones = (log_of[:, None] == np.arange(log_of[-1] + 1)).astype(np.float64)
 
-    n, offset_prior = sensor.n, sensor.offset_prior_array / sensor.channel_scale
+    n, offset_prior = sensor.n, assumed_offset_prior(rig)
     gain, offsets = nominal.copy(), np.zeros((n, ones.shape[1]))
     covariance, chi_square = np.zeros((7 * n, 7 * n)), np.empty(n)
     for with_offset in (True, False):
@@ -72,7 +73,7 @@ def least_squares(
         residual = departure[:, channels] - design @ solution
         for k, i in enumerate(channels):
             sigma = sensor.noise_array[i] / sensor.channel_scale[i]
-            prior = np.full(design.shape[1], sensor.gain_prior)
+            prior = np.full(design.shape[1], assumed_gain_prior(rig))
             prior[6:] = offset_prior[i]
             unseen = vt[~seen].T @ vt[~seen]
             of_row = (vt[seen].T * (sigma / s) ** 2) @ vt[seen] + unseen @ np.diag(prior**2) @ unseen

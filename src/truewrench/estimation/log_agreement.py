@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from truewrench.estimation.assumptions import assumed_gain_prior
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.estimation.together import Shared, Told
@@ -76,7 +77,7 @@ def _told(rig: Rig, found: KnownWrenchEstimate) -> Told:
         u=slice(0, 0),
         theta=(found.gain * unit).ravel(),
         mean=(sensor.nominal_gain_array * unit).ravel(),
-        prior=np.full(gains, sensor.gain_prior**2),
+        prior=np.full(gains, assumed_gain_prior(rig) ** 2),
         covariance=found.normalised_covariance[:gains, :gains],
         added=np.zeros((gains, gains)),
     )

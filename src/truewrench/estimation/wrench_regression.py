@@ -109,7 +109,9 @@ def solve(problem: Problem, parts: Sequence[Part]) -> Solution:
         places = float(sum(len(part.raw) for part in parts))
         if iteration > 0:
             G = np.linalg.solve(S, C @ D).T
-            Q = D - G @ C @ D
+            Q = np.linalg.inv(
+                np.linalg.inv(D) + C.T @ np.linalg.solve(R, C)
+            )  # D - G C D
             # errors of the regressor, times what is not known of the gain
             noise = S + np.einsum("iajb,ab->ij", covariance.reshape(n, p, n, p)[:, :6, :, :6], Q)
             of_reference = np.linalg.solve(C.T @ np.linalg.solve(R, C), C.T @ np.linalg.inv(R))
@@ -133,6 +135,8 @@ def solve(problem: Problem, parts: Sequence[Part]) -> Solution:
         step = np.zeros(n * p)
         step[exists] = inner @ gradient[exists]
         parameters = parameters + step.reshape(n, p)
+        if not np.all(np.diag(inner) > 0.0):
+            raise np.linalg.LinAlgError("a variance below zero")
         sigma = np.sqrt(np.diag(inner))
         converged = iteration > 0 and bool(np.all(np.abs(step[exists]) <= _STEP * sigma))
         iteration += 1

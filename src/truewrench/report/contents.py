@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from bokeh.plotting import figure
 
+from truewrench.estimation.assumptions import assumed_gain_prior
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
 from truewrench.judging.words import listed
@@ -286,7 +287,7 @@ def _excitation(c: Calibration, record: Record) -> Section:
     units = (sensor.range_array / sensor.channel_scale[:, None]).ravel()
     size = 6 * sensor.n
     covariance = c.covariance[:size, :size] * units[:, None] * units
-    shares = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0)) / sensor.gain_prior
+    shares = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0)) / assumed_gain_prior(c.rig)
     shown: tuple[Table, ...] = ()
     if record.none_because:
         words.append(f"Of the wrench nothing can be said: {record.none_because}.")

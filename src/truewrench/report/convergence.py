@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from truewrench.estimation.assumptions import assumed_gain_prior, assumed_offset_prior
 from truewrench.estimation.ekf import EkfEstimate
 from truewrench.estimation.estimate import Estimate
 from truewrench.estimation.evidence import Evidence
@@ -40,8 +41,8 @@ def convergence(calibration: Calibration, evidence: Evidence, record: Record) ->
     sensor = calibration.rig.sensor
     n, logs, units = sensor.n, len(record.logs), sensor.range_array / sensor.channel_scale[:, None]
     size = 6 + logs * bool(sensor.offset_prior_array.any())
-    prior = np.full((n, size), sensor.gain_prior)
-    prior[:, 6:] = (sensor.offset_prior_array / sensor.channel_scale)[:, None]
+    prior = np.full((n, size), assumed_gain_prior(calibration.rig))
+    prior[:, 6:] = assumed_offset_prior(calibration.rig)[:, None]
     gram, right = np.zeros((size, size)), np.zeros((size, n))
     times, gains, sigmas = [], [], []
     for k, series in enumerate(record.logs):

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import model_validator
 
 from truewrench.model.arrays import Array
-from truewrench.model.rig.strict import NonNegative, Numbers, Positives, Section, Text, refuse, shown
+from truewrench.model.rig.strict import CountedEach, NonNegative, Numbers, Section, Text, refuse, shown
 
 ACCELEROMETER_BIAS_PRIOR = 0.05
 """[m/s^2] 1 sigma of an accelerometer's constant error: 5 mg, what a factory leaves of a MEMS part."""
@@ -40,10 +40,10 @@ class MotionSpec(Section):
 
     source: Literal["twist", "joints", "imu"] = "twist"
     of: Literal["com", "sensor"] = "com"  # joints and an IMU tell of the sensor's origin
-    noise: Positives | None = None  # of v and Omega; of every joint's velocity; of an IMU's Omega
-    position_noise: Positives | None = None
+    noise: CountedEach | None = None  # of v and Omega; of every joint's velocity; of an IMU's Omega
+    position_noise: CountedEach | None = None
     initial_position: Numbers | None = None
-    acceleration_noise: Positives | None = None  # six: of ax ... alz; three: of accel_*
+    acceleration_noise: CountedEach | None = None  # six: of ax ... alz; three: of accel_*
     accelerometer_bias_prior: NonNegative | None = None  # [m/s^2] of each axis, 0: no bias
     gyro_bias_prior: NonNegative | None = None  # [rad/s] of each axis, 0: no bias
     robot: RobotSpec | None = None

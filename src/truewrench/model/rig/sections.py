@@ -16,6 +16,7 @@ from truewrench.model.arrays import Array
 from truewrench.model.rig.ati_cal import read_ati_cal
 from truewrench.model.rig.imperfections import ImperfectionsSpec
 from truewrench.model.rig.strict import (
+    CountedEach,
     Duration,
     Fraction,
     Listed,
@@ -35,6 +36,7 @@ from truewrench.model.rig.strict import (
     Switched,
     Text,
     ThreeNumbers,
+    Uncertainty,
     WholeNumber,
     Word,
     Zero,
@@ -85,7 +87,7 @@ class SensorSpec(Section):
 
     channels: tuple[Text, ...]
     feels: Literal["payload_on_sensor", "sensor_on_payload"]
-    noise: Positives
+    noise: CountedEach
     range: SixPositives
     nominal_gain: NominalGain = "identity"
     gain_prior: Positive = 0.3
@@ -100,7 +102,7 @@ class SensorSpec(Section):
     time_offset_prior: NonNegative = 5.0e-3
     lowpass_hz: Positive | None = None
     discrepancy: Annotated[
-        float | Literal["auto"], word_or_number("auto", "a fraction of range of at least 0", 0.0)
+        float | Literal["auto"], word_or_number("auto", "a fraction of range, 0 to 1", 0.0, 1.0)
     ] = "auto"  # what departs from the model together with the pose, 1 sigma; auto: found; 0: there is none
     compensated: Annotated[
         Annotated[Switch, Switched] | Annotated[CompensatedSpec, Mapped],
@@ -225,9 +227,9 @@ def symmetric(elements: Array) -> Array:
 class UncertaintySpec(Section):
     """1 sigma of what is known of a payload; 0 means exact."""
 
-    mass: NonNegative = 1.0e-3  # relative
-    center_of_mass: NonNegative = 5.0e-4  # [m]
-    inertia: NonNegative = 1.0e-2  # of I_ij, relative to sqrt(I_ii I_jj)
+    mass: Uncertainty = 1.0e-3  # relative
+    center_of_mass: Uncertainty = 5.0e-4  # [m]
+    inertia: Uncertainty = 1.0e-2  # of I_ij, relative to sqrt(I_ii I_jj)
 
     @property
     def of_each(self) -> Array:

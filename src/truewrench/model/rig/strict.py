@@ -83,11 +83,13 @@ def of_length(n: int, what: str) -> Callable[[_Sized], _Sized]:
     return check
 
 
-def word_or_number(word: str, number: str, least: float = -math.inf) -> BeforeValidator:
-    """A validator that wants one word, or a finite number of at least `least`; `number` says so."""
+def word_or_number(
+    word: str, number: str, least: float = -math.inf, most: float = math.inf
+) -> BeforeValidator:
+    """A validator that wants one word, or a finite number from `least` to `most`; `number` says so."""
 
     def check(value: Any) -> Any:
-        if value != word and not (is_finite(value) and value >= least):
+        if value != word and not (is_finite(value) and least <= value <= most):
             raise refuse("", shown(value), f"`{word}` or {number}")
         return value
 
@@ -108,6 +110,12 @@ def _for_all_or_each(value: Any) -> Any:
     raise refuse("", shown(value), expected)
 
 
+def _of_a_size(value: float) -> float:
+    if not 1e-30 <= value <= 1e30:
+        raise refuse("", shown(value), "a number of 1e-30 to 1e+30")
+    return value
+
+
 Number = Annotated[float, Strict(), AllowInfNan(False)]
 Positive = Annotated[Number, Field(gt=0)]
 Fraction = Annotated[Number, Field(gt=0, le=1)]
@@ -123,7 +131,10 @@ Positives = tuple[Positive, ...]
 NonNegatives = tuple[NonNegative, ...]
 ThreeNumbers = Annotated[Numbers, AfterValidator(of_length(3, "x, y, z"))]
 SixNumbers = Annotated[Numbers, AfterValidator(of_length(6, "one per axis"))]
-Counted = Annotated[Positive, Field(le=1e100)]  # whose square is a number, too
+# whose ratios and squares are numbers, too
+Counted = Annotated[Positive, AfterValidator(_of_a_size)]
+CountedEach = tuple[Counted, ...]
+Uncertainty = Annotated[NonNegative, Field(le=1e30)]
 SixPositives = Annotated[tuple[Counted, ...], AfterValidator(of_length(6, "one per axis"))]
 ForAllOrEach = Annotated[float | tuple[float | None, ...], BeforeValidator(_for_all_or_each)]
 Matrix = tuple[SixNumbers, ...]
