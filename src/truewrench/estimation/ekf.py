@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truewrench import _core
+from truewrench.estimation.assumptions import assumed_gain_prior, assumed_offset_prior
 from truewrench.estimation.motion_noise import twist_covariance
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
@@ -109,9 +110,9 @@ def _settings(rig: Rig, published: bool) -> _core.EkfSettings:
     covariance = settings.parameter_covariance.copy()
     if not published:
         settings.gain = sensor.nominal_gain_array
-        prior = sensor.gain_prior * sensor.channel_scale[:, None] / sensor.range_array
+        prior = assumed_gain_prior(rig) * sensor.channel_scale[:, None] / sensor.range_array
         covariance[:36, :36] = np.diag(prior.ravel() ** 2)
-    covariance[36:, 36:] = np.diag(sensor.offset_prior_array**2)
+    covariance[36:, 36:] = np.diag((assumed_offset_prior(rig) * sensor.channel_scale) ** 2)
     settings.parameter_covariance = covariance
     return settings
 
@@ -120,7 +121,7 @@ def _carry_over(rig: Rig, before: _core.EkfRecord, settings: _core.EkfSettings) 
     """Starts the next log with what the filter knows of the gain, and of a pooled offset."""
     known = before.state.size - 12 if rig.sensor.pool_offsets else 36
     covariance = np.zeros((42, 42))
-    covariance[36:, 36:] = np.diag(rig.sensor.offset_prior_array**2)
+    covariance[36:, 36:] = np.diag((assumed_offset_prior(rig) * rig.sensor.channel_scale) ** 2)
     covariance[:known, :known] = before.covariance[12 : 12 + known, 12 : 12 + known]
     settings.parameter_covariance = covariance
     settings.gain = before.state[12:48].reshape(6, 6)
