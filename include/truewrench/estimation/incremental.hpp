@@ -338,7 +338,7 @@ class Incremental {
   void keep() noexcept;
   void restore() noexcept;
   Status start(bool partial) noexcept;
-  bool resting() noexcept;
+  bool resting(double until) noexcept;
   void forget_until(double time) noexcept;
   bool choose_spacing(double origin, bool partial);
   long blocks_of(double origin, double h, bool partial) const;

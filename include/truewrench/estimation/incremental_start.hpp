@@ -103,14 +103,14 @@ inline void Incremental::forget_until(double time) noexcept {
       motion_[i].drop_before(motion_[i].begin() + 1);
 }
 
-// Whether no stream of the motion has moved by more than noise that would be told.
-inline bool Incremental::resting() noexcept {
+// Whether no stream of the motion has moved by more than noise that would be told, before a time.
+inline bool Incremental::resting(double until) noexcept {
   for (std::size_t i = 0; i < lag_.streams(); ++i) {
     const auto& rows = motion_[i];
     for (int j = 0; j < kComponents; ++j) {
       const auto ju = static_cast<std::size_t>(j);
       double n = 0.0, mean = 0.0, squares = 0.0;  // Welford's
-      for (long k = rows.begin(); k < rows.end(); ++k) {
+      for (long k = rows.begin(); k < rows.end() && rows[k].time < until; ++k) {
         const double x = rows[k].value[ju];
         if (!std::isfinite(x)) continue;
         const double d = x - mean;
@@ -154,8 +154,9 @@ inline void Incremental::restore() noexcept {
 inline Status Incremental::start(bool partial) noexcept {
   period_ = raw_period();
   motion_period_ = motion_period();
-  if (!partial && first_log_ && first_stretch_ && resting()) {
-    forget_until(common_begin() + 0.5 * settings_.lag);
+  if (const double eighth = common_begin() + 0.125 * settings_.lag;
+      !partial && first_log_ && first_stretch_ && resting(eighth)) {
+    forget_until(eighth);
     return Status::ok;
   }
   const double origin = common_begin() - 0.5 * period_;

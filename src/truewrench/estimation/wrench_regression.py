@@ -109,9 +109,7 @@ def solve(problem: Problem, parts: Sequence[Part]) -> Solution:
         places = float(sum(len(part.raw) for part in parts))
         if iteration > 0:
             G = np.linalg.solve(S, C @ D).T
-            Q = np.linalg.inv(
-                np.linalg.inv(D) + C.T @ np.linalg.solve(R, C)
-            )  # D - G C D
+            Q = np.linalg.inv(np.linalg.inv(D) + C.T @ np.linalg.solve(R, C))  # D - G C D
             # errors of the regressor, times what is not known of the gain
             noise = S + np.einsum("iajb,ab->ij", covariance.reshape(n, p, n, p)[:, :6, :, :6], Q)
             of_reference = np.linalg.solve(C.T @ np.linalg.solve(R, C), C.T @ np.linalg.inv(R))

@@ -43,9 +43,10 @@ def agreement_of_logs(solution: Solution, threads: int) -> Array:
 
 
 def agreement_of_halves(solution: Solution, threads: int) -> Array:
-    """(L,) the same of the first and the second half of each log: of its poses, or of its motion without any.
+    """(L,) the same of the first and the second half of each log: of poses, or of motion with few of them.
 
-    With offsets of their own, as if the log had been cut. 1: too little to be parted. Of poses and the moves
+    With offsets of their own, as if the log had been cut. 1: too little to be parted; no number: half of the
+    motion could not be read alone. Of poses and the moves
     between them a half is too little to tell what follows the pose, as hysteresis: 9 of 18 such logs, sound
     but for that, were told apart.
     """
@@ -56,10 +57,14 @@ def agreement_of_halves(solution: Solution, threads: int) -> Array:
         own = np.flatnonzero(poses.log == log)
         halves = own[: own.size // 2], own[own.size // 2 :]
         motion: list[MotionInformation | None] = [None, None]
-        if not own.size and log in moves:
-            motion = _halves(solution, moves[log], threads)
-        if own.size < FEWEST and None in motion:
-            continue
+        if own.size < FEWEST:
+            if log not in moves or (middle_ns := _middle_ns(moves[log])) is None:
+                continue
+            halves = own[poses.time_ns[own] < middle_ns], own[poses.time_ns[own] >= middle_ns]
+            motion = _halves(solution, moves[log], middle_ns, threads)
+            if None in motion:
+                p[log] = np.nan
+                continue
         parts = [
             (replace(problem, poses=poses.of(chosen), motion=says), solution.x)
             for chosen, says in zip((own[:0], *halves), (None, *motion), strict=True)
@@ -68,18 +73,24 @@ def agreement_of_halves(solution: Solution, threads: int) -> Array:
     return p
 
 
-def _halves(solution: Solution, move: Move, threads: int) -> list[MotionInformation | None]:
-    """What a log's motion says before and after its middle; None: too little of it moves."""
-    sensed = np.isfinite(move.record.raw).any(axis=1)
-    time = move.record.time
-    later = time >= np.mean(time[sensed][[0, -1]])
+def _middle_ns(move: Move) -> int | None:
+    """When half of what a log moves has passed; None: too little of it moves to be parted."""
+    sensed = np.flatnonzero(np.isfinite(move.record.raw).any(axis=1))
+    step = np.diff(move.record.time[sensed])
+    moving = np.cumsum(np.where(step < APART, step, 0.0))
+    if not moving.size or moving[-1] < 2.0 * MOVING:
+        return None
+    return int(move.record.time_ns[sensed[1 + np.searchsorted(moving, 0.5 * moving[-1])]])
+
+
+def _halves(solution: Solution, move: Move, middle_ns: int, threads: int) -> list[MotionInformation | None]:
+    """What a log's motion says before and after a time; None: what cannot be read alone."""
+    later = move.record.time_ns >= middle_ns
     out: list[MotionInformation | None] = []
     for half in (~later, later):
-        step = np.diff(time[half & sensed])
         raw = np.where(half[:, None], move.record.raw, np.nan)
-        enough = float(step[step < APART].sum()) >= MOVING
         part = replace(move, record=replace(move.record, raw=raw))
-        out.append(_motion(solution, part, move, threads) if enough else None)
+        out.append(_motion(solution, part, move, threads))
     return out
 
 

@@ -65,13 +65,13 @@ def judge(
         | _undone(moved)
         | {
             "logs_agree": worst_of(p_logs),
-            "halves_agree": worst_of(p_halves),
+            "halves_agree": worst_of(p_halves) if np.isfinite(p_halves).all() else None,
         }
     )
     reasons, needed = _reasons(rig, solution, motion, left, figures, determined, moved)
     reasons += [*_differing(p_logs, logs), *_slipped(p_halves, logs)]
     unknown, more = undetermined(rig, solution, motion, determined, figures)
-    needs = dict.fromkeys([*_unused(solution, logs), *needed, *more])
+    needs = dict.fromkeys([*_unused(solution, logs), *_whole(p_halves, logs), *needed, *more])
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(needs))
     return Judged(verdict, figures)
 
@@ -91,11 +91,21 @@ def _differing(p_logs: Array, logs: Sequence[Log]) -> list[str]:
 
 def _slipped(p_halves: Array, logs: Sequence[Log]) -> list[str]:
     """Whether a log begins with another tool than it ends with."""
+    p_halves = np.where(np.isfinite(p_halves), p_halves, 1.0)
     if worst_of(p_halves) >= CHANCE:
         return []
     return [
         f"The first and the second half of {log_name(logs, int(np.argmin(p_halves)))} tell different tools "
         f"(p = {worst_of(p_halves):.1g}): the tool slipped, something hung on it, or the sensor changed."
+    ]
+
+
+def _whole(p_halves: Array, logs: Sequence[Log]) -> list[str]:
+    """Logs whose halves could not be compared."""
+    return [
+        f"Whether {log_name(logs, k)} begins with the tool that it ends with is not known, as a half of its "
+        "motion tells nothing by itself: move for longer at a time."
+        for k in np.flatnonzero(~np.isfinite(p_halves)).tolist()
     ]
 
 
