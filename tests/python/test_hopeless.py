@@ -241,6 +241,24 @@ def test_coarse_encoders_do_not_jump(arm: tuple[Rig, Log], step: float) -> None:
     assert joint_faults(rig, [replace(coarse, velocity=None)]) == []
 
 
+@pytest.mark.parametrize("late", [2, 5])
+def test_lost_rows_beside_late_velocities_are_no_jumps(arm: tuple[Rig, Log], late: int) -> None:
+    rig, log = arm
+    assert log.position is not None
+    assert log.velocity is not None
+    velocity = np.vstack([log.velocity[:late], log.velocity[:-late]])
+    for seed in range(5):
+        kept = np.random.default_rng(seed).random(len(log.time_ns)) > 0.25
+        lossy = replace(
+            log,
+            time_ns=log.time_ns[kept],
+            raw=log.raw[kept],
+            position=log.position[kept],
+            velocity=velocity[kept],
+        )
+        assert not any("jumps by" in fault for fault in joint_faults(rig, [lossy]))
+
+
 def test_velocities_that_nobody_fills_are_left_out(arm: tuple[Rig, Log]) -> None:
     rig, log = arm
     assert log.velocity is not None

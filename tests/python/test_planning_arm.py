@@ -14,8 +14,9 @@ import yaml
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from truewrench.model.errors import InputError
-from truewrench.model.rig import Rig
+from truewrench import robots
+from truewrench.model.errors import InputError, UnsupportedError
+from truewrench.model.rig import Rig, load_rig
 from truewrench.planning.criterion import Criterion
 from truewrench.planning.joint_space import arm_outputs, joint_limits, joint_space
 from truewrench.planning.limits import Limits
@@ -292,3 +293,17 @@ def test_sinusoidal_wrenches_ask_for_free_fall_and_a_posture(
 ) -> None:
     with pytest.raises(InputError, match=words):
         plan(arm_rig(arm, **changes), method="wrench")
+
+
+def test_a_joint_that_mimics_another_is_not_planned(tmp_path: Path) -> None:
+    path = robots.path("panda_ground")
+    text = (path.parent / "panda.urdf").read_text(encoding="utf-8")
+    joint = '<joint name="panda_joint5" type="revolute">'
+    assert joint in text
+    (tmp_path / "arm.urdf").write_text(text.replace(joint, f'{joint}<mimic joint="panda_joint3"/>'))
+    settings = load_rig(path).to_mapping()
+    settings["motion"]["robot"]["urdf"] = str(tmp_path / "arm.urdf")
+    rig = Rig.from_mapping(settings)
+    assert robot_of(rig).n == 7  # logs that have it tell it
+    with pytest.raises(UnsupportedError, match=r"`panda_joint5`: found <mimic> of `panda_joint3`"):
+        plan(rig)

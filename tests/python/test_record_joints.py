@@ -18,6 +18,7 @@ from truewrench.model.log import Log
 from truewrench.robot.arm import BaseMotion, Robot, robot_of
 from truewrench.robot.base_path import BasePath
 from truewrench.robot.chain import chain_of, sensor_motion
+from truewrench.robot.parts import unwrapped
 from truewrench.simulation.arm import simulate_arm
 from truewrench.simulation.free_body import wrench_on_sensor
 from truewrench.simulation.truth import Truth, stated
@@ -250,6 +251,26 @@ def test_samples_while_the_base_is_not_known_are_left_out(arm_rig: RigOf) -> Non
     notes: list[str] = []
     recorded(rig, Assumptions.of(rig, [log]), log, notes=notes)
     assert notes == ["50 samples of the sensor left out: the motion of the base is not known then"]
+
+
+def test_a_joint_that_went_on_in_a_pause_is_where_it_is_logged(arm_rig: RigOf) -> None:
+    rig = arm_with(arm_rig, "panda_ground", position_noise=[1e-5] * 7)
+    log = simulate_arm(rig).log
+    assert log.position is not None
+    rows = np.arange(0, 400, 50)
+    away = np.where(np.arange(rows.size) % 2 == 0, -1.9, 1.9)  # each time by more than half a turn
+    position = log.position[rows].copy()
+    position[:, 6] = away
+    poses = replace(
+        log,
+        time_ns=5_000_000_000 * np.arange(rows.size),
+        raw=log.raw[rows],
+        position=position,
+        velocity=np.zeros_like(position),
+    )
+    again = unwrapped(rig, poses)
+    assert again.position is not None
+    np.testing.assert_array_equal(again.position[:, 6], away)
 
 
 @pytest.mark.parametrize("estimator", ["map", "online", "ekf"])

@@ -23,7 +23,7 @@ from truewrench.calibrating.known_wrench import (
     improvement_by_axis,
     worse_on_rows,
 )
-from truewrench.calibrating.pose_following import Following, following, weights
+from truewrench.calibrating.pose_following import Following, following
 from truewrench.calibrating.reference_body import Known
 from truewrench.calibrating.unknown_bodies import known_logs, scale_unknown
 from truewrench.estimation.assembly import log_report
@@ -40,6 +40,7 @@ from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.robot.attitude import own_roots
 from truewrench.tool.bodies import weight
+from truewrench.tool.following import weights
 from truewrench.tool.judge import WORST_WALK, misfit_of_poses
 from truewrench.tool.parameters import Layout
 from truewrench.tool.solve import Solution, solve

@@ -14,7 +14,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.motion.trajectory_joint import SplineJoints
 from truewrench.model.rig import Rig
 from truewrench.planning.resolved_rate import FollowedTwist, JointLimits, follow_twist, limits_of
-from truewrench.robot.arm import Robot, robot_of
+from truewrench.robot.arm import Robot, planned_robot_of
 
 _FEWEST = 6  # rows of a quintic spline
 _CLOSE = (
@@ -82,7 +82,7 @@ def follow_plan(
     or of the sensor's origin. InputError: for the robot, the plan, an unknown payload, or a start that is
     missing or outside its limits.
     """
-    robot = robot_of(rig)
+    robot = planned_robot_of(rig)
     if rig.motion.initial_position is None:
         expected = "the joint positions that the motion starts from"
         raise InputError.at(rig.path, "motion.initial_position", "nothing", expected)

@@ -22,7 +22,7 @@ from truewrench.planning.result import Design
 from truewrench.planning.search import Effort, Progress, search
 from truewrench.planning.series import FourierMotion, SeriesBasis
 from truewrench.planning.spread import spread_weight
-from truewrench.robot.arm import robot_of
+from truewrench.robot.arm import planned_robot_of
 from truewrench.robot.track import track
 from truewrench.simulation.truth import begin, readings, stamps_of
 
@@ -31,7 +31,7 @@ _EFFORT = Effort(random=120, starts=6, first=20, finalists=2, iterations=60, aga
 
 def design_joints(rig: Rig, payload: str, criterion: Literal["A", "D"], progress: Progress) -> Design:
     """The best joint motion found within the limits of rig and arm."""
-    robot, settings = robot_of(rig), rig.plan
+    robot, settings = planned_robot_of(rig), rig.plan
     limits = joint_limits(rig, robot)
     cycles = cycles_of(rig, limits)
     basis = SeriesBasis(settings.harmonics, settings.duration / cycles, settings.rest_to_rest)
@@ -79,7 +79,7 @@ def design_joints(rig: Rig, payload: str, criterion: Literal["A", "D"], progress
 
 def simulated_joints(rig: Rig, payload: str, motion: JointTrajectory) -> Log:
     """A log of the arm as if it followed exactly: what a calibration would have, without servos."""
-    robot = robot_of(rig)
+    robot = planned_robot_of(rig)
     name, truth = begin(rig, payload, None)
     stamps = stamps_of(rig, motion.duration, truth.time_offset)
     rng = np.random.default_rng([truth.seed, 1])

@@ -19,7 +19,7 @@ from truewrench.planning.resolved_rate import follow_twist, limits_of
 from truewrench.planning.result import Design
 from truewrench.planning.search import Progress
 from truewrench.planning.wrench_plan import ONE_FREQUENCY, best_sinusoids, facts_of, scaled
-from truewrench.robot.arm import Robot, robot_of
+from truewrench.robot.arm import Robot, planned_robot_of
 
 _REACHED = 0.5  # of what the joints could do together at the start
 _TRAVEL = (0.15, 0.6)  # of the arm's length, and [rad]: what the hand may be away from the start
@@ -37,7 +37,7 @@ def design_joint_wrench(rig: Rig, payload: str, progress: Progress) -> Design:
     if rig.motion.initial_position is None:
         expected = "the joint positions that the motion starts from"
         raise InputError.at(rig.path, "motion.initial_position", "nothing", expected)
-    robot = robot_of(rig)
+    robot = planned_robot_of(rig)
     limits, start = joint_limits(rig, robot), np.array(rig.motion.initial_position)
     best = best_sinusoids(rig, payload, _of_hand(rig, robot, limits, start), progress)
     body = rig.payloads[payload].center_of_mass_array

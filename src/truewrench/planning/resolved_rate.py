@@ -15,7 +15,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.motion.spatial import at_point
 from truewrench.model.motion.trajectory import Trajectory
 from truewrench.model.rig import Rig
-from truewrench.robot.arm import Robot, robot_of
+from truewrench.robot.arm import Robot, planned_robot_of
 
 _SUBSTEPS = 4  # of the target pose between two commands
 _METRE_PER_RADIAN = 1.0  # what a radian of attitude weighs against a metre
@@ -47,7 +47,7 @@ class FollowedTwist:
 
 def limits_of(rig: Rig) -> JointLimits:
     """The stricter of the robot's limits and those of the rig's `limits` section."""
-    robot = robot_of(rig)
+    robot = planned_robot_of(rig)
     position = np.inf if rig.limits.position is None else np.array(rig.limits.position)
     velocity = np.inf if rig.limits.velocity is None else np.array(rig.limits.velocity)
     return JointLimits(

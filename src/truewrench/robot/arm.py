@@ -16,7 +16,7 @@ from truewrench.model.errors import InputError, UnsupportedError
 from truewrench.model.motion.spatial import at_point
 from truewrench.model.motion.trajectory import rotation_matrix
 from truewrench.model.rig import Rig
-from truewrench.model.rig.urdf import model_of, nearest
+from truewrench.model.rig.urdf import model_of, nearest, read_urdf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,6 +180,24 @@ def robot_of(rig: Rig) -> Robot:
         if values is not None and len(values) != robot.n:
             expected = f"{robot.n}: one per joint, in the order {', '.join(robot.joints)}"
             raise InputError.at(rig.path, key, f"{len(values)} entries", expected)
+    return robot
+
+
+def planned_robot_of(rig: Rig) -> Robot:
+    """`robot_of`, for what is planned: every joint by itself.
+
+    UnsupportedError: a joint of the chain mimics another, and no drive moves it otherwise.
+    """
+    robot = robot_of(rig)
+    assert rig.urdf_path is not None  # robot_of has read it
+    for joint in read_urdf(rig.urdf_path).iter("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None and joint.get("name") in robot.joints:
+            found = f"<mimic> of `{mimic.get('joint', '')}`"
+            place = f"joint `{joint.get('name')}`"
+            raise UnsupportedError.at(
+                rig.urdf_path, place, found, "joints that move by themselves, to be planned"
+            )
     return robot
 
 

@@ -165,7 +165,8 @@ def _jump(time: Array, q: Array, went: _Path) -> str:
     """The largest jump that stays."""
     step, move = np.diff(time), np.diff(q)
     speed = np.abs(move) / step
-    depart = move - np.append(np.append(np.nan, 0.5 * (move[2:] + move[:-2])), np.nan)
+    rate = move / step  # of neighbours, whose steps may be longer where samples are lost
+    depart = move - step * np.append(np.append(np.nan, 0.5 * (rate[2:] + rate[:-2])), np.nan)
     by_velocity = move - went.between(time[:-1], time[1:])  # both have to say so
     depart = np.where(np.abs(by_velocity) < np.abs(depart), by_velocity, depart)
     known = np.isfinite(depart) & (step <= NEAR * np.median(step))

@@ -18,7 +18,8 @@ _APART = 1.0  # [s] between rows of which nobody says that the joint went on
 def unwrapped(rig: Rig, log: Log) -> Log:
     """The log with angles that go on where they were logged within one turn, as from 180 to -180 deg.
 
-    The arm is where it was: only a spline through the angles sees the difference.
+    The arm is where it was: only a spline through the angles sees the difference. Across a pause a joint may
+    have gone by half a turn and more.
     """
     if rig.motion.source != "joints" or log.position is None:
         return log
@@ -28,10 +29,11 @@ def unwrapped(rig: Rig, log: Log) -> Log:
     for k in np.flatnonzero(turning(robot)):
         name = robot.joints[k]
         rows = np.flatnonzero(np.isfinite(position[:, k]))
-        angle = position[rows, k]
-        position[rows, k] = np.unwrap(angle)
-        turned = np.abs(np.diff(position[rows, k] - angle)) > np.pi
-        turns = int(np.count_nonzero(turned & (np.diff(log.time[rows]) < _APART)))
+        turns = 0
+        for run in np.split(rows, np.flatnonzero(np.diff(log.time[rows]) >= _APART) + 1):
+            angle = position[run, k]
+            position[run, k] = np.unwrap(angle)
+            turns += int(np.count_nonzero(np.abs(np.diff(position[run, k] - angle)) > np.pi))
         if turns:
             notes.append(f"q_{name} was logged within one turn: it goes on across {turns} jumps of 360 deg")
     if _not_filled(log.time, position, log.velocity):

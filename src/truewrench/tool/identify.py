@@ -24,6 +24,7 @@ from truewrench.robot.track import tracked
 from truewrench.tool.agreement import agreement_of_halves, agreement_of_logs
 from truewrench.tool.bodies import inertia_std, joined, nearest_physical
 from truewrench.tool.checks import check_known, check_logs, check_options, check_session
+from truewrench.tool.following import beside_poses
 from truewrench.tool.held_out import held_out
 from truewrench.tool.judge import Judged, judge, misfit_of_motion
 from truewrench.tool.model import Body, Tool
@@ -131,7 +132,8 @@ def identify_tool(
     with threadpool_limits(1, "blas"):  # of small matrices: on two cores threads take 15 times as long
         found = with_weight_on_time(rig, records, estimated, lambda found: _time_offsets(found[-1]))
         split, problem, solution, motion = found
-        solution = replace(solution, covariance=solution.covariance * widening(prior.gain_std))
+        own = solution.covariance * widening(prior.gain_std) + beside_poses(solution)
+        solution = replace(solution, covariance=own)
         report("holding poses out", None)
         left = held_out(problem, solution)
     judged = judge(

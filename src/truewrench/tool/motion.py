@@ -11,6 +11,7 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions, statement
+from truewrench.estimation.pose import PoseShare
 from truewrench.estimation.record import recorded
 from truewrench.estimation.static_poses import Move
 from truewrench.model.arrays import Array, Integers
@@ -159,8 +160,7 @@ def _taken(
     data = (told * values[values > _TOLD]) @ told.T
     added = np.zeros_like(data)
     gains, inertia = slice(0, 6 * n), slice(6 * n + 4, 6 * n + 10)
-    beyond = np.asarray(found.gain_covariance) - np.asarray(found.covariance)[: 6 * n, : 6 * n]
-    added[gains, gains] = beyond * np.outer(units, units)
+    added[gains, gains] = (np.asarray(found.added) + _follows_pose(rig, found)) * np.outer(units, units)
     added[inertia, inertia] = _taken_for_acceleration(fit, body[4:])
     data, pull = _widened(data, pull, added / np.outer(root, root))
     count = len(pick)
@@ -199,6 +199,16 @@ def _taken(
         float(np.min([found.halves.p, found.quarters.p])),
         found,
     )
+
+
+def _follows_pose(rig: Rig, found: _core.Estimate) -> Array:
+    """(6n, 6n) of the gain, by (10.10), whatever its prior: what the gain cannot take the body does."""
+    stated = rig.sensor.discrepancy
+    if stated == 0:
+        return np.zeros((6 * rig.sensor.n, 6 * rig.sensor.n))
+    f2 = np.maximum(np.asarray(found.discrepancy2), 0.0 if stated == "auto" else stated**2)
+    share = PoseShare(float(np.clip(found.pose.A, 0.0, 1.0)), np.asarray(found.pose.ww))
+    return np.asarray(np.kron(np.diag(f2), share.unit_covariance))
 
 
 def _taken_for_acceleration(fit: _core.Fit, places: Integers) -> Array:

@@ -44,6 +44,7 @@ class Solution:
     chi_square: float  # of the poses, whitened, over their number of readings less what theta took
     freedom: int  # that number
     steps: int  # of Gauss and Newton
+    by_gain_of_poses: Array  # (p, 6n) by how much a gain that stands in the poses alone moves the estimate
     pose_chi_square: Array = field(default_factory=lambda: np.zeros(0))
 
 
@@ -209,6 +210,8 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
             taken += float(np.einsum("tp,pq,tq->", Jw, inner, Jw))
             per_pose += solved**2 / (upper[i] ** 2).sum(axis=1)  # over the diagonal of V^-1
     freedom = max(1, round(residual.size - taken))
+    gains = problem.vector.layout.gain
+    moved = np.linalg.solve(A, (A - at.information)[:, gains]) * scale[:, None] / scale[gains]
     return Solution(
         problem,
         x_mixed,
@@ -222,6 +225,7 @@ def solve(problem: Problem, start: Array | None = None, sizes: Array | None = No
         chi / freedom,
         freedom,
         steps,
+        moved,
         per_pose[:T],
     )
 

@@ -14,7 +14,7 @@ from truewrench.planning.joint_space import ArmOutputs, arm_outputs, joint_limit
 from truewrench.planning.limits import Limits
 from truewrench.planning.tool.collisions import Collisions, collisions_of
 from truewrench.planning.tool.directions import rim
-from truewrench.robot.arm import Robot, robot_of
+from truewrench.robot.arm import Robot, planned_robot_of
 
 _SAMPLES = 6000
 _WRIST = 3  # last joints, which turn the tool; the others stay near where they are
@@ -46,7 +46,7 @@ class Stand:
     @classmethod
     def of(cls, rig: Rig, payload: str) -> Stand:
         """Of a rig with an arm that carries a payload."""
-        robot = robot_of(rig)
+        robot = planned_robot_of(rig)
         limits = joint_limits(rig, robot)
         stated = rig.motion.initial_position
         if stated is None:
@@ -55,7 +55,7 @@ class Stand:
             home[bounded] = 0.5 * (limits.lower[bounded] + limits.upper[bounded])
         else:
             home = np.array(stated)
-        assert rig.urdf_path is not None  # robot_of has read it
+        assert rig.urdf_path is not None  # it was read
         room = np.where(np.isfinite(limits.upper - limits.lower), _ROOM * (limits.upper - limits.lower), 0.0)
         lower, upper = np.minimum(limits.lower + room, home), np.maximum(limits.upper - room, home)
         limits = replace(limits, lower=np.maximum(lower, limits.lower), upper=np.minimum(upper, limits.upper))
