@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
-from tool_cases import Array, a_rig, pose_log, swing_log
+from tool_cases import Array, a_rig, pose_log, swing_log, tour_log
 
 import truewrench as tw
 from truewrench.model.errors import InputError
@@ -113,6 +113,28 @@ def test_a_tool_that_slips_while_it_moves_is_told() -> None:
         tool = tw.identify_tool(PLAIN, replace(log, raw=raw))
         assert tool.figures["halves_agree"] < CHANCE
         assert not tool.verdict.usable
+
+
+def test_a_tool_that_slips_between_few_poses_is_told_by_its_motion() -> None:
+    """Six dwells are too few to be compared by halves, and kept the motion between them from it."""
+    end, slip = 6 * 200 + 5 * 149, 3 * 200 + 2 * 149 + 75
+    for seed in range(3):
+        log, slipped = (
+            tour_log(PLAIN, MASS, center, INERTIA, dwell=2.0, walk=1e-4, seed=seed)[0]
+            for center in (CENTER, CENTER + [0.008, 0.0, 0.0])
+        )
+        assert tw.identify_tool(PLAIN, rows_of(log, slice(0, end))).figures["halves_agree"] > 1e-4
+        raw = np.where(np.arange(len(log.raw))[:, None] < slip, log.raw, slipped.raw)
+        tool = tw.identify_tool(PLAIN, rows_of(replace(log, raw=raw), slice(0, end)))
+        assert tool.figures["halves_agree"] < CHANCE
+        assert not tool.verdict.usable
+
+
+def test_a_half_that_cannot_be_read_alone_is_no_agreement(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("truewrench.tool.agreement._motion", lambda *_, **__: None)
+    tool = tw.identify_tool(PLAIN, swing(0, MASS, CENTER))
+    assert tool.figures["halves_agree"] is None
+    assert any("is not known, as a half" in need for need in tool.verdict.needed)
 
 
 def test_two_motions_of_a_rod_agree() -> None:

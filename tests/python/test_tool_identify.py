@@ -131,6 +131,37 @@ def test_a_tight_gain_gives_a_tight_mass() -> None:
     assert within(tool)
 
 
+def test_what_follows_the_pose_is_in_sigma() -> None:
+    """0.2% of range, half of it linear in the weight; of a gain that is known to 0.1% NEES was 3.8."""
+    rig = tool_rig(a_rig(sensor={"gain_prior": 1e-3}))
+    nees = []
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        log, _ = pose_log(rig, MASS, CENTER, seed=seed)
+        assert log.gravity is not None
+        down = log.gravity / 9.81
+        linear = down @ rng.normal(size=(3, 6))
+        bent = np.einsum("ni,ijk,nj->nk", down, rng.normal(size=(3, 3, 6)), down)
+        bent -= bent.mean(axis=0)
+        follows = (linear / linear.std(axis=0) + bent / bent.std(axis=0)) / np.sqrt(2.0)
+        raw = log.raw + 2e-3 * rig.sensor.range_array * follows
+        tool = tw.identify_tool(rig, replace(log, raw=raw), mounting_sigma=1e-6, tilt_sigma=1e-6)
+        away = np.append(np.log(tool.mass / MASS), tool.center_of_mass - CENTER)
+        told = slice(tool.layout.log_mass, tool.layout.log_mass + 4)
+        nees.append(away @ np.linalg.solve(tool.covariance[told, told], away) / 4.0)
+    assert np.mean(nees) < 1.5
+
+
+def test_an_overload_is_named() -> None:
+    log, _ = pose_log(RIG, MASS, CENTER, poses=40)
+    least, most = np.quantile(log.raw[:, 0], [0.3, 0.7])
+    raw = log.raw.copy()
+    raw[:, 0] = np.clip(raw[:, 0], least, most)
+    verdict = tw.identify_tool(RIG, replace(log, raw=raw)).verdict
+    assert not verdict.usable
+    assert "overload" in verdict.reasons[0]
+
+
 def test_a_workpiece_on_a_known_tool() -> None:
     """What was there before is subtracted, with its uncertainty."""
     before = tw.identify_tool(RIG, pose_log(RIG, MASS, CENTER)[0])

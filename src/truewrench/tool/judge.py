@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 from truewrench import _core
 from truewrench.estimation.estimate import AGREE, odd_log, worst_of
 from truewrench.estimation.static_poses import MOVING, REPEATABILITY, WALK, Poses
+from truewrench.judging.channels import channel_faults
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
@@ -69,7 +70,12 @@ def judge(
         }
     )
     reasons, needed = _reasons(rig, solution, motion, left, figures, determined, moved)
-    reasons += [*_differing(p_logs, logs), *_slipped(p_halves, logs)]
+    railed = [
+        f"{fault.words[0].upper()}{fault.words[1:]}."
+        for fault in channel_faults(rig, logs)
+        if not fault.silent
+    ]
+    reasons = [*railed, *reasons, *_differing(p_logs, logs), *_slipped(p_halves, logs)]
     unknown, more = undetermined(rig, solution, motion, determined, figures)
     needs = dict.fromkeys([*_unused(solution, logs), *_whole(p_halves, logs), *needed, *more])
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(needs))
