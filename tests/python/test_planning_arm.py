@@ -307,3 +307,19 @@ def test_a_joint_that_mimics_another_is_not_planned(tmp_path: Path) -> None:
     assert robot_of(rig).n == 7  # logs that have it tell it
     with pytest.raises(UnsupportedError, match=r"`panda_joint5`: found <mimic> of `panda_joint3`"):
         plan(rig)
+
+
+def test_a_narrow_workspace_is_tried_from_other_draws() -> None:
+    """The optima of the first draw leave it, and a random motion was planned: 12% in place of 0.5%."""
+    path = robots.path("panda_ground")
+    settings = load_rig(path).to_mapping()
+    settings["plan"]["duration"] = 10
+    rig = load_rig(path)
+    assert rig.motion.initial_position is not None
+    place = robot_of(rig).pose(np.array([rig.motion.initial_position]))[1][0]
+    half = np.array([0.08, 0.1, 0.08])
+    settings["limits"]["workspace"] = np.column_stack([place - half, place + half]).tolist()
+    found = plan(Rig.from_mapping(settings, path))
+    assert found.verdict.usable
+    assert found.prediction is not None
+    assert found.prediction.rms < 0.01

@@ -29,6 +29,7 @@ _UNITS = {  # of what moves along an axis, and of what turns about one
     "acceleration": ("m/s^2", "rad/s^2"),
 }
 _MOST = 0.8  # share of the pose that a motion may hide without a word on it
+_HARMONICS = 6  # beyond which more of them no longer help: words only
 _ROWS = 12.0  # of the motion per period of its fastest frequency: a spline has three samples a coefficient
 
 
@@ -163,9 +164,11 @@ class Plan:
                     f"({required[axis]:g}): one record of this motion is not enough"
                 )
         if found is not None and found.pose.share > _MOST and self.method == "optimal":
+            few = self.rig.plan.harmonics < _HARMONICS
+            helps = "more `plan.harmonics`" if few else "a longer `plan.duration` or wider limits"
             notes.append(
-                f"the motion can hide {100 * found.pose.share:.0f} % of its pose: more `plan.harmonics` "
-                "would hide less, and `sensor.discrepancy: 0` states that nothing follows it"
+                f"the motion can hide {100 * found.pose.share:.0f} % of its pose: {helps} may hide less, "
+                "and `sensor.discrepancy: 0` states that nothing follows it"
             )
         rate = self.rig.simulate.rate
         if self.fastest > rate / _ROWS:

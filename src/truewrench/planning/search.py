@@ -19,6 +19,7 @@ _TRIES = 10
 _HALVINGS = 6  # of the step that led within the limits
 _SMALLEST = 0.8  # of the size found: smaller motions are not tried
 _LAST = 0.05  # unless nothing else is within the limits
+_DRAWS = 4  # of random motions, until an optimum keeps to the limits: tolerance
 _LIVE = 0.7  # use of a limit by the best random motions from which on it is kept to from the start
 _LOOKED_AT = 5  # of these motions
 
@@ -71,8 +72,29 @@ def search(
     """The best motion found, of a duration that is a whole number of periods [s].
 
     `problem_of` keeps to some kinds of limits besides those of series and wrench; `check` gives the use of
-    all limits by a motion at 1 kHz; `near` (n,) is a start to look at.
+    all limits by a motion at 1 kHz; `near` (n,) is a start to look at. Where no optimum of a draw keeps to
+    the limits, as in a narrow workspace, another one is made.
     """
+    for draw in range(_DRAWS):
+        found, small = _searched(problem_of, limits, duration, check, seed + draw, progress, effort, near)
+        if draw == 0:
+            first = found
+        if not small:
+            return found
+    return first
+
+
+def _searched(
+    problem_of: Callable[[Set[str]], Problem],
+    limits: Limits,
+    duration: float,
+    check: Callable[[FourierMotion], list[Usage]],
+    seed: int,
+    progress: Progress,
+    effort: Effort,
+    near: Sequence[float] | None,
+) -> tuple[Found, bool]:
+    """From one draw; and whether no optimum of it, hardly made smaller, keeps to the limits."""
     progress("random motions", None)
     problem = problem_of(frozenset(_KINDS))
     drawn = candidates(problem, limits, seed, effort.random, near)
@@ -120,16 +142,19 @@ def search(
     iterations += best.iterations
     # a round may end further from the limits than it began
     likely = [solution for _, solution in sorted(seen, key=lambda found: found[0])]
-    # where none of them is near the limits, a random motion within these, or a small one
-    starts = [*likely, *drawn[:_LOOKED_AT]]
-    smaller = (_shrunk(one, looked, least) for least in (_SMALLEST, _LAST) for one in starts)
-    best = next((kept for kept in smaller if kept is not None), likely[0])
-    return Found(
+    good = next(filter(None, (_shrunk(one, looked) for one in likely)), None)
+    best = good or likely[0]
+    if good is None:  # none of them is near the limits: a random motion within these, or a small one
+        random = drawn[:_LOOKED_AT]
+        tries = [(one, _SMALLEST) for one in random] + [(one, _LAST) for one in (*likely, *random)]
+        best = next(filter(None, (_shrunk(one, looked, least) for one, least in tries)), best)
+    found = Found(
         motion_of(best),
         tuple(optimum.criterion for optimum in optima),
         tuple(sorted(candidate.criterion for candidate in drawn)),
         iterations,
     )
+    return found, good is None
 
 
 def _shrunk(
