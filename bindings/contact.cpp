@@ -157,6 +157,7 @@ void bind_contact(nb::module_& m) {
       .def_rw("offset_time_ns", &Settings::offset_time_ns)
       .def_rw("offset_walk", &Settings::offset_walk)
       .def_rw("pose_repeatability", &Settings::pose_repeatability)
+      .def_rw("slow_error", &Settings::slow_error)
       .def_rw("time_offset", &Settings::time_offset)
       .def_rw("time_offset_std", &Settings::time_offset_std)
       .def_rw("temperature_slope", &Settings::temperature_slope)

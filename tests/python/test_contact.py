@@ -67,9 +67,12 @@ def written_out(theta: Array, tool: Tool, raw: Array, motion: Swing, time: Array
     return np.asarray(inverse @ (mean @ raw - offset) + tool.rig.sensor.sign * of_tool)
 
 
+@pytest.mark.parametrize("follows", [0.0, 1e-3], ids=["sound", "hysteresis"])
 @pytest.mark.parametrize("feels", ["payload_on_sensor", "sensor_on_payload"])
-def test_wrench_and_covariance_are_those_of_the_equations(feels: str) -> None:
+def test_wrench_and_covariance_are_those_of_the_equations(feels: str, follows: float) -> None:
     tool = tool_of(1, sensor={"feels": feels})
+    scale = tool.rig.sensor.channel_scale
+    tool = replace(tool, pose_repeatability=np.hypot(2e-4, follows) * scale)
     time_ns, motion = stamps(60), Swing()
     time = 1e-9 * time_ns
     contact_wrench = np.array([5.0, -3.0, 2.0, 0.2, 0.1, -0.3])
@@ -98,7 +101,7 @@ def test_wrench_and_covariance_are_those_of_the_equations(feels: str) -> None:
         ]
     )
     noise = tool.rig.sensor.noise_array**2 * (mean @ mean)
-    noise = noise + tool.offset_walk**2 * time[30]
+    noise = noise + tool.offset_walk**2 * time[30] + (follows * scale) ** 2
     dense = J @ tool.covariance @ J.T + inverse @ np.diag(noise) @ inverse.T
     dense += 1e-6 * (slope @ slope) * M @ M.T
     np.testing.assert_allclose(covariance, dense, rtol=2e-6, atol=1e-9)

@@ -188,8 +188,8 @@ class Estimate {
     if (const Status status = truewrench::check(s.sensor); status != Status::ok) return status;
     const Eigen::Index n = s.sensor.gain.rows(), p = 7 * n + 15;
     if (n > max_channels || s.covariance.rows() != p || s.covariance.cols() != p) return Status::wrong_size;
-    for (const Eigen::VectorXd* v : {&s.offset_walk, &s.pose_repeatability, &s.temperature_slope,
-                                     &s.temperature_slope_std, &s.quadratic_std}) {
+    for (const Eigen::VectorXd* v : {&s.offset_walk, &s.pose_repeatability, &s.slow_error,
+                                     &s.temperature_slope, &s.temperature_slope_std, &s.quadratic_std}) {
       if (v->size() != 0 && v->size() != n) return Status::wrong_size;
       if (!v->allFinite()) return Status::not_finite;
     }
@@ -326,6 +326,8 @@ class Estimate {
       double variance = sums_.raw * settings_.sensor.noise[i] * settings_.sensor.noise[i];
       if (pose_ && settings_.pose_repeatability.size())
         variance += settings_.pose_repeatability[i] * settings_.pose_repeatability[i];
+      else if (settings_.slow_error.size())
+        variance += settings_.slow_error[i] * settings_.slow_error[i];
       sum += variance * point_.inverse.col(i) * point_.inverse.col(i).transpose();
     }
     const Matrix6 M = point_.by_acceleration();

@@ -37,6 +37,7 @@ struct Settings {
   std::int64_t offset_time_ns = 0;        // when the offset was the one stated
   Eigen::VectorXd offset_walk;            // (n) raw units per sqrt(s)
   Eigen::VectorXd pose_repeatability;     // (n) 1 sigma of what a pose adds [raw units]
+  Eigen::VectorXd slow_error;             // (n) 1 sigma of what else departs at any time [raw units]
   double time_offset = 0.0;               // t_motion = t_sensor + time_offset [s]
   double time_offset_std = 0.0;           // [s]
   Eigen::VectorXd temperature_slope;      // (n) of the offset [raw units per K]

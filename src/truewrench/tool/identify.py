@@ -275,7 +275,7 @@ def _tool(
         offset_std=std[layout.offset],
         offset_time_ns=int(end_ns[-1]),
         offset_walk=solution.rate * scale,
-        pose_repeatability=solution.repeatability * scale,
+        pose_repeatability=max(solution.repeatability, 0.0 if motion is None else motion.follows) * scale,
         mounting=x[layout.mounting].copy(),
         mounting_std=std[layout.mounting],
         tilt=x[layout.tilt].copy(),

@@ -50,7 +50,7 @@ class Tool:
         offset_std: (n,) 1 sigma.
         offset_time_ns: stamp of the end of the last log.
         offset_walk: (n,) [raw units per sqrt(s)].
-        pose_repeatability: (n,) 1 sigma of what a pose adds that no other pose shares [raw units].
+        pose_repeatability: (n,) 1 sigma of what a pose, or slowly a motion, adds by itself [raw units].
         mounting: (3,) roll, pitch, yaw of the channels' axes in the sensor frame [rad].
         mounting_std: (3,) 1 sigma.
         tilt: (2,) of gravity against the rig's [rad].

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from truewrench import _core
 from truewrench.correction.contact.motion import HELD, Columns, MotionColumns
 from truewrench.correction.warmth import Warmth, where_told
+from truewrench.estimation.static_poses import REPEATABILITY
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError, check_word
@@ -313,6 +314,9 @@ def contact_settings(
     settings.gravity, settings.covariance = tool.rig.gravity_array, tool.covariance
     settings.offset_time_ns, settings.offset_walk = tool.offset_time_ns, tool.offset_walk
     settings.pose_repeatability = tool.pose_repeatability
+    # hysteresis, creep or a cable leave as much elsewhere as they did where the tool was identified
+    usual = REPEATABILITY * sensor.channel_scale
+    settings.slow_error = np.sqrt(np.maximum(tool.pose_repeatability**2 - usual**2, 0.0))
     settings.time_offset, settings.time_offset_std = tool.time_offset, tool.time_offset_std
     settings.twist_noise, settings.gravity_noise = motion.twist_noise, motion.gravity_noise
     if calibration is not None:
