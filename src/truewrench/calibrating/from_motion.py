@@ -27,7 +27,6 @@ from truewrench.estimation.evidence import Evidence
 from truewrench.estimation.far_clock import set_within, with_clock_set
 from truewrench.estimation.vibration import without_vibrations
 from truewrench.judging import Comparisons, findings, judge, setup_errors
-from truewrench.judging.channels import still_motion
 from truewrench.judging.validation.comparison import (
     BLOCKS,
     SHARE,
@@ -38,6 +37,7 @@ from truewrench.judging.validation.comparison import (
 )
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration, Verdict
+from truewrench.model.channels import still_motion
 from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 from truewrench.robot.compensation import restamped, with_weight_on_time

@@ -37,8 +37,8 @@ from truewrench.estimation.least_squares import least_squares
 from truewrench.estimation.log_agreement import agreement_of_known_halves, agreement_of_known_wrenches
 from truewrench.estimation.reference_clock import with_reference_on_time
 from truewrench.judging import of_references
-from truewrench.judging.channels import motion_columns
 from truewrench.model.calibration import Bound, Calibration, Verdict
+from truewrench.model.channels import motion_columns
 from truewrench.model.errors import InputError, UnsupportedError, check_word
 from truewrench.model.log import Log
 from truewrench.model.repeats import without_repeats

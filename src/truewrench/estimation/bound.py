@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_lsq_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from truewrench.estimation.assumptions import assumed_gain_prior
+from truewrench.estimation.assumptions import assumed_gain_prior, assumed_offset_prior
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.estimation.unknowns import Motion, Unknown, Wrench, unknowns_of, wrench_rates
 from truewrench.model.arrays import Array
@@ -90,7 +90,7 @@ def information(rig: Rig, logs: Sequence[Log], gain: Array) -> tuple[Information
     sensor, n = rig.sensor, rig.sensor.n
     normalised = gain * sensor.range_array / sensor.channel_scale[:, None]
     unknowns = unknowns_of(rig, logs)
-    offset_prior = sensor.offset_prior_array / sensor.channel_scale
+    offset_prior = assumed_offset_prior(rig)
     pooled = 1 if sensor.pool_offsets else len(logs)
     shared = 6 * n + n * pooled
     total = np.zeros((shared + len(unknowns),) * 2)
@@ -105,7 +105,7 @@ def information(rig: Rig, logs: Sequence[Log], gain: Array) -> tuple[Information
             total[np.ix_(order, order)] += found
         wrenches.append(np.concatenate([wrench for _, wrench in pieces] or [np.zeros((0, 6))]))
     prior = np.concatenate(
-        [np.full(6 * n, sensor.gain_prior), np.tile(offset_prior, pooled), [u.prior for u in unknowns]]
+        [np.full(6 * n, assumed_gain_prior(rig)), np.tile(offset_prior, pooled), [u.prior for u in unknowns]]
     )
     present = prior > 0.0  # an offset without prior is not there
     return Information(total[np.ix_(present, present)], prior[present], 6 * n, tuple(unknowns)), wrenches
@@ -117,7 +117,7 @@ def oracle_rms(rig: Rig, wrenches: Sequence[Array]) -> float:
     The wrenches (M, 6) of every log are those at its samples of the sensor; rows with NaN do not count.
     """
     sensor, n = rig.sensor, rig.sensor.n
-    offset_prior = sensor.offset_prior_array / sensor.channel_scale
+    offset_prior = assumed_offset_prior(rig)
     noise = sensor.noise_array / sensor.channel_scale
     rows = [w[np.isfinite(w).all(axis=1)] / sensor.range_array for w in wrenches]
     pooled = [np.concatenate(rows)] if sensor.pool_offsets else rows

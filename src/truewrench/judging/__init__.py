@@ -11,7 +11,6 @@ from truewrench.estimation.estimate import AGREE, Estimate, odd_log
 from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.judging.advice import Disturbed, advice
 from truewrench.judging.blind import blind_to
-from truewrench.judging.channels import channel_faults, still_bases, still_motion
 from truewrench.judging.setup_odds import Suspicion, gross_errors, setup_errors
 from truewrench.judging.words import (
     CHANNELS,
@@ -32,6 +31,7 @@ from truewrench.judging.words import (
 )
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.calibration_parts import AXES, Undetermined, Verdict
+from truewrench.model.channels import channel_faults, still_bases, still_motion
 from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 

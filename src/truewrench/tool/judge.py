@@ -10,8 +10,8 @@ from scipy.special import chdtrc
 from truewrench import _core
 from truewrench.estimation.estimate import AGREE, odd_log, worst_of
 from truewrench.estimation.static_poses import MOVING, REPEATABILITY, WALK, Poses
-from truewrench.judging.channels import channel_faults
 from truewrench.model.arrays import Array, Integers
+from truewrench.model.channels import channel_faults
 from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import nearest_physical
