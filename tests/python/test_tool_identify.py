@@ -152,6 +152,14 @@ def test_what_follows_the_pose_is_in_sigma() -> None:
     assert np.mean(nees) < 1.5
 
 
+def test_readings_in_other_units_are_named() -> None:
+    log, _ = pose_log(RIG, MASS, CENTER)
+    scale = np.array([50.0] * 3 + [1.0] * 3)
+    verdict = tw.identify_tool(RIG, replace(log, raw=scale * log.raw)).verdict
+    assert not verdict.usable
+    assert "times its range: the units of `raw_" in verdict.reasons[0]
+
+
 def test_an_overload_is_named() -> None:
     log, _ = pose_log(RIG, MASS, CENTER, poses=40)
     least, most = np.quantile(log.raw[:, 0], [0.3, 0.7])

@@ -103,7 +103,7 @@ def _words(output: Path, done: ContactApplied, reasons: list[str]) -> Iterator[s
         x, y, z = event.point
         seconds = 1e-9 * (event.end_ns - event.begin_ns)
         yield (
-            f"from {event.begin_ns} ns for {seconds:.3f} s: at most {event.peak_force:.3g} N, "
+            f"from {1e-9 * event.begin_ns:.3f} s for {seconds:.3f} s: at most {event.peak_force:.3g} N, "
             f"near ({x:.3f}, {y:.3f}, {z:.3f}) m of the sensor frame"
         )
     if len(done.events) > 20:

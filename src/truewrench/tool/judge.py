@@ -23,6 +23,7 @@ from truewrench.tool.solve import Solution, solve
 from truewrench.tool.undetermined import directions_in, undetermined
 
 CHANCE = 1e-6  # of a test of the set-up
+MOST_RANGES = 3.0  # that a sensor reads in 1% of its samples: tolerance
 WORST_WALK = 50.0  # times its start
 SUSPECT_WALK = 20.0
 FAR = 25.0  # squared distance to a physical body, 4.4 where all is well
@@ -75,11 +76,22 @@ def judge(
         for fault in channel_faults(rig, logs)
         if not fault.silent
     ]
-    reasons = [*railed, *reasons, *_differing(p_logs, logs), *_slipped(p_halves, logs)]
+    reasons = [*railed, *_beyond(rig, logs), *reasons, *_differing(p_logs, logs), *_slipped(p_halves, logs)]
     unknown, more = undetermined(rig, solution, motion, determined, figures)
     needs = dict.fromkeys([*_unused(solution, logs), *_whole(p_halves, logs), *needed, *more])
     verdict = ToolVerdict(not reasons, tuple(reasons), tuple(unknown), tuple(needs))
     return Judged(verdict, figures)
+
+
+def _beyond(rig: Rig, logs: Sequence[Log]) -> list[str]:
+    """Channels whose readings no sensor of this range has."""
+    reached = [np.nanquantile(np.abs(log.raw), 0.99, axis=0) for log in logs if len(log.raw)]
+    times = np.max(reached, axis=0, initial=0.0) / rig.sensor.channel_scale
+    return [
+        f"Channel {rig.sensor.channels[k]} reads {times[k]:.3g} times its range: the units of `raw_{k}`, "
+        "`sensor.range` or `nominal_gain` are others."
+        for k in np.flatnonzero(times > MOST_RANGES).tolist()
+    ]
 
 
 def _differing(p_logs: Array, logs: Sequence[Log]) -> list[str]:
