@@ -46,9 +46,8 @@ def agreement_of_halves(solution: Solution, threads: int) -> Array:
     """(L,) the same of the first and the second half of each log: of poses, or of motion with few of them.
 
     With offsets of their own, as if the log had been cut. 1: too little to be parted; no number: half of the
-    motion could not be read alone. Of poses and the moves
-    between them a half is too little to tell what follows the pose, as hysteresis: 9 of 18 such logs, sound
-    but for that, were told apart.
+    motion could not be read alone. Of poses and the moves between them a half is too little to tell what
+    follows the pose, as hysteresis: 9 of 18 such logs, sound but for that, were told apart.
     """
     problem = solution.problem
     v, poses, p = problem.vector, problem.poses, np.ones(problem.vector.logs)

@@ -42,7 +42,7 @@ class MotionFit:
     masked: float  # share of the samples that were left out as contacts and outliers
     factors: tuple[float, ...]  # of the noise that was found, of channels and of motion, over the stated
     slow: float  # the largest slow error that was found, fraction of range
-    follows: float  # the same of what residuals show by their moments (10.9), where it stands out
+    follows: float  # the size of what residuals show to depart slowly (10.9), fraction of range
     agreement: float  # p of halves, and of quarters, of the record telling the same (10.11)
     found: object  # the estimator's own answer
 
@@ -197,7 +197,7 @@ def _taken(
             ),
             default=0.0,
         ),
-        float(np.sqrt(np.max(np.asarray(found.discrepancy2), initial=0.0))),
+        0.0 if rig.sensor.discrepancy == 0 else float(np.sqrt(np.max(found.discrepancy2, initial=0.0))),
         float(np.min([found.halves.p, found.quarters.p])),
         found,
     )
