@@ -25,9 +25,6 @@ from truewrench.tool.parameters import Layout, second_moments, symmetric
 from truewrench.tool.prior import S_STD, Prior
 from truewrench.tool.solve import Solution
 
-WIDEST = (
-    1e3  # 1 sigma of a gain, beyond which it is not known: tolerance, as squares of more are lost beside 1
-)
 _WIDE = 1e3  # sigma of the rig's prior, where the joint distribution holds it: tolerance, 1e-6 of a variance
 
 

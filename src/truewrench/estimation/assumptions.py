@@ -28,7 +28,7 @@ NARROWEST, WIDEST = 1e-9, 1e3
 
 
 def assumed_gain_prior(rig: Rig) -> float:
-    """1 sigma of a normalised gain as poses and bounds assume it: as stated, within what matters."""
+    """1 sigma of a normalised gain, beside the estimator of motion: as stated, within what matters."""
     return min(max(rig.sensor.gain_prior, NARROWEST), WIDEST)
 
 

@@ -46,6 +46,7 @@ class Found:
     values: tuple[float, ...]  # criterion that every start reached
     random: tuple[float, ...]  # criterion of the random motions, sorted
     iterations: int  # of IPOPT, all together
+    kept: bool  # whether an optimum, hardly made smaller, keeps to the limits
 
     def facts(self) -> dict[str, Any]:
         """How it was found, as PLAN.plan.yaml holds it."""
@@ -68,33 +69,14 @@ def search(
     *,
     effort: Effort = Effort(),
     near: Sequence[float] | None = None,
+    draws: int = _DRAWS,
 ) -> Found:
     """The best motion found, of a duration that is a whole number of periods [s].
 
     `problem_of` keeps to some kinds of limits besides those of series and wrench; `check` gives the use of
     all limits by a motion at 1 kHz; `near` (n,) is a start to look at. Where no optimum of a draw keeps to
-    the limits, as in a narrow workspace, another one is made.
+    the limits, as in a narrow workspace, another one is made, of so many at most.
     """
-    for draw in range(_DRAWS):
-        found, small = _searched(problem_of, limits, duration, check, seed + draw, progress, effort, near)
-        if draw == 0:
-            first = found
-        if not small:
-            return found
-    return first
-
-
-def _searched(
-    problem_of: Callable[[Set[str]], Problem],
-    limits: Limits,
-    duration: float,
-    check: Callable[[FourierMotion], list[Usage]],
-    seed: int,
-    progress: Progress,
-    effort: Effort,
-    near: Sequence[float] | None,
-) -> tuple[Found, bool]:
-    """From one draw; and whether no optimum of it, hardly made smaller, keeps to the limits."""
     progress("random motions", None)
     problem = problem_of(frozenset(_KINDS))
     drawn = candidates(problem, limits, seed, effort.random, near)
@@ -153,8 +135,14 @@ def _searched(
         tuple(optimum.criterion for optimum in optima),
         tuple(sorted(candidate.criterion for candidate in drawn)),
         iterations,
+        good is not None,
     )
-    return found, good is None
+    if found.kept or draws == 1:
+        return found
+    again = search(
+        problem_of, limits, duration, check, seed + 1, progress, effort=effort, near=near, draws=draws - 1
+    )
+    return again if again.kept else found
 
 
 def _shrunk(

@@ -4,6 +4,7 @@ Everything is told at the origin of the sensor frame, along its axes ({S} of doc
 the root link of the URDF: the base, where the base moves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -50,6 +51,7 @@ class Robot:
     sensor_frame: str  # its name in the URDF
     model: Any  # the `pinocchio.Model` of these joints; its nq = nv = n
     frame_id: int  # of the sensor frame in the model
+    mimics: dict[str, str]  # of those joints that mimic another: which
 
     @property
     def n(self) -> int:
@@ -153,7 +155,15 @@ def load_robot(urdf: str | Path, sensor_frame: str) -> Robot:
         sensor_frame=sensor_frame,
         model=model,
         frame_id=model.getFrameId(whole.frames[sensor].name),
+        mimics=_mimics(urdf, tuple(model.names)[1:]),
     )
+
+
+def _mimics(urdf: str | Path, joints: Sequence[str]) -> dict[str, str]:
+    """Which of some joints mimic another, and which."""
+    marks = {joint.get("name", ""): joint.find("mimic") for joint in read_urdf(urdf).iter("joint")}
+    found = {name: marks.get(name) for name in joints}
+    return {name: mark.get("joint", "") for name, mark in found.items() if mark is not None}
 
 
 def turning(robot: Robot) -> Mask:
@@ -189,15 +199,9 @@ def planned_robot_of(rig: Rig) -> Robot:
     UnsupportedError: a joint of the chain mimics another, and no drive moves it otherwise.
     """
     robot = robot_of(rig)
-    assert rig.urdf_path is not None  # robot_of has read it
-    for joint in read_urdf(rig.urdf_path).iter("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None and joint.get("name") in robot.joints:
-            found = f"<mimic> of `{mimic.get('joint', '')}`"
-            place = f"joint `{joint.get('name')}`"
-            raise UnsupportedError.at(
-                rig.urdf_path, place, found, "joints that move by themselves, to be planned"
-            )
+    for joint, other in robot.mimics.items():
+        expected = "joints that move by themselves, to be planned"
+        raise UnsupportedError.at(rig.urdf_path, f"joint `{joint}`", f"<mimic> of `{other}`", expected)
     return robot
 
 

@@ -164,8 +164,8 @@ def _disagree(time: Array, values: Array, paths: Sequence[_Path], words: Mapping
 def _jump(time: Array, q: Array, went: _Path) -> str:
     """The largest jump that stays."""
     step, move = np.diff(time), np.diff(q)
-    speed = np.abs(move) / step
     rate = move / step  # of neighbours, whose steps may be longer where samples are lost
+    speed = np.abs(rate)
     depart = move - step * np.append(np.append(np.nan, 0.5 * (rate[2:] + rate[:-2])), np.nan)
     by_velocity = move - went.between(time[:-1], time[1:])  # both have to say so
     depart = np.where(np.abs(by_velocity) < np.abs(depart), by_velocity, depart)
