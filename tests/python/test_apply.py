@@ -69,6 +69,26 @@ def test_offset_follows_the_latest_temperature_whatever_the_blocks(
     assert apply(calibration, log, tmp_path / "out.csv").corrected == 10  # nothing follows it
 
 
+def test_an_overloaded_channel_is_told_whatever_the_blocks(
+    csv_of: CsvOf, tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raw = 2.0 * np.sin(np.linspace(0.0, 20.0, 400)[:, None] + np.arange(6))
+    clipped = raw.copy()
+    clipped[:, 2] = np.maximum(raw[:, 2], -1.5)
+    for block in (1 << 20, 3000):  # one, and several, in some of which nothing is clipped
+        monkeypatch.setattr(csv_table, "_BLOCK", block)
+        notes = []
+        for samples in (raw, clipped):
+            columns = {f"raw_{i}": [repr(float(x)) for x in samples[:, i]] for i in range(6)}
+            log = csv_of({"time_ns": [str(10_000_000 * k) for k in range(400)]} | columns)
+            notes.append(apply(calibration, log, tmp_path / "out.csv").notes)
+        assert notes[0] == ()
+        (note,) = notes[1]
+        share = 100.0 * np.mean(raw[:, 2] <= -1.5)
+        name = calibration.rig.sensor.channels[2]
+        assert note.startswith(f"channel {name} stands at -1.5, its extreme value, for {share:.2g} %")
+
+
 def test_wrench_and_its_scatter_are_those_of_the_sensor_model(
     cells: Cells, csv_of: CsvOf, tmp_path: Path, calibration: Calibration
 ) -> None:

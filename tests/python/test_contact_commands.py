@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
@@ -70,6 +71,18 @@ def test_apply_adds_columns_and_tells_events(
     assert np.abs(cells[inside, :6].mean(axis=0) - HIT).max() < 0.2
     assert (cells[inside, 12] > 48.4).all()
     assert out.read_text().splitlines()[1].startswith(log.read_text().splitlines()[1])
+
+
+def test_a_channel_at_its_rail_is_told(files: tuple[Path, Path, Path]) -> None:
+    log = files[2]
+    assert apply_contact(tool_of(1), log, log.with_name("out.csv")).notes == ()
+    table = pacsv.read_csv(log)
+    force = table["raw_2"].to_numpy(zero_copy_only=False)
+    at = table.column_names.index("raw_2")
+    low = pa.array(np.minimum(force, np.quantile(force, 0.8)))
+    pacsv.write_csv(table.set_column(at, "raw_2", low), log)
+    (note,) = apply_contact(tool_of(1), log, log.with_name("out.csv")).notes
+    assert "its extreme value" in note
 
 
 def test_all_ways_give_the_same_numbers(files: tuple[Path, Path, Path]) -> None:

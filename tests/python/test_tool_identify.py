@@ -445,7 +445,7 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any]) -> None
 
 @pytest.mark.parametrize(("p", "told"), [(0.5, False), (1e-6, True), (np.nan, True)])
 def test_parts_of_a_motion_that_disagree_or_cannot_be_compared_are_told(p: float, told: bool) -> None:
-    motion: Any = SimpleNamespace(factors=(1.0,), slow=0.0, agreement=p)
+    motion: Any = SimpleNamespace(factors=(1.0,), slow=0.0, agreement=p, masked=0.0)
     assert bool(misfit_of_motion(motion)) is told
 
 

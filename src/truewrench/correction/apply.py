@@ -14,6 +14,7 @@ from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.calibration import AXES, Calibration
+from truewrench.model.channels import Rails
 from truewrench.model.errors import InputError
 
 NEW_COLUMNS = (*AXES, *(f"{axis}_std" for axis in AXES))
@@ -71,6 +72,7 @@ class Run:
         self._corrector = corrector(calibration, source)
         self._withheld = np.tile(calibration.withheld, 2)
         self._raw = raw_columns(self.table, calibration.n)
+        self._rails = Rails(calibration.rig)
         self._time = TimeReader(self.table)
         self._warmth = Warmth.of(calibration, np.nan)
         told = self._warmth.follows and "temperature" in self.table.names
@@ -83,7 +85,7 @@ class Run:
     def applied(self) -> Applied:
         """What has been done so far."""
         untold = () if self._celsius else self._warmth.note
-        notes = (*self.table.notes, *untold, *self._weighed, *self._in_part)
+        notes = (*self.table.notes, *untold, *self._weighed, *self._in_part, *self._rails.notes)
         return Applied(self._rows, self._corrected, notes)
 
     @property
@@ -108,6 +110,7 @@ class Run:
     def _correct(self, chunk: Chunk) -> tuple[Integers, Array, Array]:
         time = self._time.read(chunk)
         raw = np.column_stack([numbers(chunk.column(name))[0] for name in self._raw])
+        self._rails.add(raw)
         new = np.full((chunk.rows, len(NEW_COLUMNS)), np.nan)
         compensated, celsius = raw, np.full(chunk.rows, self._warmth.reference)
         if self._celsius:

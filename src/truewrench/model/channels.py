@@ -94,21 +94,75 @@ def _silence(values: Array) -> str:
 
 
 def _rail(values: Array) -> str:
-    known = values[np.isfinite(values)]
-    if known.size < FEWEST:
+    found = Rail()
+    found.add(values)
+    return found.words
+
+
+class Rail:
+    """Whether a channel stands at a rail, from its samples part by part, in constant memory."""
+
+    def __init__(self) -> None:
+        self._samples = 0
+        self._top: dict[float, dict[float, int]] = {
+            1.0: {},
+            -1.0: {},
+        }  # by sign: extreme values and how often
+        self._in_a_row = {1.0: 0, -1.0: 0}
+
+    def add(self, values: Array) -> None:
+        """Samples (N,) that follow those before; NaN: none."""
+        known = values[np.isfinite(values)]
+        self._samples += known.size
+        if known.size == 0:
+            return
+        distinct, counts = np.unique(known, return_counts=True)
+        for sign, top in self._top.items():
+            last = float(max(top, key=lambda x: sign * x)) if top else -sign * np.inf
+            extreme = float(distinct[-1] if sign > 0.0 else distinct[0])
+            if sign * extreme >= sign * last:
+                row = _longest(known == extreme)
+                self._in_a_row[sign] = max(row, self._in_a_row[sign] if extreme == last else 0)
+            part = slice(-1 - NEIGHBOURS, None) if sign > 0.0 else slice(0, 1 + NEIGHBOURS)
+            for value, count in zip(distinct[part].tolist(), counts[part].tolist(), strict=True):
+                top[value] = top.get(value, 0) + count
+            for value in sorted(top, key=lambda x: sign * x)[: -1 - NEIGHBOURS]:
+                del top[value]  # of which no later part can make one of the most extreme
+
+    @property
+    def words(self) -> str:
+        """What a person reads; nothing where it does not."""
+        for sign, top in self._top.items():
+            if not top:
+                continue
+            extreme, *near = sorted(top, key=lambda x: -sign * x)
+            count = top[extreme]
+            few = count < max(FEWEST, AT_RAIL * self._samples) or self._in_a_row[sign] < IN_A_ROW
+            if not few and near and count >= PILED * max(top[value] for value in near):
+                share = 100.0 * count / self._samples
+                return f"stands at {extreme:.6g}, its extreme value, for {share:.2g} % of the samples"
         return ""
-    for sign in (1.0, -1.0):
-        extreme = (sign * known).max() * sign
-        at = known == extreme
-        count = int(np.count_nonzero(at))
-        if count < max(FEWEST, AT_RAIL * known.size) or _longest(at) < IN_A_ROW:
-            continue
-        _, counts = np.unique(sign * known, return_counts=True)
-        near = counts[-1 - NEIGHBOURS : -1]
-        if near.size > 0 and count >= PILED * near.max():
-            share = 100.0 * count / known.size
-            return f"stands at {extreme:.6g}, its extreme value, for {share:.2g} % of the samples"
-    return ""
+
+
+class Rails:
+    """The rails of all channels of a log that is read part by part."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._of = {name: Rail() for name in rig.sensor.channels}
+
+    def add(self, raw: Array) -> None:
+        """Samples (N, n)."""
+        for rail, column in zip(self._of.values(), raw.T, strict=True):
+            rail.add(column)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Of channels that stand at a rail."""
+        return tuple(
+            f"channel {name} {rail.words}: overload, or range of the driver; no wrench is right there"
+            for name, rail in self._of.items()
+            if rail.words
+        )
 
 
 def _longest(at: Mask) -> int:

@@ -251,8 +251,6 @@ def _reasons(
     for kind, ratio in left.ratio.items():
         if ratio > HELD_OUT:
             reasons.append(f"Held-out poses ({kind}) depart {np.sqrt(ratio):.1f} times as far as predicted.")
-    if figures["masked"] > _core.MOST_LOST:
-        reasons.append(f"{100 * figures['masked']:.0f}% of the motion was left out as contact or outliers.")
     return reasons, needed
 
 
@@ -274,7 +272,7 @@ def _zeroed(solution: Solution) -> list[str]:
 
 
 def misfit_of_motion(motion: MotionFit | None) -> list[str]:
-    """Whether the motion fits a rigid body: its noise, what is slow in it, and its parts."""
+    """Whether the motion fits a rigid body: its noise, what is slow in it, its parts, and all but a share."""
     if motion is None:
         return []
     out = []
@@ -290,6 +288,8 @@ def misfit_of_motion(motion: MotionFit | None) -> list[str]:
         )
     if not motion.agreement >= AGREE:  # NaN, too
         out.append(f"Parts of the motion tell different sensors (p = {motion.agreement:.1g}).")
+    if motion.masked > _core.MOST_LOST:
+        out.append(f"{100 * motion.masked:.0f}% of the motion was left out as contact or outliers.")
     return out
 
 

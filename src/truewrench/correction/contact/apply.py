@@ -24,7 +24,9 @@ from truewrench.io.table import Chunk, Table
 from truewrench.io.tables import TimeReader, named_payload, open_table, raw_columns
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
+from truewrench.model.channels import Rails
 from truewrench.model.errors import InputError
+from truewrench.model.rig import Rig
 from truewrench.tool.model import Tool
 
 TOPIC = "/truewrench/contact"
@@ -82,7 +84,7 @@ def apply_contact(
     table: Table = open_table(source, tool.rig, max_rows=max_rows)
     check_added(output, table, NEW_COLUMNS)
     run = ContactRun(tool, table.names, calibration=calibration, delay=delay, view=view, place=source)
-    done = _Pass(table, run, tool.n, progress)
+    done = _Pass(table, run, tool.rig, progress)
     if Path(output).suffix.lower() == ".mcap":
         robot = tool.rig.motion.robot
         with mcap_output(output, "sensor" if robot is None else robot.sensor_frame) as writer:
@@ -93,19 +95,22 @@ def apply_contact(
     else:
         write_added(output, table, NEW_COLUMNS, done.read, done.whole)
     lacking = () if done.found else (_NONE.format(1e3 * (2.0 * delay or NEWEST_WINDOW)),)
-    return ContactApplied(done.rows, done.found, tuple(done.events), (*table.notes, *run.notes, *lacking))
+    return ContactApplied(
+        done.rows, done.found, tuple(done.events), (*table.notes, *run.notes, *done.rails.notes, *lacking)
+    )
 
 
 class _Pass:
     """One pass over a table; a chunk is written once none of its rows can get a wrench any more."""
 
     def __init__(
-        self, table: Table, run: ContactRun, n: int, progress: Callable[[int], object] | None
+        self, table: Table, run: ContactRun, rig: Rig, progress: Callable[[int], object] | None
     ) -> None:
         self.rows = self.found = 0
         self.events: list[ContactEvent] = []
         self._table, self._run, self._progress = table, run, progress
-        self._raw = raw_columns(table, n)
+        self._raw = raw_columns(table, rig.sensor.n)
+        self.rails = Rails(rig)
         self._time = TimeReader(table)
         self.read = list(dict.fromkeys([*self._time.columns, *(c for c in run.columns if c in table.names)]))
 
@@ -119,6 +124,7 @@ class _Pass:
                 if name in self._table.names
             }
             raw = np.column_stack([columns[name] for name in self._raw])
+            self.rails.add(raw)
             found = self._run.feed(time, raw, columns)
             self.rows += chunk.rows
             yield chunk, self._counted(found)
