@@ -153,6 +153,15 @@ def test_joints_keep_to_their_limits_on_the_way(planned: ToolPlan) -> None:
     assert ((p >= low) & (p <= high)).all()
 
 
+def test_a_joint_whose_velocity_is_0_stands_still() -> None:
+    velocity = [*an_arm().limits.velocity]
+    velocity[5] = 0.0
+    motion = plan_tool(an_arm(limits={"velocity": velocity})).design.motion
+    travel = np.ptp(motion.position(np.linspace(0.0, motion.duration, 500)), axis=0)
+    assert travel[5] < 1e-8
+    assert travel.max() > 0.5
+
+
 def test_cone_is_kept_to(planned: ToolPlan) -> None:
     narrow = plan_tool(an_arm(), cone=np.radians(40.0), poses=8)
     assert narrow.prediction is not None

@@ -73,6 +73,18 @@ def test_planned_joints_keep_to_their_limits_between_the_rows(planned: Plan, wri
     assert (np.abs(qdd) <= np.array(limits.acceleration) * (1 + 1e-5)).all()
 
 
+def test_a_joint_whose_velocity_is_0_stands_still(arm_rig: Callable[..., Rig]) -> None:
+    rig = arm_rig("panda_ground", plan=QUICK, gravity_tilt_prior=0)
+    velocity = [*rig.limits.velocity]
+    velocity[2] = 0.0
+    found = plan(rig.model_copy(update={"limits": rig.limits.model_copy(update={"velocity": velocity})}))
+    assert found.feasible
+    time = np.linspace(0.0, 5.0, 1001)
+    travel = np.ptp(found.trajectory.position(time), axis=0)
+    assert travel[2] < 1e-8
+    assert (np.delete(travel, 2) > 0.01).all()
+
+
 def test_planned_torques_and_wrenches_are_within_what_pinocchio_finds(
     planned: Plan, written: list[Path]
 ) -> None:

@@ -239,6 +239,7 @@ def test_unknown_key_is_named_with_the_nearest_known_one(
         ("required", 10**400, "required", "1000", "a number greater than 0"),
         ("required", [0.1] * 5 + [10**400], "required", "[0.1, ", "a number greater than 0"),
         ("limits", {"velocity": [1] * 7}, "limits.velocity", "7 entries", "6"),
+        ("limits", {"velocity": [0] * 6}, "limits.velocity", "[0.0, ", "at least one that may move"),
         ("limits", {"wrench_fraction": 80}, "limits.wrench_fraction", "80", "a number of at most 1"),
         ("limits", {"wrench_fraction": 0}, "limits.wrench_fraction", "0", "greater than 0"),
         ("limits", {"workspace": [[0, 1], [1, 0], [0, 1]]}, "limits.workspace[1]", "[1.0, 0.0]", "min < max"),

@@ -5,7 +5,7 @@ import numpy as np
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
-from truewrench.planning.limits import Limits
+from truewrench.planning.limits import SMALLEST, Limits
 from truewrench.planning.series import SeriesBasis
 
 _SPEED = 1.0  # [m/s, rad/s] where nothing is said
@@ -35,7 +35,7 @@ def cycles_of(rig: Rig, limits: Limits) -> int:
         corners = np.minimum(limits.acceleration / limits.velocity, limits.jerk / limits.acceleration) / (
             2.0 * np.pi
         )
-    known = corners[np.isfinite(corners) & (corners > 0.0)]
+    known = corners[np.isfinite(corners) & (corners > 0.0) & (limits.velocity > SMALLEST)]
     if not known.size:
         return 1
     highest = min(float(np.median(known)), plan.rate / ROWS)

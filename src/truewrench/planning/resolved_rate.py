@@ -15,6 +15,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.motion.spatial import at_point
 from truewrench.model.motion.trajectory import Trajectory
 from truewrench.model.rig import Rig
+from truewrench.planning.limits import SMALLEST
 from truewrench.robot.arm import Robot, planned_robot_of
 
 _SUBSTEPS = 4  # of the target pose between two commands
@@ -49,7 +50,7 @@ def limits_of(rig: Rig) -> JointLimits:
     """The stricter of the robot's limits and those of the rig's `limits` section."""
     robot = planned_robot_of(rig)
     position = np.inf if rig.limits.position is None else np.array(rig.limits.position)
-    velocity = np.inf if rig.limits.velocity is None else np.array(rig.limits.velocity)
+    velocity = np.inf if rig.limits.velocity is None else np.maximum(rig.limits.velocity, SMALLEST)
     return JointLimits(
         lower=np.maximum(robot.lower, -position),
         upper=np.minimum(robot.upper, position),

@@ -303,6 +303,12 @@ class TemperatureSpec(Section):
     prior: NonNegative = 0.0  # 1 sigma of the offset's slope, fraction of range per K
 
 
+def _moving(value: tuple[float, ...]) -> tuple[float, ...]:
+    if value and not any(value):
+        raise refuse("", shown(value), "at least one that may move")
+    return value
+
+
 def _interval(value: tuple[float, ...]) -> tuple[float, ...]:
     if len(value) == 2 and not value[0] < value[1]:
         raise refuse("", shown(value), "[min, max] with min < max")
@@ -313,7 +319,7 @@ class LimitsSpec(Section):
     """What the motion must keep to: per joint, or per axis of the twist."""
 
     position: Positives | None = None
-    velocity: Positives | None = None
+    velocity: Annotated[NonNegatives, AfterValidator(_moving)] | None = None  # 0: does not move
     acceleration: Positives | None = None
     jerk: Positives | None = None
     wrench_fraction: Fraction | None = None

@@ -11,7 +11,7 @@ from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 from truewrench.planning.buffered import Buffered
 from truewrench.planning.joint_space import ArmOutputs, arm_outputs, joint_limits
-from truewrench.planning.limits import Limits
+from truewrench.planning.limits import SMALLEST, Limits
 from truewrench.planning.tool.collisions import Collisions, collisions_of
 from truewrench.planning.tool.directions import rim
 from truewrench.robot.arm import Robot, planned_robot_of
@@ -58,7 +58,9 @@ class Stand:
         assert rig.urdf_path is not None  # it was read
         room = np.where(np.isfinite(limits.upper - limits.lower), _ROOM * (limits.upper - limits.lower), 0.0)
         lower, upper = np.minimum(limits.lower + room, home), np.maximum(limits.upper - room, home)
-        limits = replace(limits, lower=np.maximum(lower, limits.lower), upper=np.minimum(upper, limits.upper))
+        lower, upper = np.maximum(lower, limits.lower), np.minimum(upper, limits.upper)
+        still = limits.velocity <= SMALLEST
+        limits = replace(limits, lower=np.where(still, home, lower), upper=np.where(still, home, upper))
         touching = collisions_of(rig.urdf_path, robot, home)
         return cls(rig, robot, limits, arm_outputs(rig, payload, robot), touching, home)
 
