@@ -60,6 +60,8 @@ def tool_of(seed: int = 0, *, size: float = 1.0, **rig: Any) -> Tool:
         offset_std=std[layout.offset],
         mounting_std=std[layout.mounting],
         tilt_std=std[layout.tilt],
+        sample_noise=settings.sensor.noise_array,
+        vibrations=np.zeros((0, 1 + n)),
         offset_time_ns=0,
         offset_walk=np.array([0.02, 0.02, 0.02, 0.002, 0.002, 0.002]),
     )

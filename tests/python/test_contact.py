@@ -108,6 +108,27 @@ def test_wrench_and_covariance_are_those_of_the_equations(feels: str, follows: f
     assert chi2 == pytest.approx(wrench @ np.linalg.solve(covariance, wrench), rel=1e-9)
 
 
+@pytest.mark.parametrize(("hz", "most"), [(0.0, 1.1), (15.0, 1.15), (30.0, 1.3), (45.0, 2.0)])
+def test_what_shakes_adds_to_sigma_what_the_kernel_leaves_of_it(hz: float, most: float) -> None:
+    """At 500 Hz the kernel is longer by a sample than its 20 ms, and leaves less of what is fast."""
+    std, tool, motion, time_ns = np.full(6, 0.05), tool_of(1), Swing(), stamps(1500)
+    time = 1e-9 * time_ns
+    still = raw_of(tool.theta, 1, tool.rig.gravity_array, motion, time, np.zeros(6))
+    phase = 2.0 * np.pi * max(hz, 1.0) * time[:, None]  # of dwells, whose frequency is 0: all that is slow
+    shaking = still + np.sqrt(2.0) * std * np.sin(phase + np.arange(6.0))
+    told = replace(tool, vibrations=np.append(hz, std)[None])
+    runs = [
+        all_of(ContactRun(one, None), time_ns, raw, columns_of(motion, time))
+        for one, raw in ((tool, still), (tool, shaking), (told, shaking))
+    ]
+    rows = sorted(runs[0])[:1000]  # two seconds: whole periods
+    moved = np.array([runs[1][k][0] - runs[0][k][0] for k in rows])
+    added = np.mean([runs[2][k][1] - runs[1][k][1] for k in rows], axis=0)
+    share = np.diag(added) / np.mean(moved**2, axis=0)
+    assert (share > 0.95).all()
+    assert (share < most).all()
+
+
 def test_tool_alone_is_what_pinocchio_says() -> None:
     pin = pytest.importorskip("pinocchio")
     tool = replace(tool_of(2), mounting=np.zeros(3), tilt=np.zeros(2), gain=np.eye(6), offset=np.zeros(6))

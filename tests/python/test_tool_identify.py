@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
-from tool_cases import a_rig, pose_log, swing_log
+from tool_cases import a_rig, pose_log, swing_log, tour_log
 
 import truewrench as tw
 from truewrench.model.errors import InputError
@@ -101,6 +101,11 @@ def test_vibration_is_told_and_left_out() -> None:
     assert within(tool)
     assert [words.split(",")[0] for words in tool.figures["vibrations"]] == ["a vibration at 18 Hz"]
     assert plain.figures["vibrations"] == []
+    (band,) = tool.vibrations
+    assert band[0] == pytest.approx(18.0, abs=0.5)
+    # medians of densities are taken, and of one frequency alone they are 4 / 3 of what they are of noise
+    np.testing.assert_allclose(band[1:], 10.0 / np.sqrt(2.0) * rig.sensor.noise_array, rtol=0.2)
+    assert len(plain.vibrations) == 0
     assert (tool.inertia_std < 1.2 * plain.inertia_std).all()
 
 
@@ -447,6 +452,27 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any]) -> None
 def test_parts_of_a_motion_that_disagree_or_cannot_be_compared_are_told(p: float, told: bool) -> None:
     motion: Any = SimpleNamespace(factors=(1.0,), slow=0.0, agreement=p, masked=0.0)
     assert bool(misfit_of_motion(motion)) is told
+
+
+def test_what_shakes_dwells_is_told_to_the_contact_wrench() -> None:
+    log, _ = tour_log(RIG, MASS, CENTER, INERTIA, dwell=4.0, walk=1e-4, seed=1)
+    noise, hz = RIG.sensor.noise_array, 21.0
+    std = np.array([3.0, 2.0, 1.0, 2.0, 1.0, 3.0]) * noise
+    log = rows_of(log, (log.gravity == np.roll(log.gravity, 1, axis=0)).all(axis=1))  # of the dwells alone
+    tone = np.sqrt(2.0) * std * np.sin(2.0 * np.pi * hz * log.time)[:, None]
+    still = tw.identify_tool(RIG, log).vibrations
+    assert (still[:, 1:] < 0.4 * noise).all()
+    (band,) = tw.identify_tool(RIG, replace(log, raw=log.raw + tone)).vibrations
+    assert band[0] == 0.0
+    np.testing.assert_allclose(band[1:], np.cos(np.pi * hz * 0.01) * std, rtol=0.2)  # of means of two samples
+
+
+def test_noise_beyond_the_stated_is_told_to_the_contact_wrench() -> None:
+    rng, noise = np.random.default_rng(3), RIG.sensor.noise_array
+    log = swing_log(RIG, MASS, CENTER, INERTIA, seconds=20.0)
+    noisy = replace(log, raw=log.raw + 2.0 * noise * rng.normal(size=log.raw.shape))
+    np.testing.assert_allclose(tw.identify_tool(RIG, log).sample_noise, noise, rtol=0.1)
+    np.testing.assert_allclose(tw.identify_tool(RIG, noisy).sample_noise, np.sqrt(5.0) * noise, rtol=0.1)
 
 
 def test_a_gain_that_is_hardly_believed_is_named_where_no_weight_is_felt() -> None:

@@ -50,7 +50,8 @@ def same(a: Any, b: Any) -> bool:
 
 
 def test_file_gives_back_every_field(tmp_path: Path) -> None:
-    tool, path = a_tool(), tmp_path / "new" / "tool.yaml"
+    bands = np.array([[22.5, *(1e-3 * np.arange(6.0))], [0.0, *np.full(6, 2e-4)]])
+    tool, path = replace(a_tool(), vibrations=bands), tmp_path / "new" / "tool.yaml"
     tool.write_yaml(path)
     assert same(read_tool(path), tool)
 

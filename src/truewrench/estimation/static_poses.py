@@ -29,6 +29,7 @@ MOVING = 2.0  # [s] of motion that are worth an estimate of their own
 MOVE = 1.0  # [s] of motion between two dwells, at least
 _MEAN = 0.1  # [s] of positions on either side of a row
 _OVERLOAD = 100.0  # times its range, at rest: a unit, or a broken cell; tolerance
+_AT_ONCE = 0.02  # [s] over which a contact wrench means: of what shakes a pose faster little is left
 _SPREAD = 0.05  # [rad] of the attitudes of a pose about their mean, in the median: no noise
 WALK = 1e-4  # of range per sqrt(s): how fast offsets walk between poses, by prior,
 REPEATABILITY = 2e-4  # of range: how otherwise a pose comes back,
@@ -47,6 +48,7 @@ class Poses:
     variance: Array  # (T, n) of these means, by the noise of the samples and their own scatter
     R_sensor_root: Array  # (T, 3, 3) takes vectors of the root frame to sensor axes
     temperature: Array  # (T,) [degC], NaN where there is none
+    shaking: Array  # (T, n) variance of means over `_AT_ONCE` within it, noise aside; NaN where none is told
 
     def __len__(self) -> int:
         return len(self.log)
@@ -250,7 +252,7 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Integers]) -> Poses:
     warm = temperature_at(log, log.time_ns) if log.temperature is not None else None
     raw, variance, R = np.empty((len(pieces), n)), np.empty((len(pieces), n)), np.empty((len(pieces), 3, 3))
     stamps, temperature = np.empty(len(pieces), np.int64), np.full(len(pieces), np.nan)
-    seconds = np.empty(len(pieces))
+    seconds, shaking = np.empty(len(pieces)), np.empty((len(pieces), n))
     turn = attitudes(rig, log) if pieces else None
     for i, rows in enumerate(pieces):
         raw[i] = log.raw[rows].mean(axis=0)
@@ -261,6 +263,7 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Integers]) -> Poses:
             found = f"{channel} at {over.max():.3g} times its range"
             raise InputError.at(log.path, place, found, "a reading within its range: units of the log?")
         variance[i] = _of_mean(log.raw[rows], rig.sensor.noise_array)
+        shaking[i] = _shaking(log.time[rows], log.raw[rows], rig.sensor.noise_array)
         stamps[i] = (int(log.time_ns[rows[0]]) + int(log.time_ns[rows[-1]])) // 2
         seconds[i] = log.time[rows[-1]] - log.time[rows[0]]
         assert turn is not None
@@ -277,7 +280,7 @@ def _poses(rig: Rig, k: int, log: Log, pieces: Sequence[Integers]) -> Poses:
             raise InputError.at(log.path, place, found, expected)
         if warm is not None:
             temperature[i] = warm[rows].mean()
-    return Poses(np.full(len(pieces), k), stamps, seconds, raw, variance, R, temperature)
+    return Poses(np.full(len(pieces), k), stamps, seconds, raw, variance, R, temperature, shaking)
 
 
 def _around(time: Array, rows: Integers, known: Mask) -> Integers:
@@ -323,3 +326,15 @@ def _of_mean(samples: Array, noise: Array) -> Array:
         if not going.any():
             break
     return np.asarray(np.maximum(least, at_once * (1.0 + 2.0 * lasting) / count))
+
+
+def _shaking(time: Array, samples: Array, noise: Array) -> Array:
+    """Variance (n,) of means over `_AT_ONCE` of samples (M, n) about a line, less that of the noise."""
+    many = max(1, round(_AT_ONCE / float(np.median(np.diff(time))))) if len(time) > 1 else 1
+    count = len(time) // many
+    if count < 8:
+        return np.full(len(noise), np.nan)
+    means = samples[: count * many].reshape(count, many, -1).mean(axis=1)
+    line = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    left = means - line @ np.linalg.lstsq(line, means, rcond=None)[0]
+    return np.asarray((left**2).sum(axis=0) / (count - 2) - noise**2 / many)

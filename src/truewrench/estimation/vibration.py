@@ -167,9 +167,9 @@ def _vibrations(rig: Rig, log: Log) -> tuple[Vibration, ...]:
     motion = [found for values in _motion(log).values() if (found := _spectrum(log.time, values))]
 
     def vibration(inner: slice, low: float, high: float, centre: float, shown: bool) -> Vibration:
-        size = np.sqrt(2.0 * excess[inner].sum(axis=0)) / rig.sensor.channel_scale
-        channel = rig.sensor.channels[int(np.argmax(size))]
-        return Vibration(low, high, centre, float(size.max()), channel, shown)
+        std = np.sqrt(excess[inner].sum(axis=0)) / rig.sensor.channel_scale
+        channel = rig.sensor.channels[int(np.argmax(std))]
+        return Vibration(low, high, centre, tuple(std.tolist()), channel, shown)
 
     corner = _corner(hz, power, bands, seen, motion)
     if corner is not None and any(_lasts(log.time, x) for x in (log.raw, *_motion(log).values())):

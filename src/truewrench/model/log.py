@@ -45,14 +45,19 @@ class Vibration:
     low: float  # [Hz]
     high: float  # infinite where it is `open`
     centre: float
-    size: float  # its largest mean amplitude, were it of one frequency, fraction of range
-    channel: str  # that has it
+    std: tuple[float, ...]  # 1 sigma of each of n channels, fraction of range
+    channel: str  # that has the largest
     shown: bool  # by the motion
 
     @property
     def open(self) -> bool:
         """Whether all from a corner on was left out."""
         return self.high == np.inf
+
+    @property
+    def size(self) -> float:
+        """The largest mean amplitude, were it of one frequency, fraction of range."""
+        return float(np.sqrt(2.0) * max(self.std))
 
     @property
     def words(self) -> str:

@@ -33,6 +33,7 @@ from truewrench.tool.motion import MotionFit, body_start, motion_information
 from truewrench.tool.parameters import COLUMNS, ROWS, inertia_of, second_moments
 from truewrench.tool.prior import make_prior, settings_of, widening, with_known_wrenches
 from truewrench.tool.setup import mistakes_of_motion
+from truewrench.tool.shaking import sample_noise, vibrations
 from truewrench.tool.solve import Solution, solve
 
 Progress = Callable[[str, float | None], None]
@@ -262,6 +263,7 @@ def _tool(
     shell = np.zeros(4) if housing is None else np.asarray(housing, dtype=np.float64)
     scale = rig.sensor.channel_scale
     determined = _determined(solution)
+    alone = (0.0,) if motion is None else (motion.follows, motion.slow)
     told = all(determined["inertia"]) and (on is None or not on.exported.inertia_assumed)
     tool = Tool(
         mass=mass,
@@ -275,7 +277,9 @@ def _tool(
         offset_std=std[layout.offset],
         offset_time_ns=int(end_ns[-1]),
         offset_walk=solution.rate * scale,
-        pose_repeatability=max(solution.repeatability, 0.0 if motion is None else motion.follows) * scale,
+        pose_repeatability=max(solution.repeatability, *alone) * scale,
+        sample_noise=sample_noise(solution.problem, motion),
+        vibrations=vibrations(solution.problem),
         mounting=x[layout.mounting].copy(),
         mounting_std=std[layout.mounting],
         tilt=x[layout.tilt].copy(),

@@ -51,6 +51,8 @@ class Tool:
         offset_time_ns: stamp of the end of the last log.
         offset_walk: (n,) [raw units per sqrt(s)].
         pose_repeatability: (n,) 1 sigma of what a pose, or slowly a motion, adds by itself [raw units].
+        sample_noise: (n,) 1 sigma of a sample [raw units], as found and at least as stated.
+        vibrations: (B, 1 + n) [Hz] and 1 sigma of each channel [raw units] of what shakes the sensor.
         mounting: (3,) roll, pitch, yaw of the channels' axes in the sensor frame [rad].
         mounting_std: (3,) 1 sigma.
         tilt: (2,) of gravity against the rig's [rad].
@@ -87,6 +89,8 @@ class Tool:
     offset_time_ns: int
     offset_walk: Array
     pose_repeatability: Array
+    sample_noise: Array
+    vibrations: Array
     mounting: Array
     mounting_std: Array
     tilt: Array
@@ -219,6 +223,8 @@ class Tool:
             "offset_temperature": self.offset_temperature,
             "offset_temperature_covariance": self.offset_temperature_covariance,
             "pose_repeatability": self.pose_repeatability,
+            "sample_noise": self.sample_noise,
+            "vibrations": [{"hz": band[0], "std": band[1:]} for band in self.vibrations],
             "mounting": self.mounting,
             "mounting_std": self.mounting_std,
             "gravity_direction": self.gravity_direction,
@@ -302,6 +308,9 @@ def _from_fields(top: Fields) -> Tool:
         offset_time_ns=top.whole("offset_time_ns"),
         offset_walk=top.sizes("offset_walk", n),
         pose_repeatability=top.sizes("pose_repeatability", n),
+        # of files from before there were these keys, as stated, and none
+        sample_noise=top.sizes("sample_noise", n) if "sample_noise" in top.data else rig.sensor.noise_array,
+        vibrations=_vibrations(top, n),
         mounting=top.array("mounting", (3,)),
         mounting_std=top.sizes("mounting_std", 3),
         tilt=top.array("tilt", (2,)),
@@ -375,6 +384,11 @@ def _verdict(verdict: Fields) -> ToolVerdict:
         ),
         needed=tuple(verdict.texts("needed")),
     )
+
+
+def _vibrations(top: Fields, n: int) -> Array:
+    bands = top.sections("vibrations") if "vibrations" in top.data else []
+    return np.array([[band.size("hz"), *band.sizes("std", n)] for band in bands]).reshape(-1, 1 + n)
 
 
 def _covariance(top: Fields, layout: Layout) -> Array:

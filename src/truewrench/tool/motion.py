@@ -40,6 +40,7 @@ class MotionFit:
     body: Array  # (10,) log m, c, inertia at its estimate
     time_offset: tuple[float, float]  # of the last log's clock as it is logged, and its 1 sigma [s]
     masked: float  # share of the samples that were left out as contacts and outliers
+    noise: Array  # (n,) that was found of each channel, over the stated, in the log where it is largest
     factors: tuple[float, ...]  # of the noise that was found, of channels and of motion, over the stated
     slow: float  # the largest slow error that was found, fraction of range
     follows: float  # the size of what residuals show to depart slowly (10.9), fraction of range
@@ -183,6 +184,7 @@ def _taken(
         y[6 * n : 6 * n + 10],
         (-float(theta[s]) - moves[-1].record.advance(), float(np.sqrt(P[s, s]))),
         float(np.mean(np.concatenate(masked))) if masked else 0.0,
+        np.max([_noise_found(fit, k, move.record, n) for k, move in enumerate(moves)], axis=0),
         tuple(
             float(f)
             for k in range(len(moves))
@@ -201,6 +203,12 @@ def _taken(
         float(np.min([found.halves.p, found.quarters.p])),
         found,
     )
+
+
+def _noise_found(fit: _core.Fit, k: int, log: Log, n: int) -> Array:
+    """(n,) factor on the stated noise of each channel: forces and moments of six, else all at once."""
+    factors = np.asarray(fit.sizes(k).raw_factor) / log.calmed.get("raw", 1.0)
+    return np.repeat(factors, n // len(factors))
 
 
 def _follows_pose(rig: Rig, found: _core.Estimate) -> Array:

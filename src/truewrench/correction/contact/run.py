@@ -161,7 +161,7 @@ class ContactRun:
         if self._view.axes == "base" and not self.motion.attitude_known:
             expected = "joints, or the attitude qw qx qy qz: gravity alone leaves the turn about it open"
             raise InputError.at(place, "--axes", "`base` without an attitude", expected)
-        settings = contact_settings(tool, calibration, self.motion)
+        settings = contact_settings(tool, calibration, self.motion, delay)
         self._warmth = Warmth(np.asarray(settings.temperature_slope), tool.rig.temperature.reference)
         self._warm = self._warmth.follows and (names is None or "temperature" in names)
         if self._warm and names is not None:
@@ -303,7 +303,7 @@ class ContactRun:
 
 
 def contact_settings(
-    tool: Tool, calibration: Calibration | None, motion: MotionColumns
+    tool: Tool, calibration: Calibration | None, motion: MotionColumns, delay: float
 ) -> _core.ContactSettings:
     """What the core needs to know; InputError if tool and calibration are of two sensors."""
     sensor, tool = tool.rig.sensor, tool.whole
@@ -314,9 +314,12 @@ def contact_settings(
     settings.gravity, settings.covariance = tool.rig.gravity_array, tool.covariance
     settings.offset_time_ns, settings.offset_walk = tool.offset_time_ns, tool.offset_walk
     settings.pose_repeatability = tool.pose_repeatability
-    # hysteresis, creep or a cable leave as much elsewhere as they did where the tool was identified
+    # hysteresis, creep or a cable leave as much elsewhere as they did where the tool was identified, and so
+    # does what shakes the sensor
     usual = REPEATABILITY * sensor.channel_scale
-    settings.slow_error = np.sqrt(np.maximum(tool.pose_repeatability**2 - usual**2, 0.0))
+    slow = np.maximum(tool.pose_repeatability**2 - usual**2, 0.0)
+    shaking = tool.vibrations[:, 1:] * _passed(tool.vibrations[:, :1], delay)
+    settings.slow_error = np.sqrt(slow + (shaking**2).sum(axis=0))
     settings.time_offset, settings.time_offset_std = tool.time_offset, tool.time_offset_std
     settings.twist_noise, settings.gravity_noise = motion.twist_noise, motion.gravity_noise
     if calibration is not None:
@@ -338,8 +341,14 @@ def contact_settings(
         elif calibration is not None and (told := where_told(calibration)) is not None:
             settings.temperature_slope_std = told[2]
     gain, feels = np.ascontiguousarray(tool.gain), sensor.feels == "payload_on_sensor"
-    settings.set_sensor(gain, offset, sensor.noise_array, feels)
+    settings.set_sensor(gain, offset, tool.sample_noise, feels)
     return settings
+
+
+def _passed(hz: Array, delay: float) -> Array:
+    """Share of an amplitude that the kernel of the wrench passes; all of it where it ends at the row."""
+    x = np.maximum(2.0 * np.pi * hz * delay, 1e-3)
+    return np.asarray(np.abs(3.0 * (np.sin(x) - x * np.cos(x)) / x**3))
 
 
 def check_same_sensor(tool: Tool, rig: Rig, place: Path | None = None, *, arm: bool = False) -> None:

@@ -78,6 +78,7 @@ def pose_problem(
         rig.sensor.noise_array**2 / read[:, None],
         R_sensor_root,
         np.full(count, np.nan),
+        np.full((count, n), np.nan),
     )
     return Problem(rig, prior, poses, (round(1e9 * end),))
 
