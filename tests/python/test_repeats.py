@@ -193,9 +193,42 @@ def test_knocks_and_starts_are_no_marks() -> None:
     spikes = np.sin(t * [1.0, 2.0]) + 1e-3 * rng.normal(size=(10_000, 2))
     spikes[::500] += 20.0
     log = Log(None, "default", "", np.arange(10_000) * 2_000_000, np.full((10_000, 6), np.nan))
-    for values in (rest, spikes):
-        some = replace(log, position=values)
-        assert without_repeats(some) is some
+    resting = replace(log, position=rest)
+    assert without_repeats(resting) is resting
+    found = without_repeats(replace(log, position=spikes))
+    assert found.position is not None
+    np.testing.assert_array_equal(
+        np.isnan(found.position).any(axis=1)[2:], (np.arange(10_000) % 500 == 0)[2:]
+    )
+    (note,) = found.notes
+    assert note.endswith("alone, left out as a glitch")
+
+
+@pytest.mark.parametrize("estimator", ["map", "online"])
+def test_glitches_of_the_motion_move_no_gain(estimator: Any) -> None:
+    """0.2% of the cells of the velocities are 1 m/s or rad/s off: usable, and 9 sigma beside the truth."""
+    rig = light_rig(seconds=20, rate=200, discrepancy=0)
+    run, rng = tw.simulate(rig, seed=5), np.random.default_rng(5)
+    assert run.log.twist is not None
+    off = np.where(rng.random(run.log.twist.shape) < 2e-3, rng.choice([-1.0, 1.0], run.log.twist.shape), 0.0)
+    found = tw.calibrate(rig, replace(run.log, twist=run.log.twist + off), estimator, held_out=False)
+    assert any("left out as a glitch" in note for note in found.figures["notes"])
+    assert found.verdict.usable
+    z = ((found.gain - run.truth.gain) / found.gain_std).ravel()
+    assert np.abs(z).max() < 4.5
+    clean = tw.calibrate(rig, run.log, estimator, held_out=False)
+    assert (found.gain_std < 1.1 * clean.gain_std).all()
+
+
+def test_coarse_velocities_and_tremors_have_no_glitches() -> None:
+    t, rng = np.arange(10_000)[:, None] / 500.0, np.random.default_rng(0)
+    slow = np.round(0.05 * np.sin(0.3 * t * [1.0, 2.0]) + 1e-3 * rng.normal(size=(10_000, 2)), 2)
+    pulses = 0.01 * (rng.random((10_000, 2)) < 0.02)  # a step of an encoder now and then, over a period
+    tremor = np.sin(t) + 0.02 * rng.standard_t(5, size=(10_000, 2)) * (1.0 + np.sin(0.2 * t))
+    log = Log(None, "default", "", np.arange(10_000) * 2_000_000, np.full((10_000, 6), np.nan))
+    for values in (slow, pulses, tremor):
+        same = replace(log, velocity=values)
+        assert without_repeats(same).velocity is values
 
 
 def test_notes_name_what_was_logged_and_not_what_follows_from_joints(arm_rig: RigOf) -> None:
