@@ -1,7 +1,7 @@
 // A wrist sensor calibrated while the arm moves, and corrected from then on, in one loop without Python. What comes from a
 // driver is simulated here: twist of the payload's centre of mass, 500 Hz, and six raw channels [V] with stamps of their own.
 //
-//     c++ -std=c++20 -O2 -I include -I /path/to/eigen3 examples/control_loop.cpp -o control_loop && ./control_loop
+//     c++ -std=c++20 -O3 -march=native -I include -I /path/to/eigen3 examples/control_loop.cpp -o control_loop && ./control_loop
 #include <truewrench/estimation/corrector_of.hpp>
 
 #include <cmath>

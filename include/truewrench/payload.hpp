@@ -27,6 +27,8 @@ inline Status check(const Payload& p, double slack = 1e-9) {
   const Vector3 principal =
       Eigen::SelfAdjointEigenSolver<Matrix3>().computeDirect(p.inertia, Eigen::EigenvaluesOnly).eigenvalues();
   const double largest = principal.maxCoeff();
+  if ((p.inertia - p.inertia.transpose()).cwiseAbs().maxCoeff() > slack * largest)
+    return Status::unphysical_payload;
   if (principal.minCoeff() <= 0.0) return Status::unphysical_payload;
   if (principal.sum() < 2.0 * largest * (1.0 - slack)) return Status::unphysical_payload;
   return Status::ok;

@@ -206,6 +206,9 @@ TEST(Contact, BadInputIsRefused) {
   s.time_offset_std = -1e-3;
   EXPECT_EQ(c.configure(s, 0.02), Status::not_positive);
   s = good;
+  s.slow_error = Vector6::Constant(-1e-3);
+  EXPECT_EQ(c.configure(s, 0.02), Status::not_positive);
+  s = good;
   s.center_of_mass[1] = std::numeric_limits<double>::quiet_NaN();
   EXPECT_EQ(c.configure(s, 0.02), Status::not_finite);
   s = good;

@@ -101,6 +101,58 @@ TEST(IncrementalFaults, SpikesOfAChannelThatComesAndGoesAreLeftOut) {
   EXPECT_LT(spiky.sigma.row(3).maxCoeff(), 0.05);
 }
 
+// What Python refuses a loop must not take for sound: channels that hang, nothing that moves, glitches of the velocities.
+TEST(IncrementalFaults, WhatTellsNothingOrIsWildIsNotSound) {
+  const auto sound = [](unsigned seed, const std::function<void(bool, Vector6&)>& change) {
+    LoopCase loop(seed);
+    Incremental online(loop.rig, loop.about, settings);
+    loop.run(12.0, [&](bool sensor, double t, Vector6 value) {
+      change(sensor, value);
+      EXPECT_EQ(sensor ? online.push_raw(t, value.data()) : online.push_motion(0, t, value.data()),
+                Status::ok);
+    });
+    return online.finish() == Status::ok && online.sound();
+  };
+  for (unsigned seed = 1; seed < 4; ++seed) {
+    EXPECT_TRUE(sound(seed, [](bool, Vector6&) {})) << seed;
+    EXPECT_FALSE(sound(seed, [](bool sensor, Vector6& value) {
+      if (sensor) value.setZero();
+    })) << seed;
+    EXPECT_FALSE(sound(seed, [](bool sensor, Vector6& value) {
+      if (sensor) value[4] = 0.3;
+    })) << seed;
+    EXPECT_TRUE(sound(seed, [](bool sensor, Vector6& value) {
+      if (sensor) value[4] = nan;
+    })) << seed;
+    std::mt19937 random(seed);
+    std::normal_distribution<double> normal;
+    EXPECT_FALSE(sound(seed, [&](bool sensor, Vector6& value) {  // at rest
+      for (double& x : value) x = (sensor ? LoopCase::noise : LoopCase::velocity_noise) * normal(random);
+    })) << seed;
+    int k = 0;
+    EXPECT_FALSE(sound(seed, [&](bool sensor, Vector6& value) {
+      if (!sensor && ++k % 200 == 0) value[k / 200 % 6] += 1.0;
+    })) << seed;
+  }
+}
+
+TEST(IncrementalFaults, ASensorThatComesBeforeTheMotionIsTaken) {
+  for (const double late : {0.5, 3.0, 10.0}) {
+    LoopCase loop(5);
+    Incremental online(loop.rig, loop.about, settings);
+    loop.run(late + 12.0, [&](bool sensor, double t, const Vector6& value) {
+      if (sensor)
+        EXPECT_EQ(online.push_raw(t, value.data()), Status::ok) << late << " " << t;
+      else if (t > late)
+        EXPECT_EQ(online.push_motion(0, t, value.data()), Status::ok) << late << " " << t;
+    });
+    EXPECT_EQ(online.finish(), Status::ok);
+    EXPECT_TRUE(online.sound());
+    EXPECT_EQ(online.dropped(), 0);
+    EXPECT_GT(online.samples(), static_cast<std::int64_t>(11.5 * LoopCase::sensor_rate));
+  }
+}
+
 TEST(IncrementalFaults, AMotionThatLacksComponentsTellsTheOthers) {
   const auto sigma = [](bool split) {
     LoopCase loop(4);

@@ -75,6 +75,8 @@ TEST(Payload, BodiesThatCannotExistAreNamed) {
   EXPECT_EQ(check(p), Status::unphysical_payload);
   p.inertia = Vector3(1.0, 1.0, 2.0).asDiagonal();  // a flat body
   EXPECT_EQ(check(p), Status::ok);
+  p.inertia(0, 1) += 0.01;  // and not (1, 0)
+  EXPECT_EQ(check(p), Status::unphysical_payload);
   p.inertia(0, 0) = std::nan("");
   EXPECT_EQ(check(p), Status::not_finite);
 }

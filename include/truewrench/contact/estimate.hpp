@@ -201,6 +201,9 @@ class Estimate {
       return Status::not_finite;
     if (!Ring::near(s.offset_time_ns)) return Status::not_finite;  // as a stamp
     if (s.mass <= 0.0 || s.time_offset_std < 0.0) return Status::not_positive;
+    for (const Eigen::VectorXd* v :
+         {&s.offset_walk, &s.pose_repeatability, &s.slow_error, &s.temperature_slope_std, &s.quadratic_std})
+      if (v->size() != 0 && v->minCoeff() < 0.0) return Status::not_positive;
     for (const Eigen::MatrixXd& P :
          {s.covariance, Eigen::MatrixXd(s.twist_noise), Eigen::MatrixXd(s.gravity_noise)})
       if (!dense::is_covariance(P)) return Status::not_positive;

@@ -12,8 +12,9 @@
 // leaves for good, and theta follows what left. That is a Gaussian on (next block, theta), and running sums give sigma and q (10.6),
 // (10.9), (10.10), and the parts of (10.11). No steps, no repair, no discrepancy in the fit. It decides forward only.
 //
-// A push takes microseconds, one that completes a block some tens, once in two lags two milliseconds, the first two times up to
-// five; the push that completes the first lag fits it in ten to twenty, so that a hard loop hands its samples to another thread.
+// Built with -O3 -march=native a push takes microseconds, one that completes a block some tens, once in two lags two
+// milliseconds, the first two times up to five; the push that completes the first lag fits it in ten to twenty, so that a hard loop
+// hands its samples to another thread. With -O2 all take six to ten times as long.
 #pragma once
 
 #include "truewrench/estimation/agreement.hpp"
@@ -76,7 +77,9 @@ class Incremental {
     if (told && lag_.rig().slope_prior > 0.0 && lag_.columns().slope < 0) return Status::wrong_size;
     if (time <= raw_last_) return Status::not_increasing;
     const Status status = silence(time);
-    if (raw_.full() && !open()) raw_.drop_before(raw_.begin() + 1);
+    // older than a motion that has begun since, or without one
+    if (raw_.full() && !standing_ && !(raw_[raw_.begin()].time >= motion_begin()))
+      raw_.drop_before(raw_.begin() + 1);
     if (raw_.full()) return Status::wrong_size;
     raw_last_ = time;
     RawSample& s = raw_.push();
@@ -84,6 +87,10 @@ class Incremental {
     if (told) warmth_ = temperature;
     s.temperature = warmth_;
     std::copy_n(raw, lag_.channels(), s.value.begin());
+    for (std::size_t i = 0; i < static_cast<std::size_t>(lag_.channels()); ++i) {
+      if (std::isnan(first_raw_[i])) first_raw_[i] = raw[i];
+      reads_[i] = reads_[i] || (std::isfinite(raw[i]) && raw[i] != first_raw_[i]);
+    }
     for (int k = 0; R_sensor_root != nullptr && k < 9; ++k) s.R(k / 3, k % 3) = R_sensor_root[k];
     return worse(status, advance());
   }
@@ -145,9 +152,9 @@ class Incremental {
   // Of this log and all before it; asked once it is over and covariance() was. Allocates.
   Agreement agreement_with_logs_before();
   // Whether nothing that it can tell speaks against the result, once the record is over: no lag was lost, it is resolved, no more
-  // is left out than a verdict allows, its parts and logs agree, and no channel is noisier than would be told. Of 288 records with a
-  // payload that slips, stuck channels and velocities, or clipped channels 113 ended with a wrong gain, 85 of them resolved: of these
-  // sound are the 12 whose channel hung from first to last, which reads nothing. Allocates.
+  // is left out than a verdict allows, its parts and logs agree, no channel is noisier than would be told and none always reads the
+  // same, velocities are not wild, and some gain was told. Of 288 records with a payload that slips, stuck channels and velocities, or
+  // clipped channels 113 ended with a wrong gain, 85 of them resolved: of these none is sound. Allocates.
   bool sound();
 
   // What was masked since the last call of clear_masked().
@@ -178,6 +185,7 @@ class Incremental {
     const int n = lag_.channels();
     const auto samples = static_cast<std::size_t>(of.settings.samples());
     motion_last_.fill(kNever);
+    first_raw_.fill(std::nan(""));
     raw_.reserve(samples);
     for (auto& m : motion_) m.reserve(samples);
     entries_.reserve(static_cast<std::size_t>(kMostRows * kBlock * (most_blocks_ + 1)));
@@ -209,7 +217,9 @@ class Incremental {
   static constexpr double kNever = -std::numeric_limits<double>::infinity();
   std::array<double, kMostStreams> motion_last_;  // [s] of the newest samples
   double raw_last_ = kNever, warmth_ = 0.0;
-  long raw_at_ = 0;  // first sample that is not in the lag
+  Channels first_raw_{};
+  std::array<bool, kMostChannels> reads_{};  // something else than at first
+  long raw_at_ = 0;                          // first sample that is not in the lag
   std::array<long, kMostStreams> motion_at_{};
   double period_ = 0.0, motion_period_ = 0.0;  // [s] as the stretch began with
   double limit_ = 0.0;                         // [s] end of a stretch that is over
@@ -293,8 +303,9 @@ class Incremental {
   }
   double motion_last() const { return *std::max_element(motion_last_.begin(), motion_last_.end()); }
   // To which all streams have samples, of a stretch that has not begun; NaN where one has none.
-  double common_begin() const {
-    double out = raw_[raw_.begin()].time;
+  double common_begin() const { return std::max(motion_begin(), raw_[raw_.begin()].time); }
+  double motion_begin() const {
+    double out = kNever;
     for (std::size_t i = 0; i < lag_.streams(); ++i) {
       if (motion_[i].empty()) return std::nan("");
       out = std::max(out, motion_[i][motion_[i].begin()].time);

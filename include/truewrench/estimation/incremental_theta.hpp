@@ -245,7 +245,15 @@ inline bool Incremental::sound() {
   const auto seen = static_cast<double>(samples_), masked = static_cast<double>(masked_samples_);
   if (!(masked <= constants::most_lost * seen)) return false;
   if (!(lag_.sizes.raw_factor.maxCoeff() <= constants::noise_told)) return false;
+  for (std::size_t i = 0; i < lag_.streams(); ++i)
+    if (!(lag_.sizes.motion_factor[i].maxCoeff() <= constants::motion_noise_most)) return false;
+  const int n = lag_.channels(), C = lag_.columns().C;
+  for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i)
+    if (!reads_[i] && !std::isnan(first_raw_[i])) return false;
   covariance();
+  bool learnt = false;
+  for (int i = 0; i < 6 * n; ++i) learnt = learnt || gain_covariance_(i, i) * told(1.0) < prior_[C + i];
+  if (!learnt) return false;
   const double agree = 0.5 * constants::doubt;  // no number agrees with nothing
   return agreement().p >= agree && agreement_with_logs_before().p >= agree;
 }

@@ -77,6 +77,7 @@ inline Status check(const Statement& rig) {
   if (!rig.nominal.allFinite() || !rig.gravity.allFinite() || !std::isfinite(rig.sign) ||
       !std::isfinite(rig.gamma_mean))
     return Status::not_finite;
+  if (std::abs(rig.sign) != 1.0) return Status::not_positive;
   for (const auto& body : rig.body_prior)
     if (const Status status = checked::sigmas(body, true); status != Status::ok) return status;
   return checked::first({checked::sigmas(rig.range, false), checked::sigmas(rig.noise, false),

@@ -1,4 +1,4 @@
-"""A clean end: SIGINT and SIGTERM are asked about between samples and never interrupt one."""
+"""A clean end: SIGINT, SIGTERM and SIGHUP are asked about between samples and never interrupt one."""
 
 import os
 import signal
@@ -24,7 +24,7 @@ class Stop:
         if threading.current_thread() is threading.main_thread():
             os.set_blocking(self._woken, False)
             self._before_wakeup = signal.set_wakeup_fd(self._woken, warn_on_full_buffer=False)
-            for name in (signal.SIGINT, signal.SIGTERM):
+            for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 self._before[name] = signal.signal(name, self._heard)
         return self
 
