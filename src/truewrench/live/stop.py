@@ -25,6 +25,8 @@ class Stop:
             os.set_blocking(self._woken, False)
             self._before_wakeup = signal.set_wakeup_fd(self._woken, warn_on_full_buffer=False)
             for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                if name == signal.SIGHUP and signal.getsignal(name) == signal.SIG_IGN:
+                    continue  # of nohup
                 self._before[name] = signal.signal(name, self._heard)
         return self
 
