@@ -141,10 +141,10 @@ TEST(IncrementalFaults, ASensorThatComesBeforeTheMotionIsTaken) {
     LoopCase loop(5);
     Incremental online(loop.rig, loop.about, settings);
     loop.run(late + 12.0, [&](bool sensor, double t, const Vector6& value) {
-      if (sensor)
-        EXPECT_EQ(online.push_raw(t, value.data()), Status::ok) << late << " " << t;
-      else if (t > late)
-        EXPECT_EQ(online.push_motion(0, t, value.data()), Status::ok) << late << " " << t;
+      if (!sensor && t <= late) return;
+      const Status status =
+          sensor ? online.push_raw(t, value.data()) : online.push_motion(0, t, value.data());
+      EXPECT_EQ(status, Status::ok) << late << " " << t;
     });
     EXPECT_EQ(online.finish(), Status::ok);
     EXPECT_TRUE(online.sound());

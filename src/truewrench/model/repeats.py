@@ -1,4 +1,4 @@
-"""Values that are no measurements: repeats of a stream slower than its rows or hung, lines between samples.
+"""Values that are no measurements: repeats of a stream slower than its rows or hung, lines, marks, glitches.
 
 Lines are what a table holds whose maker brought a slower stream to these rows by linear interpolation.
 Taken for a measurement, a held value is late by up to its period, and its noise counts several times, as that
@@ -29,7 +29,7 @@ _JUMP = 3.0  # times as large as any other change of a column, with which it the
 _IN_LINE = 0.1  # of the rms change of slope, up to which a row is on the line through its neighbours
 _REGULAR = 0.8  # share of the lines that begin as regularly as samples, from which on they were interpolated
 _MARK = 50.0  # times the range of 98% of a column, by which what is no value stands off the rows around it
-# Of 240 records of 16 kinds of imperfect hardware (benchmarks/imperfect.py, seed 9904) no cell is a glitch.
+# Of 240 records of benchmarks/imperfect.py and 400 of healthy.py no cell is said to be a glitch.
 _GLITCH = 5.0  # times what rows usually change by, by which a glitch stands off the rows around it,
 _USUAL = 97.0  # per cent of the changes, which are as large at most, and half of so many
 _AROUND = 17  # about the row,
