@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from truewrench.simulation.free_body import simulate
     from truewrench.simulation.truth import read_truth
     from truewrench.tool.identify import identify_tool
-    from truewrench.tool.model import Tool, read_tool
+    from truewrench.tool.model import Tool
+    from truewrench.tool.reading import read_tool
 
 __version__ = version("truewrench")
 
@@ -62,7 +63,7 @@ _HOMES = {
     "plan": "planning.planner",
     "read_ati_cal": "model.rig.ati_cal",
     "read_log": "io.tables",
-    "read_tool": "tool.model",
+    "read_tool": "tool.reading",
     "read_truth": "simulation.truth",
     "simulate": "simulation.free_body",
     "simulate_arm": "simulation.arm",

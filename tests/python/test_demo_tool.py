@@ -12,7 +12,7 @@ import yaml
 from truewrench.cli import main
 from truewrench.demo import tool as demo
 from truewrench.demo.tool import FINGERTIP, GRIPPER, PRESS, Size
-from truewrench.tool.model import read_tool
+from truewrench.tool.reading import read_tool
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from truewrench.model.calibration import Calibration
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.temperature import where_apart
-from truewrench.tool.model import read_tool
+from truewrench.tool.reading import read_tool
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

@@ -13,7 +13,7 @@ from tool_cases import a_rig, pose_log, write_log
 
 from truewrench.cli import main
 from truewrench.model.rig.tool_rig import tool_rig
-from truewrench.tool.model import read_tool
+from truewrench.tool.reading import read_tool
 
 MASS, CENTER = 2.0, np.array([0.01, -0.02, 0.09])
 

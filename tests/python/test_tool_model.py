@@ -19,7 +19,6 @@ from truewrench.model.rig import Rig
 from truewrench.model.rig.tool_rig import GAIN_PRIOR, TILT_PRIOR, load_tool_rig, tool_rig
 from truewrench.planning.tool.plan import plan_tool
 from truewrench.tool.bodies import nearest_physical
-from truewrench.tool.model import read_tool
 from truewrench.tool.model_rows import about_center
 from truewrench.tool.motion import _widened
 from truewrench.tool.parameters import (
@@ -31,6 +30,7 @@ from truewrench.tool.parameters import (
     tilted,
 )
 from truewrench.tool.prior import settings_of
+from truewrench.tool.reading import read_tool
 from truewrench.tool.words import correlations
 
 

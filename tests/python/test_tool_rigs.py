@@ -19,7 +19,7 @@ from truewrench.cli import main
 from truewrench.model.rig import load_rig
 from truewrench.model.rig.tool_rig import load_tool_rig
 from truewrench.robot.arm import robot_of
-from truewrench.tool.model import read_tool
+from truewrench.tool.reading import read_tool
 
 Array = NDArray[np.float64]
 

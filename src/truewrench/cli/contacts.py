@@ -25,7 +25,7 @@ def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool,
     from truewrench.cli.tools import read_sensor
     from truewrench.correction.contact.run import check_same_sensor
     from truewrench.model.rig import Rig
-    from truewrench.tool.model import read_tool
+    from truewrench.tool.reading import read_tool
 
     sensor, found = read_sensor(source), read_tool(tool)
     made = None if isinstance(sensor, Rig) else sensor

@@ -73,9 +73,9 @@ def tool(
         write_tool_exports,
     )
     from truewrench.tool.identify import identify_tool
-    from truewrench.tool.model import read_tool
     from truewrench.tool.page import write_page
     from truewrench.tool.prior import settings_of
+    from truewrench.tool.reading import read_tool
     from truewrench.tool.words import tool_summary
 
     check_folder(output)
