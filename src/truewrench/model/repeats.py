@@ -58,13 +58,16 @@ def without_repeats(log: Log) -> Log:
     followed = () if log.tracking is None else ("twist", "gravity")  # of joints, whose notes say it
     logged = {name: values for name in _STREAMS if (values := getattr(log, name)) is not None}
     for name in [name for name in logged if name not in ("raw", "reference")]:  # whose outliers are found
-        for find, as_what in ((_marks, "a driver's mark for no sample"), (_glitches, "a glitch")):
+        for find, why in (
+            (_marks, "left out as a driver's mark for no sample"),
+            (_glitches, "left out as a glitch"),
+        ):
             alone = find(logged[name])
             if alone.any():
                 worst = float(max(logged[name][alone], key=abs))
                 changed[name] = logged[name] = np.where(alone, np.nan, logged[name])
                 count = f"{np.count_nonzero(alone)} cells such as {worst:.6g}"
-                notes.append(f"{_STREAMS[name]}: {count}, alone, left out as {as_what}")
+                notes.append(f"{_STREAMS[name]}: {count}, alone, {why}")
     streams = {name: _Stream(values) for name, values in logged.items()}
     for name, stream in streams.items():
         held = stream.held()
