@@ -180,6 +180,15 @@ def test_demo_names_its_files(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert json.loads(out)["figures"] == {"seed": 5}
 
 
+def test_a_calibration_is_not_written_over_the_rig_that_it_is_made_with(run: Run, tmp_path: Path) -> None:
+    rig = tmp_path / "calibration.yaml"
+    rig.write_text("sensor: {}\n", encoding="utf-8")
+    status, _, err = run("calibrate", rig, tmp_path / "log.csv", "-o", tmp_path)
+    assert status == 2
+    assert "an input of the command itself" in err
+    assert rig.read_text(encoding="utf-8") == "sensor: {}\n"
+
+
 @pytest.mark.parametrize("as_json", [False, True])
 def test_interrupted_calibration_says_that_nothing_was_written(
     run: Run, rig_file: Path, csv_of: Callable[..., Path], cells: Cells, pipeline: ModuleType, tmp_path: Path,

@@ -65,6 +65,7 @@ def calibrate(
     from truewrench.report.summary import calibration_summary, exports_summary
 
     check_folder(output)
+    check_output(output / "calibration.yaml", rig, table=False)
     settings = load_rig(rig)
     found: list[Evidence] = []
     with progress_bar() as update:

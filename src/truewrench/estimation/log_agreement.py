@@ -43,7 +43,11 @@ def agreement_of_known_halves(
             continue
         cut = _between(log, rows, np.array(rig.reference_noise))
         parts = [np.isin(np.arange(log.time.size), half) for half in (rows[:cut], rows[cut:])]
-        halves = [_alone(rig, rows_of(log, part), k, found, clocks[k]) for part in parts]
+        clock = clocks[k]
+        halves = [
+            _alone(rig, rows_of(log, part), k, found, clock and replace(clock, moved=clock.moved[part]))
+            for part in parts
+        ]
         kinds = [{kind.stepped for kind in one.errors} for one in halves]
         if all(kind == {one.stepped for one in found.errors if k in one.logs} for kind in kinds):
             told = [_told(rig, half) for half in halves]  # by the sizes of its kind

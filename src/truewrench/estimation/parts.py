@@ -82,7 +82,7 @@ class InParts:
                 self._rates[k] += rate
                 self.logs[k] = replace(self.logs[k], clock_rate=self.logs[k].clock_rate + rate)
             told = self._parts_of(rates)
-            for k in [k for k, parts in told.items() if _deviance(parts) > _deviance(every[k])]:
+            for k in [k for k, parts in told.items() if not _deviance(parts) <= _deviance(every[k])]:
                 self._rates[k], self.logs[k] = before[k]
                 del told[k]
             every |= told
