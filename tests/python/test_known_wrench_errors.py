@@ -10,9 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from truewrench.calibrating.pipeline import calibrate
+from truewrench.estimation import log_agreement
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.estimation.lasting_errors import ErrorSize
 from truewrench.estimation.log_agreement import agreement_of_known_halves
+from truewrench.estimation.reference_clock import ReferenceClock
 from truewrench.estimation.wrench_errors import FoundErrors
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
@@ -306,3 +308,20 @@ def test_a_gain_that_changes_within_a_log_is_told_by_its_halves(kind: str) -> No
         reasons = calibrate(rig, replace(log, raw=raw)).verdict.reasons
         assert any("the first and the second half of the log tell different gains" in x for x in reasons)
     assert min(least) > 1e-3
+
+
+def test_halves_of_a_log_have_the_clock_of_their_own_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, log, *_ = example("moving", 0, size=2e-3)
+    found = estimate_from_known_wrench(rig, [log])
+    moved = np.broadcast_to(log.time_ns[:, None, None] * 1e-9, (log.time.size, 6, 2))
+    clock = ReferenceClock(0.0, 1e-4, 0.0, moved, 1e-8 * np.eye(2))
+    seen = []
+
+    def estimate(rig: Rig, logs: Any, errors: Any, clocks: Any) -> KnownWrenchEstimate:
+        np.testing.assert_array_equal(clocks[0].moved[:, 0, 0], logs[0].time_ns * 1e-9)
+        seen.append(logs[0].time_ns)
+        return estimate_from_known_wrench(rig, logs, errors, clocks)
+
+    monkeypatch.setattr(log_agreement, "estimate_from_known_wrench", estimate)
+    agreement_of_known_halves(rig, [log], found, [clock])
+    np.testing.assert_array_equal(np.concatenate(seen), log.time_ns)

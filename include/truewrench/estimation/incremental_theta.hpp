@@ -251,9 +251,9 @@ inline bool Incremental::sound() {
   for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i)
     if (!reads_[i] && !std::isnan(first_raw_[i])) return false;
   covariance();
-  bool learnt = false;
-  for (int i = 0; i < 6 * n; ++i) learnt = learnt || gain_covariance_(i, i) * told(1.0) < prior_[C + i];
-  if (!learnt) return false;
+  const auto variance = gain_covariance_.diagonal().array();
+  const double share = constants::undetermined * constants::undetermined;
+  if (!(variance < share * prior_.segment(C, 6 * n).array()).any()) return false;  // nothing was learnt
   const double agree = 0.5 * constants::doubt;  // no number agrees with nothing
   return agreement().p >= agree && agreement_with_logs_before().p >= agree;
 }

@@ -22,7 +22,7 @@ from truewrench.model.calibration_parts import (
     Verdict,
 )
 from truewrench.model.errors import InputError
-from truewrench.model.files import read_yaml, write_yaml
+from truewrench.model.files import write_yaml
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.rig.elsewhere import within
@@ -222,13 +222,10 @@ def load_calibration(path: str | Path) -> Calibration:
     Raises:
         InputError: naming file, line, key, what was found and what was expected.
     """
-    data, locate = read_yaml(path)
-    return _from_fields(Fields(data, path, locate))
+    return _from_fields(Fields.of_file(path, FORMAT))
 
 
 def _from_fields(top: Fields) -> Calibration:
-    if top.data.get("format") != FORMAT:
-        raise top.error("format", f"`{FORMAT}`")
     try:
         rig = Rig.from_mapping(top.section("rig").data, f"{top.path}: rig")
     except InputError as error:

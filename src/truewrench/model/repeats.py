@@ -6,6 +6,7 @@ of lines between samples does. Of a coarse reading channels repeat one by one; o
 all change. What hung goes on with a jump.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -104,36 +105,40 @@ def without_marks(log: Log) -> Log:
 
 def _marks(values: Array) -> Mask:
     """Cells (N, n) that stand off the two rows before and after as nothing else in their column does."""
-    marks: Mask = np.zeros(values.shape, dtype=np.bool_)
-    for column, of in zip(values.T, marks.T, strict=True):
-        rows = np.flatnonzero(np.isfinite(column))
-        if rows.size > _FEWEST:
-            low, high = np.percentile(column[rows], [1.0, 99.0])
-            around = median_filter(column[rows], 5, mode="nearest")
-            of[rows] = np.abs(column[rows] - around) > _MARK * (high - low if high > low else np.inf)
-    return marks
+    return _alone(values, _far)
 
 
 def _glitches(values: Array) -> Mask:
-    """Cells (N, n) that stand off the rows on both sides by far more than rows change, there and in all.
+    """Cells (N, n) that stand off the rows on both sides by far more than rows change, there and in all."""
+    out = _alone(values, _fast)
+    out[:, out.sum(axis=0) > _MOST_GLITCHES * np.isfinite(values).sum(axis=0)] = False
+    return out
 
-    Of coarse columns, which change by a step now and then, no less than by the steps.
-    """
+
+def _alone(values: Array, limit: Callable[[Array], Array]) -> Mask:
+    """Cells (N, n) that are further from the median of five rows than the limit (M,) of their column's M."""
     out: Mask = np.zeros(values.shape, dtype=np.bool_)
     for column, of in zip(values.T, out.T, strict=True):
         rows = np.flatnonzero(np.isfinite(column))
-        if rows.size <= _FEWEST:
-            continue
-        change = np.abs(np.diff(column[rows]))
-        if not change.any():
-            continue
-        usual = max(float(np.percentile(change, _USUAL)), float(np.median(change[change > 0.0])))
-        there = median_filter(np.append(change, change[-1]), _AROUND, mode="nearest")
-        off = np.abs(column[rows] - median_filter(column[rows], 5, mode="nearest"))
-        off = off > _GLITCH * np.maximum(usual, there)
-        if off.mean() <= _MOST_GLITCHES:
-            of[rows] = off
+        if rows.size > _FEWEST:
+            x = column[rows]
+            of[rows] = np.abs(x - median_filter(x, 5, mode="nearest")) > limit(x)
     return out
+
+
+def _far(column: Array) -> Array:
+    low, high = np.percentile(column, [1.0, 99.0])
+    return np.asarray(_MARK * (high - low if high > low else np.inf))
+
+
+def _fast(column: Array) -> Array:
+    """By what rows change there and in all; of coarse ones, which rarely change, no less than by a step."""
+    change = np.abs(np.diff(column))
+    if not change.any():
+        return np.asarray(np.inf)
+    usual = max(float(np.percentile(change, _USUAL)), float(np.median(change[change > 0.0])))
+    there = median_filter(np.append(change, change[-1]), _AROUND, mode="nearest")
+    return np.asarray(_GLITCH * np.maximum(usual, there))
 
 
 class _Stream:

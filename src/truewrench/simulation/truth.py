@@ -11,7 +11,7 @@ from truewrench.io.table import GRAVITY, TWIST
 from truewrench.io.tables import write_table
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.errors import InputError, UnsupportedError
-from truewrench.model.files import read_yaml, write_yaml
+from truewrench.model.files import write_yaml
 from truewrench.model.log import Log
 from truewrench.model.motion.trajectory import Body
 from truewrench.model.rig import PayloadSpec, Rig
@@ -65,8 +65,7 @@ def read_truth(path: str | Path) -> Truth:
     Raises:
         InputError: naming file, line, key, what was found and what was expected.
     """
-    data, locate = read_yaml(path)
-    fields = Fields(data, path, locate)
+    fields = Fields.of_file(path)
     n = len(fields.get("offset"))
     payloads = {}
     for name in fields.section("payloads").data:

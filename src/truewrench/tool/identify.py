@@ -263,7 +263,7 @@ def _tool(
     shell = np.zeros(4) if housing is None else np.asarray(housing, dtype=np.float64)
     scale = rig.sensor.channel_scale
     determined = _determined(solution)
-    alone = (0.0,) if motion is None else (motion.follows, motion.slow)
+    in_motion = (0.0,) if motion is None else (motion.follows, motion.slow)
     told = all(determined["inertia"]) and (on is None or not on.exported.inertia_assumed)
     tool = Tool(
         mass=mass,
@@ -277,7 +277,7 @@ def _tool(
         offset_std=std[layout.offset],
         offset_time_ns=int(end_ns[-1]),
         offset_walk=solution.rate * scale,
-        pose_repeatability=max(solution.repeatability, *alone) * scale,
+        pose_repeatability=max(solution.repeatability, *in_motion) * scale,
         sample_noise=sample_noise(solution.problem, motion),
         vibrations=vibrations(solution.problem),
         mounting=x[layout.mounting].copy(),

@@ -8,7 +8,6 @@ import numpy as np
 
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
-from truewrench.model.files import read_yaml
 from truewrench.model.rig.fields import Fields
 from truewrench.model.rig.tool_rig import tool_rig
 from truewrench.tool.model import FORMAT, Tool, names_of
@@ -22,13 +21,10 @@ def read_tool(path: str | Path) -> Tool:
     Raises:
         InputError: naming file, line, key, what was found and what was expected.
     """
-    data, locate = read_yaml(path)
-    return _from_fields(Fields(data, path, locate))
+    return _from_fields(Fields.of_file(path, FORMAT))
 
 
 def _from_fields(top: Fields) -> Tool:
-    if top.data.get("format") != FORMAT:
-        raise top.error("format", f"`{FORMAT}`")
     try:
         rig = tool_rig(top.section("rig").data, f"{top.path}: rig")
     except InputError as error:
@@ -61,7 +57,7 @@ def _from_fields(top: Fields) -> Tool:
         tilt=top.array("tilt", (2,)),
         tilt_std=top.sizes("tilt_std", 2),
         gain=top.array("gain", (n, 6)),
-        covariance=_covariance(top, Layout(n)),
+        covariance=_covariance(top, names),
         below=_below(top),
         exported=Body(
             mass=exported.positive("mass"),
@@ -136,8 +132,8 @@ def _vibrations(top: Fields, n: int) -> Array:
     return np.array([[band.size("hz"), *band.sizes("std", n)] for band in bands]).reshape(-1, 1 + n)
 
 
-def _covariance(top: Fields, layout: Layout) -> Array:
-    section, names = top.section("covariance"), names_of(layout, "below" in top.data)
+def _covariance(top: Fields, names: list[str]) -> Array:
+    section = top.section("covariance")
     if section.texts("names") != names:
         found = f"{len(section.data['names'])} names, or another order"
         expected = f"the {len(names)} names of gain, log_mass, center_of_mass, S, offset, mounting, tilt"

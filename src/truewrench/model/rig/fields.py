@@ -10,7 +10,7 @@ import numpy as np
 
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
-from truewrench.model.files import Locate
+from truewrench.model.files import Locate, read_yaml
 from truewrench.model.rig.strict import is_finite, key_path, shown
 
 
@@ -29,6 +29,15 @@ class Fields:
         if not isinstance(data, dict):
             raise self._error(place, "a mapping", shown(data))
         self.data: dict[str, Any] = data
+
+    @classmethod
+    def of_file(cls, path: str | Path, form: str | None = None) -> Fields:
+        """All of a file, whose key `format` says the form where there is one."""
+        data, locate = read_yaml(path)
+        top = cls(data, path, locate)
+        if form is not None and top.data.get("format") != form:
+            raise top.error("format", f"`{form}`")
+        return top
 
     def error(self, key: str, expected: str, found: str | None = None) -> InputError:
         """The error of one key of this mapping."""
