@@ -100,7 +100,7 @@ def compared(found: dict[str, Plan], best: Plan) -> list[list[Any]]:
         hidden = ["-", "-"]
         if planned.prediction is not None:
             effect = planned.prediction.blind_to[0].effect
-            hidden = [f"{planned.prediction.pose.share:.2f}", f"{effect:.2f}"]
+            hidden = [f"{planned.prediction.pose.A:.2f}", f"{effect:.2f}"]
         lines.append([name, within, f"{sigma:.5f}", times, *hidden, f"{planned.seconds:.0f}"])
     return lines
 

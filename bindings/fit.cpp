@@ -129,10 +129,48 @@ void bind_fit(nb::module_& m) {
       .def_ro("chi2", &Agreement::chi2)
       .def_ro("freedom", &Agreement::freedom);
   nb::class_<PoseShare>(m, "PoseShare", "How far a force that follows the pose can hide in the gain.")
+      .def(
+          "__init__", [](PoseShare* self, double A, const Matrix6& ww) { new (self) PoseShare{A, ww}; },
+          nb::arg("A"), nb::arg("ww"))
       .def_ro("A", &PoseShare::A)
       .def_ro("ww", &PoseShare::ww)
       .def_ro("period", &PoseShare::period)
-      .def_ro("moved", &PoseShare::moved);
+      .def_prop_ro(
+          "unit_covariance",
+          [](const PoseShare& share) {
+            double unit[6][6];
+            if (!unit_covariance(share, unit)) std::fill_n(&unit[0][0], 36, NAN);
+            return Matrix6(Eigen::Map<const Matrix6>(&unit[0][0]));
+          },
+          "A / (1 - A) (E w w^T)^-1 / 6 (6, 6) of (10.10): of a row of C, for a force of unit size.");
+  m.def(
+      "pose_share",
+      [](const Eigen::VectorXd& time, const RowMatrix& twist, const RowMatrix& wrench, bool arm) {
+        if (twist.rows() != time.size() || wrench.rows() != time.size() || twist.cols() != 6 ||
+            wrench.cols() != 6)
+          throw nb::value_error("pose_share: twist and wrench of (N, 6) are expected, with N times");
+        PoseSums sums;
+        for (Eigen::Index k = 0; k < time.size(); ++k)
+          sums.add(time[k], 1.0, false, &twist(k, 0), &wrench(k, 0));
+        sums.end_stretch(arm);
+        return sums.share();
+      },
+      nb::arg("time"), nb::arg("twist"), nb::arg("wrench"), nb::arg("arm") = false,
+      "Of one gap-free record: times (N,) [s], twist (N, 6) of the sensor in its axes, wrench (N, 6) over "
+      "the range; arm: its motion is one's.");
+  m.def(
+      "with_pose",
+      [](Eigen::MatrixXd covariance, const Eigen::VectorXd& prior, const PoseShare& share,
+         const Eigen::VectorXd& size2) {
+        if (covariance.rows() != 6 * size2.size() || covariance.cols() != covariance.rows() ||
+            prior.size() != covariance.rows())
+          throw nb::value_error("with_pose: (6n, 6n), (6n,) and (n,) are expected");
+        add_pose(covariance, prior.data(), share, [&](int i) { return size2[i]; });
+        return covariance;
+      },
+      nb::arg("covariance"), nb::arg("prior"), nb::arg("share"), nb::arg("size2"),
+      "The covariance (6n, 6n) of the normalised gain, row by row, with (10.10), for a force of variance "
+      "size2 (n,) in every channel; no variance rises above its prior's (6n,).");
   nb::class_<Fit>(m, "Fit", "One fit of the model to one or several logs.")
       .def_rw("theta", &Fit::theta)
       .def_ro("failed", &Fit::failed)

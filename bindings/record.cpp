@@ -68,6 +68,7 @@ void bind_record(nb::module_& m) {
       .def_rw("payload", &RecordedLog::payload)
       .def_rw("point", &RecordedLog::point)
       .def_rw("body", &RecordedLog::body)
+      .def_rw("arm", &RecordedLog::arm)
       .def_rw("offset_knots", &RecordedLog::offset_knots)
       .def_rw("offset_walk", &RecordedLog::offset_walk)
       .def_rw("time", &RecordedLog::time)

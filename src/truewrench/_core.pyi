@@ -582,6 +582,12 @@ class RecordedLog:
     def body(self, arg: int, /) -> None: ...
 
     @property
+    def arm(self) -> bool: ...
+
+    @arm.setter
+    def arm(self, arg: bool, /) -> None: ...
+
+    @property
     def offset_knots(self) -> list[float]: ...
 
     @offset_knots.setter
@@ -886,6 +892,8 @@ class Agreement:
 class PoseShare:
     """How far a force that follows the pose can hide in the gain."""
 
+    def __init__(self, A: float, ww: Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')]) -> None: ...
+
     @property
     def A(self) -> float: ...
 
@@ -896,7 +904,20 @@ class PoseShare:
     def period(self) -> float: ...
 
     @property
-    def moved(self) -> bool: ...
+    def unit_covariance(self) -> Annotated[NDArray[numpy.float64], dict(shape=(6, 6), order='F')]:
+        """
+        A / (1 - A) (E w w^T)^-1 / 6 (6, 6) of (10.10): of a row of C, for a force of unit size.
+        """
+
+def pose_share(time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], twist: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], wrench: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], arm: bool = False) -> PoseShare:
+    """
+    Of one gap-free record: times (N,) [s], twist (N, 6) of the sensor in its axes, wrench (N, 6) over the range; arm: its motion is one's.
+    """
+
+def with_pose(covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], prior: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], share: PoseShare, size2: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]:
+    """
+    The covariance (6n, 6n) of the normalised gain, row by row, with (10.10), for a force of variance size2 (n,) in every channel; no variance rises above its prior's (6n,).
+    """
 
 class Fit:
     """One fit of the model to one or several logs."""

@@ -121,7 +121,7 @@ def test_direction_of_gravity_counts_where_gravity_acts(planned: Plan) -> None:
 def test_stated_discrepancy_widens_what_is_promised_as_the_motion_can_hide_the_pose(planned: Plan) -> None:
     auto, none, stated = (promise(planned, sensor={"discrepancy": f}) for f in ("auto", 0, 1e-4))
     np.testing.assert_array_equal(auto.std, none.std)
-    A, moment = stated.pose.share, stated.pose.moment
+    A, moment = stated.pose.A, stated.pose.ww
     added = 1e-8 * A / (1 - A) * np.diag(np.linalg.inv(moment)) / 6
     assert (auto.std**2 + added < 0.3**2).all()  # no gain is near its prior
     np.testing.assert_allclose(stated.std**2, auto.std**2 + added, rtol=1e-6)
@@ -183,7 +183,7 @@ def test_several_frequencies_hide_less_of_the_pose_and_cost_next_to_nothing(plan
     found, free = planned.prediction, plan(rig_of(sensor={"discrepancy": 0})).prediction
     assert found is not None
     assert free is not None
-    assert found.pose.share < 0.5 < 0.8 < free.pose.share
+    assert found.pose.A < 0.5 < 0.8 < free.pose.A
     assert found.oracle_rms < 1.02 * free.oracle_rms
     assert found.blind_to[0].effect < 0.5 * free.blind_to[0].effect
 
@@ -191,7 +191,7 @@ def test_several_frequencies_hide_less_of_the_pose_and_cost_next_to_nothing(plan
 def test_plan_that_hides_most_of_its_pose_says_what_would_help() -> None:
     found = plan(rig_of(plan={"harmonics": 2, "duration": 5}))
     assert found.prediction is not None
-    assert found.prediction.pose.share > 0.8
+    assert found.prediction.pose.A > 0.8
     assert any("plan.harmonics" in note for note in found.notes)
 
 

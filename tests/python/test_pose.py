@@ -10,15 +10,8 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 from scipy.spatial.transform import Rotation
 
-from truewrench.estimation.pose import (
-    blind_to,
-    delay_share,
-    pooled_pose_share,
-    pose_about_mean,
-    pose_of_twist,
-    pose_share,
-    with_pose,
-)
+from truewrench._core import pose_share, with_pose
+from truewrench.estimation.pose import blind_to, delay_share
 
 Array = NDArray[np.float64]
 
@@ -55,9 +48,25 @@ def motion(seed: int, *, several: bool) -> tuple[Array, Array]:
     return twist, felt(twist, acceleration)
 
 
-def dense_share(twist: Array, wrench: Array) -> float:
-    """Mean R^2 by ordinary least squares, component by component, of a pose by Simpson's rule."""
-    pose = cumulative_simpson(twist, x=TIME, axis=0, initial=0.0)
+def integral(twist: Array) -> Array:
+    """Pose by Simpson's rule, component by component."""
+    return cumulative_simpson(twist, x=TIME, axis=0, initial=0.0)
+
+
+def placed(twist: Array) -> Array:
+    """Place and vector part of the turn in the axes of the mean attitude: sums of small steps."""
+    places, turns = [np.zeros(3)], [Rotation.identity()]
+    for before, after in pairwise(twist):
+        turns.append(turns[-1] * Rotation.from_rotvec(0.005 * (before + after)[3:]))
+        places.append(places[-1] + 0.005 * (turns[-2].apply(before[:3]) + turns[-1].apply(after[:3])))
+    turned = Rotation.concatenate(turns)
+    mean = turned.mean().inv()
+    from_mean = (mean * turned).as_quat()
+    return np.hstack([mean.apply(np.array(places)), 2 * from_mean[:, :3] * from_mean[:, 3:]])
+
+
+def dense_share(pose: Array, wrench: Array) -> float:
+    """Mean R^2 by ordinary least squares of the components of a pose."""
     columns = np.column_stack([wrench, np.ones(len(wrench))])
     found = []
     for x in pose.T:
@@ -70,14 +79,14 @@ def dense_share(twist: Array, wrench: Array) -> float:
 def test_share_of_the_pose_is_that_of_ordinary_regressions(several: bool) -> None:
     twist, wrench = motion(3, several=several)
     found = pose_share(TIME, twist, wrench)
-    assert found.share == pytest.approx(dense_share(twist, wrench), abs=2e-3)
-    np.testing.assert_allclose(found.moment, wrench.T @ wrench / len(wrench), rtol=1e-12)
+    assert pytest.approx(dense_share(integral(twist), wrench), abs=2e-3) == found.A
+    np.testing.assert_allclose(found.ww, wrench.T @ wrench / len(wrench), rtol=1e-12)
 
 
 def test_one_frequency_an_axis_hides_its_pose_and_six_do_not() -> None:
     for seed in range(6):
-        assert pose_share(TIME, *motion(seed, several=False)).share > 0.97
-        assert 0.25 < pose_share(TIME, *motion(seed, several=True)).share < 0.55
+        assert pose_share(TIME, *motion(seed, several=False)).A > 0.97
+        assert 0.25 < pose_share(TIME, *motion(seed, several=True)).A < 0.55
 
 
 def test_share_does_not_depend_on_units_or_on_where_the_body_began() -> None:
@@ -86,57 +95,36 @@ def test_share_does_not_depend_on_units_or_on_where_the_body_began() -> None:
     scaled = pose_share(
         TIME, twist * np.array([1000.0] * 3 + [57.3 / 60] * 3), wrench * np.arange(1, 7) + 3.0
     )
-    assert scaled.share == pytest.approx(found.share, rel=1e-9)
+    assert pytest.approx(found.A, rel=1e-9) == scaled.A
 
 
 def test_components_that_do_not_move_are_left_out() -> None:
     twist, wrench = motion(1, several=True)
     twist[:, 4] = 0.0
-    pose = np.delete(pose_of_twist(TIME, twist), 4, axis=1)
-    design = np.column_stack([wrench, np.ones(TIME.size)])
-    left = pose - design @ np.linalg.lstsq(design, pose)[0]
-    expected = np.mean(1.0 - left.var(axis=0) / pose.var(axis=0))
-    assert pose_share(TIME, twist, wrench).share == pytest.approx(expected)
+    expected = dense_share(np.delete(integral(twist), 4, axis=1), wrench)
+    assert pytest.approx(expected, abs=2e-3) == pose_share(TIME, twist, wrench).A
 
 
 def test_at_rest_the_pose_is_the_wrench() -> None:
-    assert pose_share(TIME, np.zeros((TIME.size, 6)), np.ones((TIME.size, 6))).share == 1.0
+    assert pose_share(TIME, np.zeros((TIME.size, 6)), np.ones((TIME.size, 6))).A == 1.0
 
 
-def test_two_records_of_one_motion_hide_what_one_of_them_hides() -> None:
-    twist, wrench = motion(2, several=True)
-    one = pose_share(TIME, twist, wrench)
-    pose = pose_of_twist(TIME, twist)
-    # elsewhere, with another offset of the wrench's mean
-    two = pooled_pose_share([pose, pose + 5.0], [wrench, wrench])
-    assert two.share == pytest.approx(one.share, rel=1e-9)
-    np.testing.assert_allclose(two.moment, one.moment)
-
-
-def test_pose_of_a_body_that_turns_far_is_a_place_and_a_rotation_vector() -> None:
-    rate = np.array([0.3, -0.5, 0.4])  # more than three radians in all
-    twist = np.tile(np.concatenate([[0.1, 0.2, 0.0], rate]), (TIME.size, 1))
-    pose = pose_of_twist(TIME, twist)
-    turned = Rotation.from_rotvec(rate * TIME[:, None])
-    place = cumulative_simpson(turned.apply(twist[:, :3]), x=TIME, axis=0, initial=0.0)
-    np.testing.assert_allclose(pose[:, :3], place - place.mean(axis=0), atol=1e-4)
-    middle = rate * (TIME - TIME.mean())[:, None]
-    np.testing.assert_allclose(pose[:, 3:], middle, atol=1e-9)
-    np.testing.assert_allclose(pose_about_mean(place, turned.as_matrix()), pose, atol=1e-4)
+@pytest.mark.parametrize("size", [3.0, 6.0, 12.0])
+def test_pose_of_a_body_that_turns_far_is_its_place_and_its_turn(size: float) -> None:
+    twist, wrench = motion(4, several=True)
+    twist[:, 3:] *= size
+    expected = dense_share(placed(twist), wrench)
+    assert pytest.approx(expected, abs=1e-9) == pose_share(TIME, twist, wrench).A
+    # by components it would be another
+    assert abs(dense_share(integral(twist), wrench) - expected) > 0.01
 
 
 def test_small_turns_have_the_same_share_by_either_pose() -> None:
     twist, wrench = motion(4, several=True)
     twist[:, 3:] *= 0.01
-    turned = Rotation.from_rotvec(np.zeros(3))
-    places, turns = [np.zeros(3)], [turned]
-    for before, after in pairwise(twist):
-        step = 0.5 * (before + after) * 0.01
-        places.append(places[-1] + turns[-1].apply(step[:3]))
-        turns.append(turns[-1] * Rotation.from_rotvec(step[3:]))
-    about_mean = pose_about_mean(np.array(places), Rotation.concatenate(turns).as_matrix())
-    by_components = pose_share(TIME, twist, wrench)
-    assert pooled_pose_share([about_mean], [wrench]).share == pytest.approx(by_components.share, abs=0.01)
+    arm = pose_share(TIME, twist, wrench, arm=True).A
+    assert arm == pytest.approx(dense_share(placed(twist), wrench), abs=1e-9)
+    assert arm == pytest.approx(pose_share(TIME, twist, wrench).A, abs=0.01)
 
 
 # -- what it would move ----------------------------------------------------------------------------------
@@ -147,8 +135,8 @@ def test_force_that_follows_the_pose_moves_the_gain_by_what_is_said() -> None:
     twist, wrench = motion(5, several=True)
     found = pose_share(TIME, twist, wrench)
     effect = blind_to(found, delay_share(TIME, wrench))[0].effect
-    pose = pose_of_twist(TIME, twist)
-    pose /= pose.std(axis=0)
+    pose = integral(twist)
+    pose = (pose - pose.mean(axis=0)) / pose.std(axis=0)
     columns = np.column_stack([wrench, np.ones(TIME.size)])
     rng, moved = np.random.default_rng(0), []
     for _ in range(2000):
@@ -204,7 +192,7 @@ def test_what_follows_the_pose_raises_no_variance_above_its_prior_and_narrows_no
     pose = pose_share(TIME, twist, wrench)
     root = 1e-2 * np.random.default_rng(0).standard_normal((36, 36))
     covariance, prior = root @ root.T, np.full(36, 0.09)
-    wider = with_pose(covariance, pose, np.full(6, 0.05), prior)
+    wider = with_pose(covariance, prior, pose, np.full(6, 0.05**2))
     assert (np.diag(wider) <= 0.09 + 1e-12).all()
     assert np.diag(wider).max() == pytest.approx(0.09)
     assert np.linalg.eigvalsh(wider - covariance)[0] > -1e-12
@@ -213,13 +201,13 @@ def test_what_follows_the_pose_raises_no_variance_above_its_prior_and_narrows_no
 def test_where_nothing_follows_the_pose_the_covariance_stands() -> None:
     pose = pose_share(TIME, *motion(0, several=True))
     covariance = 1e-4 * np.eye(36)
-    np.testing.assert_array_equal(with_pose(covariance, pose, np.zeros(6), np.full(36, 0.09)), covariance)
+    np.testing.assert_array_equal(with_pose(covariance, np.full(36, 0.09), pose, np.zeros(6)), covariance)
 
 
 def test_added_variance_is_that_of_the_equation() -> None:
     pose = pose_share(TIME, *motion(0, several=True))
     size = 1e-4 * np.arange(1, 7)
-    added = with_pose(np.zeros((36, 36)), pose, size, np.full(36, 1.0))
+    added = with_pose(np.zeros((36, 36)), np.full(36, 1.0), pose, size**2)
     for i in range(6):
-        row = size[i] ** 2 * pose.share / (1 - pose.share) * np.linalg.inv(pose.moment) / 6
+        row = size[i] ** 2 * pose.A / (1 - pose.A) * np.linalg.inv(pose.ww) / 6
         np.testing.assert_allclose(added[6 * i : 6 * i + 6, 6 * i : 6 * i + 6], row, rtol=1e-6)

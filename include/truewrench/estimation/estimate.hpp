@@ -51,6 +51,19 @@ inline bool agree(const Estimate& e) {
   return e.halves.p >= 0.5 * constants::doubt && e.quarters.p >= 0.5 * constants::doubt;
 }
 
+// Of all logs, over the unmasked samples.
+inline PoseShare pose_share(const Fit& fit) {
+  PoseSums sums;
+  for (const LogFit& log : fit.logs())
+    for (const Stretch& s : log.stretches) {
+      for (Eigen::Index k = 0; k < s.raw.rows(); ++k)
+        sums.add(s.raw.time[k], s.raw.size[k], s.raw.masked[static_cast<std::size_t>(k)] != 0,
+                 &s.now.nu(k, 0), &s.now.w(k, 0));
+      sums.end_stretch(s.log().arm || s.log().source == Source::mapped);
+    }
+  return sums.share();
+}
+
 // Covariances, (10.10) and (10.11) of the fit that stands.
 inline void finish(const Candidate& best, const Settings& settings, Estimate& out) {
   Fit& fit = *best.fit;

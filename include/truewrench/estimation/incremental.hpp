@@ -22,7 +22,7 @@
 #include "truewrench/estimation/incremental_settings.hpp"
 #include "truewrench/estimation/lag_start.hpp"
 #include "truewrench/estimation/moments.hpp"
-#include "truewrench/estimation/running.hpp"
+#include "truewrench/estimation/pose.hpp"
 
 #include <cstdint>
 #include <limits>
@@ -141,12 +141,13 @@ class Incremental {
 
   // Of theta, held parameters with their prior's width.
   const Eigen::MatrixXd& theta_covariance() noexcept;
-  // Of C (6n, 6n), with (10.9) and (10.10).
+  // Of C (6n, 6n), with (10.9) and (10.10); to first order in the payload: a centre of mass that is uncertain adds more, which
+  // `configure` of corrector_of.hpp has.
   const Eigen::MatrixXd& covariance() noexcept;
   const Eigen::MatrixXd& added() const { return added_; }                // (10.9), of the last covariance()
   const std::vector<Moment>& moments() const { return found_; }          // likewise
   const Eigen::VectorXd& discrepancy2() const { return discrepancy2_; }  // delta_i^2 for (10.10), likewise
-  PoseShare pose() const { return pose_.share(); }
+  PoseShare pose() const { return pose_.share(lag_.about().arm); }
   // (10.11): lags in turn, each with what it adds to what was known before it. Allocates.
   Agreement agreement();
   // Of this log and all before it; asked once it is over and covariance() was. Allocates.

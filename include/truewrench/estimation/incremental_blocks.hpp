@@ -57,7 +57,7 @@ inline void Incremental::abandon(Status status) noexcept {
   if (status != Status::ok) Z_ = Zl_;
   gather(Z_, 0, S_);
   lag_.set_front(past_, Z_);
-  pose_.end_stretch();
+  pose_.end_stretch(lag_.about().arm);
   run_ = {-1e300, -1e300};
   standing_ = false;
   drop_samples();
@@ -274,7 +274,7 @@ inline void Incremental::count(long from, long to) {
       bool whole = false;
       for (int r = 0; r < v.rows; ++r) {
         const RawRow& row = v.row[static_cast<std::size_t>(r)];
-        pose_.add(row);
+        pose_.add(row.time, row.size, row.masked, row.nu.data(), row.w.data());
         size += row.size;
         if (!row.masked) {
           moments_.add(row.time, row.size, row.w.data(), row.cw.data(), row.residual.data());

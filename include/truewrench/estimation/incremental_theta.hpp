@@ -186,7 +186,7 @@ inline const Eigen::MatrixXd& Incremental::covariance() noexcept {
   }
   if (settings_.discrepancy == 0.0) return gain_covariance_;
   const double stated = std::max(settings_.discrepancy, 0.0);
-  add_pose(gain_covariance_, prior_.data() + C, pose_.share(),
+  add_pose(gain_covariance_, prior_.data() + C, pose(),
            [&](int i) { return std::max(discrepancy2_[i], stated * stated); });
   return gain_covariance_;
 }

@@ -1,15 +1,15 @@
-// How far what follows the pose can hide in the gain of a fit (METHOD (10.10)).
+// How far what follows the pose can hide in the gain (METHOD (10.10)), by sums that run along with the rows.
 #pragma once
 
-#include "truewrench/estimation/fit.hpp"
 #include "truewrench/estimation/pose_moments.hpp"
+#include "truewrench/spatial.hpp"
 
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
 namespace truewrench {
 
+// The rotation by a vector [rad].
 inline Matrix3 rotation(const Vector3& turn) {
   const double angle = turn.norm(), a = angle > 1e-8 ? std::sin(angle) / angle : 1.0,
                b = angle > 1e-8 ? (1.0 - std::cos(angle)) / (angle * angle) : 0.5;
@@ -17,123 +17,152 @@ inline Matrix3 rotation(const Vector3& turn) {
   return Matrix3::Identity() + a * x + b * (x * x);
 }
 
-// The rotation vector of a turn by at most pi.
-inline Vector3 rotation_vector(const Matrix3& R) {
-  const Vector3 v(0.5 * (R(2, 1) - R(1, 2)), 0.5 * (R(0, 2) - R(2, 0)), 0.5 * (R(1, 0) - R(0, 1)));
-  const double sine = v.norm(), cosine = 0.5 * (R.trace() - 1.0), angle = std::atan2(sine, cosine);
-  if (cosine > -0.99) return sine > 1e-12 ? Vector3(angle / sine * v) : v;
-  int most = 0;  // near pi the axis is in the symmetric part
-  for (int c = 1; c < 3; ++c)
-    if (R(c, c) > R(most, most)) most = c;
-  Vector3 axis;
-  axis[most] = std::sqrt((R(most, most) - cosine) / (1.0 - cosine));
-  for (int c = 0; c < 3; ++c)
-    if (c != most) axis[c] = 0.5 * (R(c, most) + R(most, c)) / ((1.0 - cosine) * axis[most]);
-  return (axis.dot(v) < 0.0 ? -angle : angle) * axis;
-}
-
 // The rotation M that maximises tr M^T B (Davenport).
 inline Matrix3 nearest_rotation(const Matrix3& B) {
-  Eigen::MatrixXd K(4, 4);
+  double K[4][4], vectors[4][4];
   const double trace = B.trace();
-  K(0, 0) = trace;
+  K[0][0] = trace;
   for (int i = 0; i < 3; ++i) {
-    K(0, 1 + i) = K(1 + i, 0) = B((i + 2) % 3, (i + 1) % 3) - B((i + 1) % 3, (i + 2) % 3);
-    for (int j = 0; j < 3; ++j) K(1 + i, 1 + j) = B(i, j) + B(j, i) - (i == j ? trace : 0.0);
+    K[0][1 + i] = K[1 + i][0] = B((i + 2) % 3, (i + 1) % 3) - B((i + 1) % 3, (i + 2) % 3);
+    for (int j = 0; j < 3; ++j) K[1 + i][1 + j] = B(i, j) + B(j, i) - (i == j ? trace : 0.0);
   }
-  const dense::Spectrum spectrum = dense::eigen(K);
-  Eigen::Index best = 0;
-  for (Eigen::Index i = 1; i < 4; ++i)
-    if (spectrum.values[i] > spectrum.values[best]) best = i;
-  const Vector3 q(spectrum.vectors(1, best), spectrum.vectors(2, best), spectrum.vectors(3, best));
+  diagonalise(K, vectors);
+  int best = 0;
+  for (int i = 1; i < 4; ++i)
+    if (K[i][i] > K[best][best]) best = i;
+  const Vector3 q(vectors[1][best], vectors[2][best], vectors[3][best]);
   const Matrix3 x = cross_matrix(q);
-  return Matrix3::Identity() + 2.0 * spectrum.vectors(0, best) * x + 2.0 * (x * x);
+  return Matrix3::Identity() + 2.0 * vectors[0][best] * x + 2.0 * (x * x);
 }
 
-// The pose (K, 6) of one stretch: the integral of the twist, component by component; where the body turns by more than 1 rad,
-// and for joints, its position in the axes of the mean attitude and the rotation vector from it.
-inline RowMatrix pose_of(const Stretch& s) {
-  const Eigen::Index n = s.raw.rows();
-  RowMatrix pose = RowMatrix::Zero(n, 6);
-  double turned = 0.0;
-  for (int c = 0; c < 6; ++c) {
-    double least = 0.0, most = 0.0;
-    for (Eigen::Index k = 1; k < n; ++k) {
-      pose(k, c) =
-          pose(k - 1, c) + 0.5 * (s.raw.time[k] - s.raw.time[k - 1]) * (s.now.nu(k, c) + s.now.nu(k - 1, c));
-      least = std::min(least, pose(k, c));
-      most = std::max(most, pose(k, c));
+// w against the pose, means by stretch. The pose is the integral of the twist, component by component; of a body that turns by
+// more than `kTurns` about an axis, and of an arm, its place and the vector part of its turn, in the axes of its mean attitude.
+class PoseSums {
+ public:
+  // A sample, or a row that stands for `size` of them: twist nu (6), normalised wrench w (6).
+  void add(double time, double size, bool masked, const double* nu, const double* w) {
+    const double dt = started_ ? time - time_ : 0.0;
+    if (dt > 0.0) move(dt, nu);
+    if (!masked && dt > 0.0) {
+      for (int i = 0; i < 6; ++i) all_.rate[i] += (w[i] - before_[i]) * (w[i] - before_[i]) / dt;
+      rated_ += dt;
     }
-    if (c >= 3) turned = std::max(turned, most - least);
-  }
-  if (n == 0 || (s.log().source != Source::mapped && turned < 1.0)) return pose;
-  std::vector<Matrix3> R(static_cast<std::size_t>(n), Matrix3::Identity());
-  Matrix3 sum = Matrix3::Zero();
-  for (Eigen::Index k = 0; k < n; ++k) {
-    const auto i = static_cast<std::size_t>(k);
-    if (k > 0) {
-      const double dt = s.raw.time[k] - s.raw.time[k - 1];
-      Vector3 turn, v0, v1;
-      for (int c = 0; c < 3; ++c) {
-        turn[c] = 0.5 * dt * (s.now.nu(k, 3 + c) + s.now.nu(k - 1, 3 + c));
-        v0[c] = s.now.nu(k - 1, c);
-        v1[c] = s.now.nu(k, c);
-      }
-      R[i] = R[i - 1] * rotation(turn);
-      const Vector3 v = R[i - 1] * v0 + R[i] * v1;
-      for (int c = 0; c < 3; ++c) pose(k, c) = pose(k - 1, c) + 0.5 * dt * v[c];
-    }
-    sum += R[i];
-  }
-  const Matrix3 mean = nearest_rotation(sum);
-  for (Eigen::Index k = 0; k < n; ++k) {
-    const Vector3 turn = rotation_vector(mean.transpose() * R[static_cast<std::size_t>(k)]);
-    const Vector3 at = mean.transpose() * Vector3(pose(k, 0), pose(k, 1), pose(k, 2));
-    for (int c = 0; c < 3; ++c) {
-      pose(k, c) = at[c];
-      pose(k, 3 + c) = turn[c];
+    std::copy_n(nu, 6, nu_);
+    std::copy_n(w, 6, before_);
+    time_ = time;
+    started_ = true;
+    if (masked) return;
+    double z[kValues];
+    std::copy_n(w, 6, z);
+    std::copy_n(integral_, 6, z + kIntegral);
+    std::copy_n(place_.data(), 3, z + kPlace);
+    std::copy_n(R_.data(), 9, z + kAttitude);
+    samples_ += size;
+    for (int i = 0; i < kValues; ++i) {
+      const double x = size * z[i];
+      sum_[i] += x;
+      for (int j = 0; j <= i; ++j) product_[i][j] += x * z[j];
     }
   }
-  return pose;
-}
 
-inline PoseShare pose_share(const Fit& fit) {
-  PoseMoments sums;
-  for (const LogFit& log : fit.logs())
-    for (const Stretch& s : log.stretches) {
-      const RowMatrix pose = pose_of(s);
-      double w_mean[6] = {}, p_mean[6] = {}, rows = 0.0;
-      for (const bool sum : {true, false}) {  // means, then products
-        if (!sum && rows == 0.0) break;
-        for (Eigen::Index k = 0; k < s.raw.rows(); ++k) {
-          if (s.raw.masked[static_cast<std::size_t>(k)] != 0) continue;
-          const double samples = s.raw.size[k];
-          if (sum) {
-            for (int i = 0; i < 6; ++i) {
-              w_mean[i] += samples * s.now.w(k, i);
-              p_mean[i] += samples * pose(k, i);
-            }
-            rows += samples;
-            continue;
-          }
-          const double dt = k > 0 ? std::max(s.raw.time[k] - s.raw.time[k - 1], 1e-12) : 1.0;
-          for (int i = 0; i < 6; ++i) {
-            const double w = s.now.w(k, i), d = w - w_mean[i] / rows;
-            for (int j = 0; j < 6; ++j) {
-              sums.ww[i][j] += samples * w * s.now.w(k, j);
-              sums.centred[i][j] += samples * d * (s.now.w(k, j) - w_mean[j] / rows);
-              sums.wp[i][j] += samples * d * (pose(k, j) - p_mean[j] / rows);
-            }
-            const double p = pose(k, i) - p_mean[i] / rows,
-                         change = k > 0 ? (w - s.now.w(k - 1, i)) / dt : 0.0;
-            sums.pp[i] += samples * p * p;
-            sums.rate[i] += samples * change * change;
-          }
-        }
-      }
-      sums.samples += rows;
+  // What a stretch ends with goes into the whole; arm: it is one's.
+  void end_stretch(bool arm) {
+    fold(all_, arm);
+    PoseSums next;
+    next.all_ = all_;
+    next.rated_ = rated_;
+    *this = next;
+  }
+
+  PoseShare share(bool arm = false) const {
+    PoseMoments all = all_;
+    fold(all, arm);
+    // (dw / dt)^2 by time, as what waits is counted by samples
+    for (double& x : all.rate) x *= rated_ > 0.0 ? all.samples / rated_ : 0.0;
+    return all.share();
+  }
+
+ private:
+  static constexpr double kTurns = 1.0;  // [rad] beyond which the components of the twist are no pose
+  static constexpr int kIntegral = 6, kPlace = 12, kAttitude = 15, kValues = 24;  // z = [w, ...]
+
+  PoseMoments all_;  // of the stretches before
+  bool started_ = false;
+  double time_ = 0.0, rated_ = 0.0, samples_ = 0.0;
+  double nu_[6] = {}, before_[6] = {}, integral_[6] = {}, least_[3] = {}, most_[3] = {};
+  Vector3 place_ = Vector3::Zero();                            // in the axes that the stretch began with
+  Matrix3 R_ = Matrix3::Identity();                            // to them
+  double sum_[kValues] = {}, product_[kValues][kValues] = {};  // lower triangle
+
+  void move(double dt, const double* nu) {
+    Vector3 turn, v0, v1;
+    for (int i = 0; i < 6; ++i) integral_[i] += 0.5 * dt * (nu[i] + nu_[i]);
+    for (int i = 0; i < 3; ++i) {
+      turn[i] = 0.5 * dt * (nu[3 + i] + nu_[3 + i]);
+      v0[i] = nu_[i];
+      v1[i] = nu[i];
+      least_[i] = std::min(least_[i], integral_[3 + i]);
+      most_[i] = std::max(most_[i], integral_[3 + i]);
     }
-  return sums.share();
-}
+    const Vector3 before = R_ * v0;
+    R_ = Matrix3(R_ * rotation(turn));
+    place_ += 0.5 * dt * (before + R_ * v1);
+  }
+
+  double centred(int i, int j) const {
+    return product_[std::max(i, j)][std::min(i, j)] - sum_[i] * sum_[j] / samples_;
+  }
+
+  // Component c of the pose as sums of values of z: which, and how much of each.
+  int component(int c, bool turns, const Matrix3& M, int (&which)[6], double (&times)[6]) const {
+    if (!turns) {
+      which[0] = kIntegral + c;
+      times[0] = 1.0;
+      return 1;
+    }
+    if (c < 3) {  // M^T place
+      for (int i = 0; i < 3; ++i) {
+        which[i] = kPlace + i;
+        times[i] = M(i, c);
+      }
+      return 3;
+    }
+    const int x = (c + 1) % 3, y = (c + 2) % 3;  // 1/2 ((M^T R)_yx - (M^T R)_xy)
+    for (int i = 0; i < 3; ++i) {
+      which[i] = kAttitude + static_cast<int>(&R_(i, x) - R_.data());
+      times[i] = 0.5 * M(i, y);
+      which[3 + i] = kAttitude + static_cast<int>(&R_(i, y) - R_.data());
+      times[3 + i] = -0.5 * M(i, x);
+    }
+    return 6;
+  }
+
+  void fold(PoseMoments& all, bool arm) const {
+    if (samples_ == 0.0) return;
+    bool turns = arm;
+    for (int i = 0; i < 3; ++i) turns = turns || most_[i] - least_[i] >= kTurns;
+    Matrix3 mean = Matrix3::Identity();
+    if (turns) {
+      std::copy_n(sum_ + kAttitude, 9, mean.data());
+      mean = nearest_rotation(mean);
+    }
+    all.samples += samples_;
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j < 6; ++j) {
+        all.ww[i][j] += product_[std::max(i, j)][std::min(i, j)];
+        all.centred[i][j] += centred(i, j);
+      }
+    for (int c = 0; c < 6; ++c) {
+      int which[6];
+      double times[6], square = 0.0;
+      const int parts = component(c, turns, mean, which, times);
+      for (int a = 0; a < parts; ++a) {
+        for (int b = 0; b < parts; ++b) square += times[a] * times[b] * centred(which[a], which[b]);
+        for (int i = 0; i < 6; ++i) all.wp[i][c] += times[a] * centred(i, which[a]);
+      }
+      all.pp[c] += std::max(square, 0.0);
+    }
+  }
+};
 
 }  // namespace truewrench

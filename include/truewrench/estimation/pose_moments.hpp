@@ -13,10 +13,10 @@ namespace truewrench {
 
 // How far a force that follows the pose can hide in the gain (10.10).
 struct PoseShare {
-  double A = 0.0;                // mean R^2 of the components of the pose on (w, 1)
+  // mean R^2 of the components of the pose that move on (w, 1); 1 where none moves: at rest the pose is the wrench
+  double A = 0.0;
   Matrix6 ww = Matrix6::Zero();  // E w w^T over the unmasked samples
   double period = 1.0;           // [s] 1 / mean frequency of w, weighted by its power
-  bool moved = false;            // any component of the pose
 };
 
 // Sums over unmasked samples: of w, and of w and the pose about their means in each stretch.
@@ -52,8 +52,7 @@ struct PoseMoments {
       total += std::min(1.0, explained / pp[j]);
       ++moving;
     }
-    out.moved = moving > 0;
-    out.A = moving > 0 ? total / moving : 0.0;
+    out.A = moving > 0 ? total / moving : 1.0;
     out.period = axes > 0 && frequency > 0.0 ? axes / frequency : 1.0;
     return out;
   }

@@ -160,8 +160,9 @@ class SpacingSearch {
     return fit(i) && ((cost(i) < cost(0) && follows(i, 0)) || resolves(i, 0));
   }
 
-  // ROBUST at a spacing, without the memory of its factorisation; null where none came to an end.
+  // ROBUST at a spacing, without the memory of its factorisation; null where none came to an end, or the ladder has none.
   std::shared_ptr<Fit> fit(std::size_t i) {
+    if (i >= ladder_.size()) return nullptr;
     const auto known = fits_.find(i);
     if (known != fits_.end()) return known->second;
     const std::shared_ptr<Fit> found = started(i);

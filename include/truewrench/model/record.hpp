@@ -94,6 +94,7 @@ struct RecordedLog {
   Payload payload;                  // as stated
   Vector3 point = Vector3::Zero();  // that the twist belongs to, from the sensor origin
   int body = 0;                     // which payload of theta it carries
+  bool arm = false;  // twists are those of an arm: (10.10) looks at its place, however little it turns
   // where the offset is stated to walk: [s] between which it goes by straight lines, a walk of this rate about them, fraction of
   // range per sqrt(s); stretches begin and end there
   std::vector<double> offset_knots;

@@ -81,7 +81,7 @@ def _confirmed(rig: Rig, logs: Sequence[Log], largest: float) -> list[str]:
 
 def _largest(rig: Rig, plain: _Plain) -> float:
     """The largest gain, of nominal."""
-    unit = rig.sensor.range_array / rig.sensor.channel_scale[:, None]
+    unit = 1.0 / rig.sensor.gain_unit
     return float(np.abs(plain.gain * unit).max())
 
 

@@ -9,7 +9,14 @@ import numpy as np
 from truewrench import _core
 from truewrench.estimation.assembly import log_report
 from truewrench.estimation.assumptions import assumed_gain_prior
-from truewrench.estimation.estimate import AGREE, Estimate, odd_log, without_motion, worst_of
+from truewrench.estimation.estimate import (
+    AGREE,
+    Estimate,
+    odd_log,
+    without_motion,
+    worst_of_halves,
+    worst_of_logs,
+)
 from truewrench.estimation.known_wrench import KnownWrenchEstimate, estimate_from_known_wrench
 from truewrench.judging import Comparisons, Judgement, judge, setup_errors
 from truewrench.judging.validation import CHANGE, LOSS
@@ -59,7 +66,7 @@ def differing(
     what happened `within`.
     """
     reasons = []
-    of_logs, of_halves = map(worst_of, p)
+    of_logs, of_halves = worst_of_logs(p[0]), worst_of_halves(p[1])
     if not of_logs >= AGREE:  # NaN, too
         names = odd_log(p[0], logs)
         reasons.append(f"{names} tell different gains (p = {of_logs:.1g}): {between}")

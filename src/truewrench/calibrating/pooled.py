@@ -166,7 +166,7 @@ def _sources(rig: Rig, joint: Joint, normalised: Array) -> dict[str, Array]:
         ],
         "gravity": [k for name, at in joint.places.items() if name.startswith("tilt") for k in _range(at)],
     }
-    unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel() ** 2
+    unit = 1.0 / rig.sensor.gain_unit.ravel() ** 2
     found = {name: unit * explained(joint.covariance, 6 * n, at) for name, at in places.items()}
     every = unit * explained(joint.covariance, 6 * n, [k for at in places.values() for k in at])
     found["noise"] = np.diag(normalised)[: 6 * n] - every

@@ -44,7 +44,7 @@ class Following:
         offsets_std[at_rest] = np.sqrt(offsets_std[at_rest] ** 2 + self.offset * scale**2)
         if len(offsets_std) - 1 in at_rest:
             added[len(self.gain) :, len(self.gain) :] = self.offset * np.eye(len(scale))
-        units = np.append((scale[:, None] / rig.sensor.range_array).ravel(), scale)
+        units = np.append(rig.sensor.gain_unit.ravel(), scale)
         sigma = np.sqrt(np.maximum(np.diag(self.gain), 0.0)).reshape(-1, 6)
         return replace(
             estimate,

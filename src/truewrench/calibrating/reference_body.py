@@ -214,7 +214,7 @@ def _mapped(joint: Joint, old: str, new: str, at: Integers, value: Array, J: Arr
 
 def _stated_std(rig: Rig) -> Array:
     """(6n,) 1 sigma of the gains [raw units, SI]."""
-    units = (rig.sensor.channel_scale[:, None] / rig.sensor.range_array).ravel()
+    units = rig.sensor.gain_unit.ravel()
     return np.asarray(assumed_gain_prior(rig) * units)
 
 

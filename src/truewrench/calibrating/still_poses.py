@@ -96,7 +96,7 @@ def estimate_still(
 
 def _gain_covariance(rig: Rig, known: Known) -> Array:
     """(6n, 6n), normalised."""
-    unit = (rig.sensor.channel_scale[:, None] / rig.sensor.range_array).ravel()
+    unit = rig.sensor.gain_unit.ravel()
     return np.asarray(known.plain(rig).of(["gain"])[1] / np.outer(unit, unit))
 
 

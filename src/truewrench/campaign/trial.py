@@ -100,7 +100,7 @@ def make_row(trial: int, seed: int, outcome: Outcome, reasons: Sequence[str], **
 def _judge(found: Calibration, truth: Truth) -> Row:
     """The columns of a calibration whose truth is known."""
     sensor, n = found.rig.sensor, found.rig.sensor.n
-    normalise = (sensor.range_array / sensor.channel_scale[:, None]).ravel()
+    normalise = 1.0 / sensor.gain_unit.ravel()
     error = (found.gain - truth.gain).ravel() * normalise
     covariance = found.covariance[: 6 * n, : 6 * n] * np.outer(normalise, normalise)
     std = np.sqrt(np.diag(covariance))

@@ -124,7 +124,7 @@ def _figures(rig: Rig, run: ArmRun, calibration: Calibration) -> dict[str, Any]:
 
 
 def _normalised(rig: Rig, gain: Array) -> Array:
-    return np.asarray(gain * rig.sensor.range_array / rig.sensor.channel_scale[:, None])
+    return np.asarray(gain / rig.sensor.gain_unit)
 
 
 def _error(rig: Rig, run: ArmRun, calibration: Calibration) -> tuple[Array, Array]:

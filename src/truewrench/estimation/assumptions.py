@@ -91,7 +91,7 @@ class Assumptions:
             channel_scale=scale,
             range=sensor.range_array,
             sign=sensor.sign,
-            nominal=sensor.nominal_gain_array * sensor.range_array / scale[:, None],
+            nominal=sensor.nominal_gain_array / sensor.gain_unit,
             gain_prior=sensor.gain_prior,
             noise=sensor.noise_array / scale * growth_of(logs, "raw"),
             offset_prior=sensor.offset_prior_array / scale,

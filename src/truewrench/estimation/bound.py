@@ -88,7 +88,7 @@ def information(rig: Rig, logs: Sequence[Log], gain: Array) -> tuple[Information
     count is given back, too.
     """
     sensor, n = rig.sensor, rig.sensor.n
-    normalised = gain * sensor.range_array / sensor.channel_scale[:, None]
+    normalised = gain / sensor.gain_unit
     unknowns = unknowns_of(rig, logs)
     offset_prior = assumed_offset_prior(rig)
     pooled = 1 if sensor.pool_offsets else len(logs)

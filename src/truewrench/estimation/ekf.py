@@ -110,7 +110,7 @@ def _settings(rig: Rig, published: bool) -> _core.EkfSettings:
     covariance = settings.parameter_covariance.copy()
     if not published:
         settings.gain = sensor.nominal_gain_array
-        prior = assumed_gain_prior(rig) * sensor.channel_scale[:, None] / sensor.range_array
+        prior = assumed_gain_prior(rig) * sensor.gain_unit
         covariance[:36, :36] = np.diag(prior.ravel() ** 2)
     covariance[36:, 36:] = np.diag((assumed_offset_prior(rig) * sensor.channel_scale) ** 2)
     settings.parameter_covariance = covariance

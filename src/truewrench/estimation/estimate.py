@@ -218,7 +218,7 @@ class Estimate:
     @property
     def p_worst_log(self) -> float:
         """Of (10.11)."""
-        return worst_of(self.p_logs)
+        return worst_of_logs(self.p_logs)
 
     @property
     def time_offsets(self) -> Array:
@@ -235,9 +235,14 @@ class Estimate:
         return float(sum(r.left_out for r in self.rows)) / max(sum(r.samples for r in self.rows), 1)
 
 
-def worst_of(p_logs: Array) -> float:
-    """Of (10.11): the log that stands out most, of as many as are independent."""
+def worst_of_logs(p_logs: Array) -> float:
+    """Of (10.11), each log against the others (L,): what two say of each other is one test."""
     return float(np.minimum(1.0, max(len(p_logs) - 1, 1) * p_logs.min()))
+
+
+def worst_of_halves(p_halves: Array) -> float:
+    """Of (10.11), the halves of each log against each other (L,): as many tests as logs."""
+    return float(np.minimum(1.0, len(p_halves) * p_halves.min()))
 
 
 def odd_log(p_logs: Array, logs: Sequence[Log]) -> str:
@@ -303,7 +308,7 @@ def of_joint(
     `roots` names them, with the logs that have the root frame of each.
     """
     n, scale = rig.sensor.n, rig.sensor.channel_scale
-    units = np.append((scale[:, None] / rig.sensor.range_array).ravel(), scale)
+    units = np.append(rig.sensor.gain_unit.ravel(), scale)
     pairs = [joint.of([name]) for name in offsets]
     mean, P = joint.of(["gain", offsets[-1]])
     normalised = P / np.outer(units, units)

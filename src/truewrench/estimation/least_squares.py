@@ -48,7 +48,7 @@ def least_squares(
     parts = [_regressors(rig, log, smooth) for log in logs]
     samples = np.array([len(wrench) for wrench, _ in parts])
     wrench = np.concatenate([w for w, _ in parts]) / sensor.range_array
-    nominal = sensor.nominal_gain_array * sensor.range_array / sensor.channel_scale[:, None]
+    nominal = sensor.nominal_gain_array / sensor.gain_unit
     departure = np.concatenate([raw for _, raw in parts]) / sensor.channel_scale - wrench @ nominal.T
     log_of = (
         np.zeros(len(wrench), dtype=np.int64)
@@ -85,7 +85,7 @@ def least_squares(
                 of_row = np.delete(np.delete(of_row, slice(6, -1), 0), slice(6, -1), 1)
                 where = np.append(where, 6 * n + i)
             covariance[np.ix_(where, where)] = of_row
-    unit = sensor.channel_scale[:, None] / sensor.range_array
+    unit = sensor.gain_unit
     units = np.concatenate([unit.ravel(), sensor.channel_scale])
     in_si = (offsets * sensor.channel_scale[:, None]).T
     return LeastSquaresEstimate(

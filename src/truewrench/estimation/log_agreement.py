@@ -74,7 +74,7 @@ def _alone(
 def _told(rig: Rig, found: KnownWrenchEstimate) -> Told:
     sensor = rig.sensor
     gains = 6 * sensor.n
-    unit = sensor.range_array / sensor.channel_scale[:, None]
+    unit = 1.0 / sensor.gain_unit
     return Told(
         keys={j: j for j in range(gains)},
         first=gains,

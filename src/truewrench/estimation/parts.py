@@ -22,7 +22,6 @@ from truewrench.estimation.clock_rate import LEFT, TOLD, told_rate, with_rate
 from truewrench.estimation.estimate import Clock, Estimate, LogRows, undisturbed
 from truewrench.estimation.estimator import solved, unsolved
 from truewrench.estimation.part import Found, Part, Place, events_of, part_of, told_by
-from truewrench.estimation.pose import PoseShare, with_pose
 from truewrench.estimation.record import recorded
 from truewrench.estimation.together import Shared, Told
 from truewrench.model.arrays import Array, Integers, Mask
@@ -173,7 +172,7 @@ class InParts:
         stated = self._assumed.discrepancy
         if stated != 0.0:
             f2 = np.maximum(discrepancy2, stated**2) if stated > 0.0 else discrepancy2
-            gain = with_pose(gain, PoseShare(min(A, 1.0), ww), np.sqrt(f2), prior[:n6])
+            gain = _core.with_pose(gain, prior[:n6], _core.PoseShare(A, ww), f2)
         fit = SimpleNamespace(
             theta=theta,
             prior=prior,

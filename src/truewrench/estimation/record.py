@@ -74,7 +74,7 @@ def recorded(
     known = np.ones(len(log.time_ns), dtype=np.bool_)
     joints = rig.motion.source == "joints"
     if rig.motion.source == "twist" or (joints and twists):
-        out.source = _core.Source.twist
+        out.source, out.arm = _core.Source.twist, joints
         fall: Array = np.zeros((len(log.time_ns), 3))
         if joints:
             moved, tau = in_step(log)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from truewrench import _core
 from truewrench.estimation import pose
 from truewrench.estimation.estimate import Estimate
 from truewrench.model.calibration_parts import BlindTo
@@ -32,11 +33,10 @@ def blind_to(estimate: Estimate, rig: Rig) -> tuple[BlindTo, ...]:
             wrenches.append(w[at][used])
     if not wrenches or not any(len(w) for w in wrenches):
         return ()
-    unit = sensor.range_array / sensor.channel_scale[:, None]
-    share = pose.PoseShare(min(max(estimate.A, 0.0), 1.0), estimate.ww)
+    unit = 1.0 / sensor.gain_unit
     with np.errstate(over="ignore", invalid="ignore"):  # a gain beyond all numbers is held by the ceiling
         return pose.blind_to(
-            share,
+            _core.PoseShare(estimate.A, estimate.ww),
             pose.pooled_delay_share(rates, wrenches),
             gain=estimate.gain * unit,
             ceiling=float(np.max(estimate.gain_prior, initial=0.0)),

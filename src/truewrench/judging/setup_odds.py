@@ -125,7 +125,7 @@ def setup_errors(
     if plain is None or (known := plain()) is None:
         return ()
     gain, covariance = known
-    unit = (rig.sensor.range_array / rig.sensor.channel_scale[:, None]).ravel()
+    unit = 1.0 / rig.sensor.gain_unit.ravel()
     return _of_gain(gain, covariance[: 6 * n, : 6 * n] * np.outer(unit, unit), None, prior, rig, names)
 
 
@@ -135,7 +135,7 @@ def gross_errors(rig: Rig, logs: Sequence[Log], gain: Array, covariance: Array) 
     No prior has pulled the gain (n, 6), SI; its covariance (6n, 6n) is for an exact payload.
     """
     sensor, names = rig.sensor, list(dict.fromkeys(log.payload for log in logs))
-    unit = sensor.range_array / sensor.channel_scale[:, None]
+    unit = 1.0 / sensor.gain_unit
     apart = float(np.abs((gain - sensor.nominal_gain_array) * unit).max())
     if not apart > max(GROSS, FAR * sensor.gain_prior):
         return ()
@@ -149,7 +149,7 @@ def _of_gain(
     gain: Array, P: Array, before_pose: Array | None, prior: float, rig: Rig, names: Sequence[str]
 ) -> tuple[Suspicion, ...]:
     sensor = rig.sensor
-    unit = sensor.range_array / sensor.channel_scale[:, None]  # normalised gain per SI gain
+    unit = 1.0 / sensor.gain_unit  # normalised gain per SI gain
     return suspected_setup_errors(
         gain * unit,
         P,

@@ -120,7 +120,7 @@ class Calibration:
     def gain_std_normalised(self) -> Array:
         """(n, 6) 1 sigma of the gains, in units of their channel's full scale over their axis' range."""
         sensor = self.rig.sensor
-        return self.gain_std * sensor.range_array / sensor.channel_scale[:, None]
+        return self.gain_std / sensor.gain_unit
 
     @property
     def gain_determined(self) -> Mask:

@@ -12,21 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from truewrench import _core
 from truewrench.estimation.bound import Information, information, oracle_rms
-from truewrench.estimation.pose import (
-    DelayShare,
-    PoseShare,
-    blind_to,
-    delay_share,
-    pooled_pose_share,
-    pose_about_mean,
-    pose_share,
-    with_pose,
-)
+from truewrench.estimation.pose import DelayShare, blind_to, delay_share
 from truewrench.estimation.undetermined import undetermined_directions
 from truewrench.model.arrays import Array
 from truewrench.model.calibration_parts import BlindTo, Undetermined
 from truewrench.model.log import Log
+from truewrench.model.motion.spatial import at_point
 from truewrench.model.motion.trajectory import SplineTwist, Trajectory
 from truewrench.model.motion.trajectory_joint import JointTrajectory
 from truewrench.model.rig import PayloadSpec, Rig, SimulateSpec
@@ -51,7 +44,7 @@ class Prediction:
     heavier_rms: float  # RMS sigma with a payload of twice the mass and inertia moved alike
     heavier_wrench: float  # what it would use of the wrench limits, 1 is all
     undetermined: tuple[Undetermined, ...]  # directions that stay less certain than half of their prior
-    pose: PoseShare  # how much of the pose the motion can hide
+    pose: _core.PoseShare  # how much of the pose the motion can hide
     blind_to: tuple[BlindTo, ...]  # what a record of this motion could not show
 
     @property
@@ -65,17 +58,17 @@ def rms(std: Array) -> float:
     return float(np.sqrt(np.mean(np.square(std))))
 
 
-def hidden(rig: Rig, motion: Trajectory | JointTrajectory, preview: Preview) -> tuple[PoseShare, DelayShare]:
-    """What of the pose, and of a delay, a planned motion can hide.
-
-    Of joints, the pose is position and rotation vector of the sensor about their mean.
-    """
+def hidden(
+    rig: Rig, payload: str, motion: Trajectory | JointTrajectory, preview: Preview
+) -> tuple[_core.PoseShare, DelayShare]:
+    """What of the pose, and of a delay, a planned motion can hide."""
     wrench = preview.wrench / rig.sensor.range_array
+    arm = not isinstance(motion, SplineTwist)
     if isinstance(motion, SplineTwist):
-        pose = pose_share(preview.time, motion.twist(preview.time), wrench)
+        twist = motion.twist(preview.time)
     else:
-        pose = pooled_pose_share([pose_about_mean(preview.p_root_sensor, preview.R_root_sensor)], [wrench])
-    return pose, delay_share(preview.time, wrench)
+        twist = at_point(preview.twist, -rig.payloads[payload].center_of_mass_array)
+    return _core.pose_share(preview.time, twist, wrench, arm), delay_share(preview.time, wrench)
 
 
 def ideal(rig: Rig) -> Rig:
@@ -108,14 +101,14 @@ def predict(
     and the rest repeats it.
     """
     nominal, sensor = ideal(rig), rig.sensor
-    pose, delay = hidden(rig, motion, preview)
+    pose, delay = hidden(rig, payload, motion, preview)
     known, wrenches = _told(nominal, simulated)
     stated = 0.0 if sensor.discrepancy == "auto" else sensor.discrepancy
 
     def sigma(told: Information, times: float) -> Array:
         """(6n,) after so many records."""
         prior = np.full(told.gains, sensor.gain_prior**2)
-        covariance = with_pose(told.covariance(times), pose, np.full(sensor.n, stated), prior)
+        covariance = _core.with_pose(told.covariance(times), prior, pose, np.full(sensor.n, stated**2))
         return np.sqrt(np.diag(covariance))
 
     std = sigma(known, 1.0 / share).reshape(-1, 6)
@@ -127,7 +120,7 @@ def predict(
     used = max(use.share for use in preview.usage if use.limit == "wrench")
     return Prediction(
         std=std,
-        gain_std=std * sensor.channel_scale[:, None] / sensor.range_array,
+        gain_std=std * sensor.gain_unit,
         oracle_rms=oracle_rms(nominal, wrenches) * np.sqrt(share),
         bound_rms=rms(np.sqrt(np.diag(known.known(1.0 / share)))),
         limited_by=sources,
@@ -158,5 +151,5 @@ def figures(prediction: Prediction) -> dict[str, Any]:
             "rms": prediction.heavier_rms,
             "wrench_percent": 100.0 * prediction.heavier_wrench,
         },
-        "A": prediction.pose.share,
+        "A": prediction.pose.A,
     }

@@ -163,11 +163,11 @@ class Plan:
                     f"{self.rig.sensor.channels[channel]} to {AXES[axis]}, would exceed `required` "
                     f"({required[axis]:g}): one record of this motion is not enough"
                 )
-        if found is not None and found.pose.share > _MOST and self.method == "optimal":
+        if found is not None and found.pose.A > _MOST and self.method == "optimal":
             few = self.rig.plan.harmonics < _HARMONICS
             helps = "more `plan.harmonics`" if few else "a longer `plan.duration` or wider limits"
             notes.append(
-                f"the motion can hide {100 * found.pose.share:.0f} % of its pose: {helps} may hide less, "
+                f"the motion can hide {100 * found.pose.A:.0f} % of its pose: {helps} may hide less, "
                 "and `sensor.discrepancy: 0` states that nothing follows it"
             )
         rate = self.rig.simulate.rate

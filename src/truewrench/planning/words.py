@@ -57,7 +57,7 @@ def _hidden(plan: Plan) -> str:
     found = plan.prediction
     assert found is not None
     lines = "".join(f"\n  - {entry.words}" for entry in found.blind_to)
-    return f"What no residual of this motion would show (A = {found.pose.share:.2f}):{lines}"
+    return f"What no residual of this motion would show (A = {found.pose.A:.2f}):{lines}"
 
 
 def _sigma(plan: Plan) -> RenderableType:

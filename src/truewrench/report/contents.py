@@ -284,7 +284,7 @@ def _excitation(c: Calibration, record: Record) -> Section:
             "the gain; there the nominal gain is believed as before: "
             f"{'; '.join(c.verdict.undetermined_words)}."
         ]
-    units = (sensor.range_array / sensor.channel_scale[:, None]).ravel()
+    units = 1.0 / sensor.gain_unit.ravel()
     size = 6 * sensor.n
     covariance = c.covariance[:size, :size] * units[:, None] * units
     shares = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0)) / assumed_gain_prior(c.rig)

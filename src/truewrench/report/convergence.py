@@ -39,7 +39,7 @@ def convergence(calibration: Calibration, evidence: Evidence, record: Record) ->
     if record.none_because:
         return None
     sensor = calibration.rig.sensor
-    n, logs, units = sensor.n, len(record.logs), sensor.range_array / sensor.channel_scale[:, None]
+    n, logs, units = sensor.n, len(record.logs), 1.0 / sensor.gain_unit
     size = 6 + logs * bool(sensor.offset_prior_array.any())
     prior = np.full((n, size), assumed_gain_prior(calibration.rig))
     prior[:, 6:] = assumed_offset_prior(calibration.rig)[:, None]

@@ -51,7 +51,7 @@ class Table:
 def gain_table(c: Calibration) -> Table:
     """Value with its sigma, departure from the nominal gain, and what the data do not determine."""
     sensor = c.rig.sensor
-    departure = (c.gain - sensor.nominal_gain_array) * sensor.range_array / sensor.channel_scale[:, None]
+    departure = (c.gain - sensor.nominal_gain_array) / sensor.gain_unit
     rows = []
     for i, channel in enumerate(sensor.channels):
         cells = []

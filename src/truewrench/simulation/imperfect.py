@@ -191,7 +191,7 @@ class Hardware:
         """Departures (F, n) of the channels from ``gain @ w + offset`` [raw units]."""
         spec, sensor = self.spec, self.rig.sensor
         scale, rate = sensor.channel_scale, 1.0 / time[1]
-        normalised = gain * sensor.range_array / scale[:, None]
+        normalised = gain / sensor.gain_unit
         load = sensor.sign * fine.wrench / sensor.range_array  # fractions of range from here on
         ideal = load @ normalised.T
         load = load + self._forces(time, fine, told)

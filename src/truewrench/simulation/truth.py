@@ -212,7 +212,7 @@ def draw_truth(rig: Rig, seed: int) -> Truth:
     drawn_offset = sensor.offset_prior_array * rng.standard_normal(sensor.n)
     gain = sensor.nominal_gain_array
     if options.gain == "random":
-        gain = gain + departure * sensor.channel_scale[:, None] / sensor.range_array
+        gain = gain + departure * sensor.gain_unit
     elif options.gain != "nominal":
         gain = np.array(options.gain)
     if options.offset == "random":

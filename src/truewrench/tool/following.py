@@ -50,13 +50,11 @@ def beside_poses(solution: Solution) -> Array:
     if not len(problem.poses):
         return out
     K, f2 = hidden_gain(rig, [solution])
-    scale = rig.sensor.channel_scale
-    units = (scale[:, None] / rig.sensor.range_array).ravel()
-    moved = solution.by_gain_of_poses * units
+    moved = solution.by_gain_of_poses * rig.sensor.gain_unit.ravel()
     out += moved @ K @ moved.T
     for log in np.unique(problem.poses.log).tolist():  # what follows these poses may have a mean
         place = v.offset(log)
-        out[place, place] += f2 * np.diag(scale**2)
+        out[place, place] += f2 * np.diag(rig.sensor.channel_scale**2)
     return out
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from truewrench import _core
-from truewrench.estimation.estimate import AGREE, odd_log, worst_of
+from truewrench.estimation.estimate import AGREE, odd_log, worst_of_halves, worst_of_logs
 from truewrench.estimation.static_poses import MOVING, REPEATABILITY, WALK, Poses
 from truewrench.model.arrays import Array, Integers
 from truewrench.model.channels import channel_faults
@@ -66,8 +66,8 @@ def judge(
         _figures(solution, motion, left)
         | _undone(moved)
         | {
-            "logs_agree": worst_of(p_logs),
-            "halves_agree": worst_of(p_halves) if np.isfinite(p_halves).all() else None,
+            "logs_agree": worst_of_logs(p_logs),
+            "halves_agree": worst_of_halves(p_halves) if np.isfinite(p_halves).all() else None,
         }
     )
     reasons, needed = _reasons(rig, solution, motion, left, figures, determined, moved)
@@ -96,7 +96,7 @@ def _beyond(rig: Rig, logs: Sequence[Log]) -> list[str]:
 
 def _differing(p_logs: Array, logs: Sequence[Log]) -> list[str]:
     """Whether a log tells another tool, or another sensor, than the others."""
-    p = worst_of(p_logs)
+    p = worst_of_logs(p_logs)
     if p >= CHANCE:
         return []
     if not np.isfinite(p):
@@ -110,11 +110,12 @@ def _differing(p_logs: Array, logs: Sequence[Log]) -> list[str]:
 def _slipped(p_halves: Array, logs: Sequence[Log]) -> list[str]:
     """Whether a log begins with another tool than it ends with."""
     p_halves = np.where(np.isfinite(p_halves), p_halves, 1.0)
-    if worst_of(p_halves) >= CHANCE:
+    p = worst_of_halves(p_halves)
+    if p >= CHANCE:
         return []
     return [
         f"The first and the second half of {log_name(logs, int(np.argmin(p_halves)))} tell different tools "
-        f"(p = {worst_of(p_halves):.1g}): the tool slipped, something hung on it, or the sensor changed."
+        f"(p = {p:.1g}): the tool slipped, something hung on it, or the sensor changed."
     ]
 
 
@@ -177,7 +178,7 @@ def _believed(solution: Solution) -> float:
     """1 sigma of the gains to forces beforehand, RMS, fraction of range."""
     sensor = solution.problem.rig.sensor
     gain_std, _ = solution.problem.priors_of_motion
-    of_range = gain_std * sensor.range_array / sensor.channel_scale[:, None]
+    of_range = gain_std / sensor.gain_unit
     return float(np.sqrt(np.mean(of_range[:3, :3] ** 2)))
 
 

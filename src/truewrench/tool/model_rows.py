@@ -165,7 +165,7 @@ class Problem:
         """1 sigma of the gain, which holds the mounting where motion is read (n, 6), and of tilt [rad]."""
         layout, sensor = self.vector.layout, self.rig.sensor
         sigma = np.sqrt(np.diag(self.prior.covariance))
-        span = sensor.range_array / sensor.channel_scale[:, None]
+        span = 1.0 / sensor.gain_unit
         gain_std = np.hypot(sigma[layout.gain].reshape(-1, 6), sigma[layout.mounting].max() / span)
         return gain_std, float(sigma[layout.tilt].max())
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from truewrench import _core
 from truewrench.estimation.assumptions import Assumptions, statement
-from truewrench.estimation.pose import PoseShare
 from truewrench.estimation.record import recorded
 from truewrench.estimation.static_poses import Move
 from truewrench.model.arrays import Array, Integers
@@ -217,8 +216,7 @@ def _follows_pose(rig: Rig, found: _core.Estimate) -> Array:
     if stated == 0:
         return np.zeros((6 * rig.sensor.n, 6 * rig.sensor.n))
     f2 = np.maximum(np.asarray(found.discrepancy2), 0.0 if stated == "auto" else stated**2)
-    share = PoseShare(float(np.clip(found.pose.A, 0.0, 1.0)), np.asarray(found.pose.ww))
-    return np.asarray(np.kron(np.diag(f2), share.unit_covariance))
+    return np.asarray(np.kron(np.diag(f2), found.pose.unit_covariance))
 
 
 def _taken_for_acceleration(fit: _core.Fit, places: Integers) -> Array:

@@ -80,7 +80,7 @@ def make_prior(
     sensor, n = rig.sensor, rig.sensor.n
     layout = Layout(n)
     mean, covariance = np.zeros(layout.size), np.zeros((layout.size, layout.size))
-    gain_units = (sensor.channel_scale[:, None] / sensor.range_array).ravel()
+    gain_units = sensor.gain_unit.ravel()
     calibrated = isinstance(source, Calibration)
     if isinstance(source, Calibration):
         mean[layout.gain] = source.gain.ravel()
@@ -136,7 +136,7 @@ def with_known_wrenches(rig: Rig, prior: Prior, logs: Sequence[Log]) -> Prior:
     if not logs:
         return prior
     n, place = rig.sensor.n, Layout(rig.sensor.n).gain
-    stated = rig.sensor.gain_prior * (rig.sensor.channel_scale[:, None] / rig.sensor.range_array).ravel()
+    stated = rig.sensor.gain_prior * rig.sensor.gain_unit.ravel()
     on_time = [with_reference_on_time(rig, log) for log in logs]
     found = estimate_from_known_wrench(rig, [log for log, _ in on_time], clocks=[c for _, c in on_time])
     P = found.covariance[: 6 * n, : 6 * n]

@@ -150,7 +150,7 @@ class SensorSpec(Section):
         for i, row in enumerate(rows):
             if not any(row):
                 raise refuse(f"nominal_gain.{i}", shown(row), "a channel that feels at least one wrench axis")
-        normalised = self.nominal_gain_array * self.range_array / self.channel_scale[:, None]
+        normalised = self.nominal_gain_array / self.gain_unit
         rank = int(np.linalg.matrix_rank(normalised))
         if rank < 6:
             raise refuse("nominal_gain", f"rows of rank {rank}", "rank 6: every wrench axis must be felt")
@@ -190,6 +190,12 @@ class SensorSpec(Section):
         """(n,) full scale of each channel, |nominal_gain| @ range [raw units]."""
         scale: Array = np.abs(self.nominal_gain_array) @ self.range_array
         return scale
+
+    @property
+    def gain_unit(self) -> Array:
+        """(n, 6) 1 of the normalised gain: channel scale over range of the axis [raw units per N or N m]."""
+        unit: Array = self.channel_scale[:, None] / self.range_array
+        return unit
 
     @property
     def offset_prior_array(self) -> Array:

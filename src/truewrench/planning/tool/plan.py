@@ -130,7 +130,7 @@ class ToolPlan:
         """As PLAN.plan.yaml holds it."""
         found, sensor = self.prediction, self.rig.sensor
         gain_std = np.full((sensor.n, 6), sensor.gain_prior) if found is None else found.gain_std
-        units = sensor.range_array / sensor.channel_scale[:, None]
+        units = 1.0 / sensor.gain_unit
         name, body = next(iter(self.rig.payloads.items()))
         return {
             "format": FORMAT,
