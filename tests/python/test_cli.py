@@ -180,13 +180,17 @@ def test_demo_names_its_files(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert json.loads(out)["figures"] == {"seed": 5}
 
 
-def test_a_calibration_is_not_written_over_the_rig_that_it_is_made_with(run: Run, tmp_path: Path) -> None:
-    rig = tmp_path / "calibration.yaml"
-    rig.write_text("sensor: {}\n", encoding="utf-8")
-    status, _, err = run("calibrate", rig, tmp_path / "log.csv", "-o", tmp_path)
+@pytest.mark.parametrize("command", ["calibrate", "stream --calibrate"])
+def test_a_calibration_is_not_written_over_the_rig_that_it_is_made_with(
+    run: Run, rig_file: Path, command: str, tmp_path: Path
+) -> None:
+    rig = rig_file.rename(tmp_path / "calibration.yaml")
+    before = rig.read_text(encoding="utf-8")
+    logs = [tmp_path / "log.csv"] if command == "calibrate" else []
+    status, _, err = run(*command.split(), rig, *logs, "-o", tmp_path)
     assert status == 2
     assert "an input of the command itself" in err
-    assert rig.read_text(encoding="utf-8") == "sensor: {}\n"
+    assert rig.read_text(encoding="utf-8") == before
 
 
 @pytest.mark.parametrize("as_json", [False, True])

@@ -24,6 +24,8 @@ from truewrench.calibrating.pipeline import calibrate
 from truewrench.cli import main
 from truewrench.live.json_lines import calibrate_lines, correct_lines
 from truewrench.live.lines import LONGEST, Output, batches
+from truewrench.live.session import Record
+from truewrench.live.stamps import BeganAgainError
 from truewrench.live.stop import Stop
 from truewrench.model.calibration import AXES, Calibration, Verdict, load_calibration
 from truewrench.model.rig import Rig
@@ -165,6 +167,28 @@ def test_wrong_line_gets_an_error_in_its_place_and_no_wrench(correct: Any) -> No
         told = ("5 entries", "'6'", "no wrench can be told", "no channel", "NaN", "a second time")
         if words in told:  # JSON with its time
             assert out["time_ns"] == 5
+
+
+def test_a_stamp_from_far_ahead_costs_no_line_after_it(correct: Any) -> None:
+    ahead = 4_000_000_000_000_000_000
+    done = correct(line(10) + line(ahead) + line(20) + line(20) + line(30))
+    assert [one.get("time_ns") for one in done.lines] == [10, ahead, 20, 20, 30]
+    assert ["fx" in one for one in done.lines] == [True, True, True, False, True]
+    assert "begin again at 20 ns" in done.complaints[0]
+
+
+def test_a_record_leaves_out_a_stamp_that_stands_alone_far_ahead() -> None:
+    record = Record()
+    for time_ns in (0, 1_000_000, 2_000_000):
+        assert not record.add(("vx", "vy"), time_ns, (time_ns, 0.0))
+    assert not record.add(("vx", "vy"), 4_000_000_000_000_000_000, (5.0, 5.0))
+    assert "stands alone" in record.add(("vx", "vy"), 3_000_000, (3e6, 0.0))
+    columns = record.columns()
+    np.testing.assert_array_equal(columns["time_ns"], columns["vx"])
+    for time_ns in (5_000_000_000, 5_001_000_000):  # not of one, but of a run of them
+        assert not record.add(("vx", "vy"), time_ns, (0.0, 0.0))
+    with pytest.raises(BeganAgainError):
+        record.add(("vx", "vy"), 4_000_000, (0.0, 0.0))
 
 
 def test_line_without_an_end_costs_no_more_memory_than_its_limit(correct: Any) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from truewrench.cli.common import DebugOption, JsonOption, Outcome, check_folder
+from truewrench.cli.common import DebugOption, JsonOption, Outcome, check_folder, check_output
 from truewrench.model.errors import InputError, UnsupportedError
 
 if TYPE_CHECKING:
@@ -113,6 +113,7 @@ def stream(
         return _correct(made, topics, limit, as_json)
     if output is not None:
         check_folder(output, write=True)
+        check_output(output / "calibration.yaml", rig, table=False)
     return _calibrate(settings, payload, output, topics, limit, as_json)
 
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from truewrench.correction.contact.run import NEW_COLUMNS, ContactRun, Contacts
-from truewrench.live.json_lines import Lines
+from truewrench.live.json_lines import Lines, in_order
 from truewrench.live.json_rows import LineError, Row, motion_of, read_row, tare_of
 from truewrench.live.lines import Output
+from truewrench.live.stamps import Order
 from truewrench.live.stop import Stop
 from truewrench.model.errors import InputError
 
@@ -55,27 +56,24 @@ def contact_lines(
     """
     for note in run.notes:
         complain(note)
-    live, lines, last = LiveContact(run), Lines(output, complain), -math.inf
+    live, lines, order = LiveContact(run), Lines(output, complain), Order()
     nothing = (math.nan,) * n
 
     def use(line: bytes) -> None:
-        nonlocal last
         if tare_of(line):
             output.write(json.dumps(live.tare()))
             return
         row = read_row(line, n)
-        if row.time_ns <= last:
-            raise LineError(
-                f"`{row.stamp[0]}`: {row.time_ns} ns after {last} ns, expected time that increases"
-            )
         motion = motion_of(row)
         if row.raw is None and not motion:
             raise LineError("found neither channels nor motion, expected columns of a log")
+        if in_order(row, order, complain):
+            run.restart()
         try:
             found = live.feed(row.time_ns, row.raw or nothing, motion)
         except InputError as error:
             raise LineError(str(error)) from None
-        last = row.time_ns
+        order.last = row.time_ns
         output.write(_line(row, found))
         for event in live.events():
             output.write(json.dumps(event))

@@ -16,6 +16,7 @@ from truewrench.correction.warmth import Warmth
 from truewrench.live.json_rows import LineError, Row, motion_of, read_row, stamp_of, temperature_of
 from truewrench.live.lines import Output, batches
 from truewrench.live.progress import Progress
+from truewrench.live.stamps import Order
 from truewrench.live.stop import Stop
 from truewrench.model.calibration import AXES, Calibration
 from truewrench.model.errors import InputError
@@ -78,6 +79,17 @@ class Lines:
             self._complain(f"{INPUT}: {words}")
 
 
+def in_order(row: Row, order: Order, complain: Complain) -> bool:
+    """Whether stamps begin again with a row, which is told; LineError: it is out of order."""
+    try:
+        again = order.check(row.time_ns, f"`{row.stamp[0]}`")
+    except InputError as error:
+        raise LineError(str(error)) from None
+    if again:
+        complain(f"{INPUT}: stamps begin again at {row.time_ns} ns")
+    return again
+
+
 def correct_lines(
     calibration: Calibration, output: Output, stop: Stop, complain: Complain, source: int | None = None
 ) -> Lines:
@@ -94,18 +106,14 @@ def correct_lines(
         complain(note)
     n = calibration.n
     sample = np.empty((1, n))
-    lines, last = Lines(output, complain), -math.inf
+    lines, order = Lines(output, complain), Order()
 
     def use(line: bytes) -> None:
-        nonlocal last
         row = read_row(line, n)
         celsius = temperature_of(row) if warmth.follows else math.nan
         if row.raw is None and math.isnan(celsius):
             raise LineError(f"found no channel, expected `raw`, or raw_0 to raw_{n - 1}")
-        if row.time_ns <= last:
-            raise LineError(
-                f"`{row.stamp[0]}`: {row.time_ns} ns after {last} ns, expected time that increases"
-            )
+        in_order(row, order, complain)
         if not math.isnan(celsius):
             warmth.latest = celsius
         if row.raw is None or math.isnan(sum(row.raw)):
@@ -117,7 +125,7 @@ def correct_lines(
             if not all(map(math.isfinite, values)):
                 raise LineError("found channels of such a size that no wrench can be told")
             values = [math.nan if held else x for held, x in zip(withheld, values, strict=True)]
-        last = row.time_ns
+        order.last = row.time_ns
         output.write(_line(row, values))
 
     lines.run(use, source, stop)
@@ -154,9 +162,11 @@ def calibrate_lines(
         if not values:
             raise LineError("found neither channels nor motion, expected columns of a log")
         try:
-            session.record.add(tuple(values), row.time_ns, values.values())
+            alone = session.record.add(tuple(values), row.time_ns, values.values())
         except InputError as error:
             raise LineError(str(error)) from None
+        if alone:
+            complain(f"{INPUT}: {alone}")
 
     def tell() -> None:
         if (progress := session.poll()) is not None:

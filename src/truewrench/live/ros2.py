@@ -28,7 +28,7 @@ from truewrench.live.ros2_types import (
     Time,
     WrenchStamped,
 )
-from truewrench.live.stamps import RESTART, BeganAgainError
+from truewrench.live.stamps import BeganAgainError, Order
 from truewrench.live.stop import Stop
 from truewrench.model.calibration import Calibration
 from truewrench.model.errors import InputError
@@ -90,19 +90,6 @@ class Frames:
             self._complain(f"{self._topic}: messages of frames {frames}: is it more than one sensor?")
 
 
-class _Order:
-    """Stamps that increase; a source that begins again, far back, is let through."""
-
-    def __init__(self) -> None:
-        self._last: int | None = None
-
-    def check(self, stamp: int) -> None:
-        last = self._last
-        if last is not None and last - RESTART < stamp <= last:
-            raise InputError(f"stamp: found {stamp} ns after {last} ns, expected time that increases")
-        self._last = stamp
-
-
 class _Wrenches:
     """The true wrench on a topic, and its 1 sigma on another, where somebody listens."""
 
@@ -152,7 +139,7 @@ def correct_topic(
     warmth = Warmth.of(calibration)
     for note in (*warmth.note_until, *without_weight(calibration), *used_in_part(calibration)):
         complain(note)
-    sensor, order, counts = SensorSource(calibration.rig), _Order(), Counts()
+    sensor, order, counts = SensorSource(calibration.rig), Order(), Counts()
     node = Node(topics.interface)
     name = _sensor_topic(node, sensor, topics, stop)
     wrenches = _Wrenches(node, topics.output, calibration.n)
@@ -174,7 +161,8 @@ def correct_topic(
                 _, stamp, channels = sensor.read(message, info)
                 header = sensor.header(message, info)
                 frames.see(header)
-                order.check(stamp)
+                order.check(stamp, "stamp")
+                order.last = stamp
                 wrenches.write(correct, header, channels, with_std)
             except InputError as error:
                 counts.refused += 1
@@ -276,7 +264,8 @@ def calibrate_topics(
                     if source is sensor:
                         frames.see(sensor.header(message, info))
                     if columns:
-                        session.record.add(columns, stamp, values)
+                        if alone := session.record.add(columns, stamp, values):
+                            complain(f"{topic}: {alone}")
                         counts.used += 1
                     if columns == ("temperature",) and math.isfinite(values[0]):
                         celsius = float(values[0])

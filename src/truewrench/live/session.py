@@ -67,11 +67,20 @@ class Record:
     def __init__(self) -> None:
         self._streams: dict[tuple[str, ...], _Stream] = {}
 
-    def add(self, names: tuple[str, ...], time_ns: int, values: Iterable[float]) -> None:
-        """One sample, its columns in order, NaN where one has none, after that of the same columns before."""
+    def add(self, names: tuple[str, ...], time_ns: int, values: Iterable[float]) -> str:
+        """One sample, its columns in order, NaN where one has none, after that of the same columns before.
+
+        A single stamp from far ahead is left out again as the next comes; what is returned says so, else it
+        is empty.
+        """
         stream = self._streams.get(names)
         if stream is None:
             stream = self._streams[names] = _Stream()
+        told = ""
+        if len(stream.time) > 1 and stream.time[-2] < time_ns <= stream.time[-1] - RESTART:
+            told = f"time: {stream.time[-1]} ns stands alone, far ahead of {time_ns} ns: left out"
+            stream.time.pop()
+            del stream.values[-len(names) :]
         if stream.time and time_ns <= stream.time[-1]:
             if time_ns <= stream.time[-1] - RESTART:
                 back = 1e-9 * (stream.time[-1] - time_ns)
@@ -79,6 +88,7 @@ class Record:
             raise InputError(f"time: {time_ns} ns after {stream.time[-1]} ns, expected time that increases")
         stream.time.append(time_ns)
         stream.values.extend(values)
+        return told
 
     @property
     def samples(self) -> int:
@@ -141,6 +151,7 @@ class LiveCalibration:
             self._running = None
             return progress
         seconds = self.record.seconds
+        self._next = min(self._next, max(FIRST, GROWTH * seconds))  # a stamp from far ahead was left out
         if seconds >= self._next:
             self._next = GROWTH * seconds
             self._running = self._worker.submit(self._estimate, self.record.columns(), self.record.samples)
