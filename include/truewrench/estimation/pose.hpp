@@ -35,8 +35,9 @@ inline Matrix3 nearest_rotation(const Matrix3& B) {
   return Matrix3::Identity() + 2.0 * vectors[0][best] * x + 2.0 * (x * x);
 }
 
-// w against the pose, means by stretch. The pose is the integral of the twist, component by component; of a body that turns by
-// more than `kTurns` about an axis, and of an arm, its place and the vector part of its turn, in the axes of its mean attitude.
+// w against the pose, means by stretch: place and vector part of the turn, in the axes of the mean attitude; and the integral of
+// the twist, component by component, unless the body turns by more than `kTurns` about an axis, or is an arm's. A cable may
+// follow either: by the second a free body's oscillations hide more, by the first an arm's motions in gravity.
 class PoseSums {
  public:
   // A sample, or a row that stands for `size` of them: twist nu (6), normalised wrench w (6).
@@ -113,13 +114,8 @@ class PoseSums {
     return product_[std::max(i, j)][std::min(i, j)] - sum_[i] * sum_[j] / samples_;
   }
 
-  // Component c of the pose as sums of values of z: which, and how much of each.
-  int component(int c, bool turns, const Matrix3& M, int (&which)[6], double (&times)[6]) const {
-    if (!turns) {
-      which[0] = kIntegral + c;
-      times[0] = 1.0;
-      return 1;
-    }
+  // Component c of the place, or of the turn, as sums of values of z: which, and how much of each.
+  int placed(int c, const Matrix3& M, int (&which)[6], double (&times)[6]) const {
     if (c < 3) {  // M^T place
       for (int i = 0; i < 3; ++i) {
         which[i] = kPlace + i;
@@ -141,27 +137,26 @@ class PoseSums {
     if (samples_ == 0.0) return;
     bool turns = arm;
     for (int i = 0; i < 3; ++i) turns = turns || most_[i] - least_[i] >= kTurns;
-    Matrix3 mean = Matrix3::Identity();
-    if (turns) {
-      std::copy_n(sum_ + kAttitude, 9, mean.data());
-      mean = nearest_rotation(mean);
-    }
+    Matrix3 sum;
+    std::copy_n(sum_ + kAttitude, 9, sum.data());
+    const Matrix3 mean = nearest_rotation(sum);
     all.samples += samples_;
     for (int i = 0; i < 6; ++i)
       for (int j = 0; j < 6; ++j) {
         all.ww[i][j] += product_[std::max(i, j)][std::min(i, j)];
         all.centred[i][j] += centred(i, j);
       }
-    for (int c = 0; c < 6; ++c) {
-      int which[6];
-      double times[6], square = 0.0;
-      const int parts = component(c, turns, mean, which, times);
-      for (int a = 0; a < parts; ++a) {
-        for (int b = 0; b < parts; ++b) square += times[a] * times[b] * centred(which[a], which[b]);
-        for (int i = 0; i < 6; ++i) all.wp[i][c] += times[a] * centred(i, which[a]);
+    for (int pose = 0; pose < PoseMoments::kPoses; ++pose)
+      for (int c = 0; c < 6; ++c) {
+        int which[6] = {kIntegral + c};
+        double times[6] = {1.0}, square = 0.0;
+        const int parts = pose == 0 || turns ? placed(c, mean, which, times) : 1;
+        for (int a = 0; a < parts; ++a) {
+          for (int b = 0; b < parts; ++b) square += times[a] * times[b] * centred(which[a], which[b]);
+          for (int i = 0; i < 6; ++i) all.wp[pose][i][c] += times[a] * centred(i, which[a]);
+        }
+        all.pp[pose][c] += std::max(square, 0.0);
       }
-      all.pp[c] += std::max(square, 0.0);
-    }
   }
 };
 

@@ -13,22 +13,24 @@ namespace truewrench {
 
 // How far a force that follows the pose can hide in the gain (10.10).
 struct PoseShare {
-  // mean R^2 of the components of the pose that move on (w, 1); 1 where none moves: at rest the pose is the wrench
+  // mean R^2 of the components of the pose that move on (w, 1), the larger of what two poses have; 1 where none moves: at rest
+  // the pose is the wrench
   double A = 0.0;
   Matrix6 ww = Matrix6::Zero();  // E w w^T over the unmasked samples
   double period = 1.0;           // [s] 1 / mean frequency of w, weighted by its power
 };
 
-// Sums over unmasked samples: of w, and of w and the pose about their means in each stretch.
+// Sums over unmasked samples: of w, and of w and each of two poses about their means in each stretch.
 struct PoseMoments {
-  double samples = 0.0, ww[6][6] = {}, centred[6][6] = {}, wp[6][6] = {}, pp[6] = {};
+  static constexpr int kPoses = 2;
+  double samples = 0.0, ww[6][6] = {}, centred[6][6] = {}, wp[kPoses][6][6] = {}, pp[kPoses][6] = {};
   double rate[6] = {};  // of (dw / dt)^2
 
   PoseShare share() const {
     PoseShare out;
     if (samples == 0.0) return out;
-    double correlation[6][6], V[6][6], size[6], total = 0.0, frequency = 0.0;
-    int moving = 0, axes = 0;
+    double correlation[6][6], V[6][6], size[6], frequency = 0.0;
+    int axes = 0;
     for (int i = 0; i < 6; ++i) size[i] = std::max(std::sqrt(std::max(centred[i][i], 0.0)), 1e-300);
     for (int i = 0; i < 6; ++i)
       for (int j = 0; j < 6; ++j) {
@@ -36,23 +38,28 @@ struct PoseMoments {
         correlation[i][j] = centred[i][j] / (size[i] * size[j]);
       }
     diagonalise(correlation, V);
-    for (int j = 0; j < 6; ++j) {
+    for (int j = 0; j < 6; ++j)
       if (centred[j][j] > 1e-12 * samples) {
         frequency += std::sqrt(rate[j] / centred[j][j]) / (2.0 * std::numbers::pi);
         ++axes;
       }
-      if (!(std::sqrt(pp[j] / samples) > 1e-6)) continue;  // components that do not move
-      double explained = 0.0;
-      for (int i = 0; i < 6; ++i) {
-        if (!(correlation[i][i] > 1e-12)) continue;
-        double b = 0.0;
-        for (int c = 0; c < 6; ++c) b += V[c][i] * wp[c][j] / size[c];
-        explained += b * b / correlation[i][i];
+    for (int pose = 0; pose < kPoses; ++pose) {
+      double total = 0.0;
+      int moving = 0;
+      for (int j = 0; j < 6; ++j) {
+        if (!(std::sqrt(pp[pose][j] / samples) > 1e-6)) continue;  // components that do not move
+        double explained = 0.0;
+        for (int i = 0; i < 6; ++i) {
+          if (!(correlation[i][i] > 1e-12)) continue;
+          double b = 0.0;
+          for (int c = 0; c < 6; ++c) b += V[c][i] * wp[pose][c][j] / size[c];
+          explained += b * b / correlation[i][i];
+        }
+        total += std::min(1.0, explained / pp[pose][j]);
+        ++moving;
       }
-      total += std::min(1.0, explained / pp[j]);
-      ++moving;
+      out.A = std::max(out.A, moving > 0 ? total / moving : 1.0);
     }
-    out.A = moving > 0 ? total / moving : 1.0;
     out.period = axes > 0 && frequency > 0.0 ? axes / frequency : 1.0;
     return out;
   }

@@ -46,11 +46,9 @@ def payload_of(rig: Rig, named: str | None) -> str:
     """The payload that the arm carries: the one named, else the rig's `default` or only one."""
     rig.check_motion("which a live calibration needs")
     known = ", ".join(rig.payloads)
-    if named is not None and named not in rig.payloads:
-        raise InputError.at(rig.path, "--payload", f"`{named}`", f"a payload of the rig, one of: {known}")
     if named is None and "default" not in rig.payloads and len(rig.payloads) > 1:
         raise InputError.at(rig.path, "--payload", "nothing", f"what the arm carries, one of: {known}")
-    return named or ("default" if "default" in rig.payloads else next(iter(rig.payloads)))
+    return rig.payload_named("default" if named is None and "default" in rig.payloads else named)
 
 
 class _Stream:

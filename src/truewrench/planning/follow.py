@@ -87,11 +87,7 @@ def follow_plan(
         expected = "the joint positions that the motion starts from"
         raise InputError.at(rig.path, "motion.initial_position", "nothing", expected)
     rig.check_motion("which a motion needs")
-    name = next(iter(rig.payloads)) if payload is None else payload
-    if name not in rig.payloads:
-        raise InputError.at(
-            rig.path, "payloads", f"no payload `{name}`", f"one of: {', '.join(rig.payloads)}"
-        )
+    name = rig.payload_named(payload)
     lever = rig.payloads[name].center_of_mass_array if of == "com" else None
     trajectory = read_plan(plan)
     start = np.array(rig.motion.initial_position)

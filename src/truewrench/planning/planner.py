@@ -49,9 +49,7 @@ def plan(
     rig.check_motion("which a plan needs")
     check_word("method", method, ("optimal", "wrench"))
     check_word("criterion", criterion, ("A", "D"))
-    name = next(iter(rig.payloads)) if payload is None else payload
-    if name not in rig.payloads:
-        raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
+    name = rig.payload_named(payload)
     tell = progress or (lambda phase, share: None)
     if rig.motion.source == "imu":
         expected = "`twist` or `joints`: a motion is planned in these"

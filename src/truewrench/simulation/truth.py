@@ -121,9 +121,7 @@ def begin(rig: Rig, payload: str | None, seed: int | None) -> tuple[str, Truth]:
         expected = "false: a driver that subtracts a weight is not simulated"
         raise UnsupportedError.at(rig.path, "sensor.compensated", "a weight", expected)
     rig.check_motion("which a simulation needs")
-    name = next(iter(rig.payloads)) if payload is None else payload
-    if name not in rig.payloads:
-        raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
+    name = rig.payload_named(payload)
     if rig.payloads[name].unknown:
         raise InputError.at(rig.path, f"payloads.{name}", "an unknown body", "one that is known, to simulate")
     return name, draw_truth(rig, rig.simulate.seed if seed is None else seed)

@@ -151,6 +151,14 @@ class Rig(Section):
             if not told:
                 raise InputError.at(self.path, key, "nothing", f"`{key}`, {what}")
 
+    def payload_named(self, name: str | None) -> str:
+        """The payload of a motion: the one named, else the first. InputError: there is none of that name."""
+        found = next(iter(self.payloads)) if name is None else name
+        if found not in self.payloads:
+            expected = f"one of: {', '.join(self.payloads)}"
+            raise InputError.at(self.path, "payloads", f"no payload `{found}`", expected)
+        return found
+
     @property
     def required_array(self) -> Array:
         """(6,) acceptable sigma of the gains to each wrench axis; infinite where it is not asked for."""

@@ -234,9 +234,7 @@ def _with_expected(source: Rig | Calibration, payload: str | None) -> tuple[Rig,
         if payload is not None:
             raise InputError.at(rig.path, "payloads", f"no `{payload}`", "that name, or no --payload")
     else:
-        name = next(iter(rig.payloads)) if payload is None else payload
-        if name not in rig.payloads:
-            raise InputError.at(rig.path, "payloads", f"no `{name}`", "one of " + ", ".join(rig.payloads))
+        name = rig.payload_named(payload)
         data["payloads"] = {name: data["payloads"][name]}
         if rig is source and rig.motion.of == "com":
             notes = (
