@@ -142,6 +142,14 @@ def test_a_clock_is_set_to_a_sample() -> None:
     assert found.advance() == found.clock_set
 
 
+def test_a_clock_that_was_set_is_as_uncertain_as_the_motion_leaves_it() -> None:
+    """Though the rig states that clocks are exact, and what was set is right to the last digit."""
+    rig = light_rig(seconds=12, rate=100, time_offset_prior=0)
+    found = tw.calibrate(rig, later(run_of(rig).log, 0.37))
+    assert 1e-6 < found.time_offset_std < 1e-3
+    assert abs(found.time_offset + 0.37) < 4 * found.time_offset_std
+
+
 def test_a_clock_that_was_set_within_a_log_is_named() -> None:
     """It cannot be undone, but it is no contact; and what moves as it should is not called so."""
     rig = light_rig(seconds=12, rate=100)

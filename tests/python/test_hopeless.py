@@ -206,6 +206,38 @@ def test_a_direction_of_gravity_that_turns_otherwise_than_the_twist_is_named(twi
         assert words in said
 
 
+@pytest.mark.parametrize(
+    ("gravity", "kind", "words"),
+    [
+        ([0, 0, 0], "degrees", "wx wy wz are in degrees per second"),
+        ([0, 0, -9.81], "mm", "vx vy vz are in mm/s"),
+    ],
+)
+@pytest.mark.parametrize("sensor_rate", [125, 500])
+def test_units_of_a_twist_are_named_at_any_two_rates(
+    gravity: list[float], kind: str, words: str, sensor_rate: float
+) -> None:
+    """Rows of a slower motion stand among those of the sensor, at its stamps."""
+    rates = TWIST["simulate"] | {"rate": 125, "sensor_rate": sensor_rate}
+    rig = Rig.from_mapping(TWIST | {"gravity": gravity, "simulate": rates})
+    log = tw.simulate(rig, seed=1).log
+    assert log.twist is not None
+    assert hopeless(rig, [log], [log]) == []
+    unit = {"degrees": [1.0, 180.0 / np.pi], "mm": [1e3, 1.0]}[kind]
+    wrong = replace(log, twist=log.twist * np.repeat(unit, 3))
+    (said,) = hopeless(rig, [wrong], [wrong])
+    assert words in said
+
+
+def test_joints_of_an_arm_slower_than_its_sensor_are_named(arm_rig: Callable[..., Rig]) -> None:
+    rig = arm_rig("panda_ground", plan={"duration": 10}, simulate={"rate": 125, "sensor_rate": 500})
+    log = as_read(tw.simulate_arm(rig, seed=1).log)
+    assert hopeless(rig, [log], [log]) == []
+    turned = changed(log, 3, np.negative, np.negative)
+    (said,) = hopeless(rig, [turned], [turned])
+    assert "its sign is turned" in said
+
+
 def test_joints_in_degrees_are_named_and_a_verdict_says_nothing_else(arm: tuple[Rig, Log]) -> None:
     rig, log = arm
     assert log.position is not None

@@ -1,6 +1,6 @@
 """What needs no estimate to be refused: the joints themselves, or least squares on a few seconds, tell it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 
@@ -29,6 +29,13 @@ STANDARD = 9.81  # [m/s^2] of free fall
 BETTER = 10.0  # and how many times less must be left then
 _SAME = 0.1  # of it, within which the free fall is the stated one: tolerance
 
+TWISTS: dict[str, Callable[[Array], Array]] = {
+    "wx wy wz are in degrees per second": lambda nu: nu * np.repeat([1.0, np.pi / 180.0], 3),
+    "vx vy vz are in mm/s": lambda nu: nu * np.repeat([1e-3, 1.0], 3),
+    "vx vy vz are the angular velocities, and wx wy wz the linear ones": lambda nu: np.roll(nu, 3, axis=1),
+}
+"""What a twist (N, 6) may have been logged as, and the one that was meant."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plain:
@@ -50,11 +57,11 @@ def hopeless(rig: Rig, logs: Sequence[Log], known: Sequence[Log]) -> list[str]:
     plain = _plain(rig, short)
     if plain is None:
         return []
-    if plain.left < FOLLOWED:
-        found = [s.words for s in gross_errors(rig, known, plain.gain, plain.covariance)]
-        if found:
-            found = _confirmed(rig, known, _largest(rig, plain))
-    return found or _logged_otherwise(rig, short, plain)
+    if found := _logged_otherwise(rig, short, plain):
+        return found
+    if plain.left < FOLLOWED and gross_errors(rig, known, plain.gain, plain.covariance):
+        return _confirmed(rig, known, _largest(rig, plain))
+    return []
 
 
 def _confirmed(rig: Rig, logs: Sequence[Log], largest: float) -> list[str]:
@@ -107,16 +114,18 @@ def _plain(rig: Rig, logs: Sequence[Log]) -> _Plain | None:
 
 
 def _in_common(log: Log) -> Log:
-    """Where hardly a row has both sides, channels at the stamps of the motion: least squares merge nothing.
+    """The rows that have both sides; where hardly one has, channels at the stamps of the motion.
 
-    Of these rows no more than the sensor has samples, or each would count several times.
+    Least squares merge nothing. Of the stamps of the motion no more than the sensor has samples, or each
+    would count several times.
     """
     if log.twist is None:
         return log
     sensed, moved = (np.flatnonzero(np.isfinite(x).all(axis=1)) for x in (log.raw, log.twist))
     fewer = min(sensed.size, moved.size)
-    if fewer == 0 or 2 * np.intersect1d(sensed, moved).size >= fewer:
-        return log
+    both = np.intersect1d(sensed, moved)
+    if fewer == 0 or 2 * both.size >= fewer:
+        return log if both.size == len(log.time_ns) else rows_of(log, np.isin(np.arange(len(log.raw)), both))
     rows = moved[:: -(-moved.size // sensed.size)]
     rows = rows[covered(log.time[sensed], log.time[rows])]
     raw = np.full_like(log.raw, np.nan)
@@ -169,6 +178,13 @@ def _of_motion(rig: Rig, logs: Sequence[Log]) -> Iterator[_Guess]:
         if all(log.gravity is not None and log.attitude is None for log in logs):
             up = [replace(log, gravity=None if log.gravity is None else -log.gravity) for log in logs]
             yield "gx gy gz point up, as what an accelerometer reads at rest does", rig, up
+        if rig.motion.source == "twist":
+            for words, as_meant in TWISTS.items():
+                yield (
+                    words,
+                    rig,
+                    [log if log.twist is None else replace(log, twist=as_meant(log.twist)) for log in logs],
+                )
         return
 
     def scaled(factor: Array) -> list[Log]:

@@ -234,7 +234,7 @@ def _clocks(
                 stream,
                 float(theta[s]),
                 float(std[s]),
-                float(record.motion[k].time_offset_prior),
+                rig.sensor.time_offset_prior,
                 float(theta[kappa]) if free else None,
                 float(std[kappa]) if free else None,
                 None if gravity is None else float(theta[gravity]),

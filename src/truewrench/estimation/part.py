@@ -105,7 +105,6 @@ def part_of(
     streams = [  # of the times, whether there is more than one: a copy, or the whole record would be kept
         SimpleNamespace(
             derivative=m.derivative,
-            time_offset_prior=m.time_offset_prior,
             half_window=m.half_window,
             time=np.array(m.time[:2]),
         )

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from truewrench import _core
 from truewrench.estimation.accelerometer import at_sensor, noise_at_sensor, told_acceleration
 from truewrench.estimation.assumptions import FIRST_POSITION_NOISE, Assumptions, statement
-from truewrench.estimation.far_clock import bent
+from truewrench.estimation.far_clock import GRID, bent
 from truewrench.estimation.motion_noise import twist_noise
 from truewrench.model.arrays import Array, Mask
 from truewrench.model.errors import InputError
@@ -136,7 +136,8 @@ def _stream(
     out.value = np.ascontiguousarray(values[rows])
     out.sigma = sigma
     out.group = np.array(group, dtype=np.int32)
-    out.time_offset_prior = assumptions.time_offset_prior
+    # where it was set, the stated prior does not hold: of what is left the steps are known in which it was sought
+    out.time_offset_prior = max(assumptions.time_offset_prior, GRID if log.clock_set != 0.0 else 0.0)
     out.clock_mean = assumptions.clock_mean
     out.kappa_mean = assumptions.kappa_mean
     out.half_window = log.half_window(field)

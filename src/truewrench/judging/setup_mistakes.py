@@ -53,7 +53,7 @@ MOMENT_SCALES: tuple[tuple[float, str], ...] = (
 """The same where only moments are concerned; words here go before those of `SCALES`."""
 
 PAYLOAD_SCALES: dict[str, tuple[tuple[float, str], ...]] = {
-    "mass": ((1e3, "g for kg"), (1e-3, "t for kg"), (2.2046226, "lb for kg")),
+    "mass": ((1e3, "g for kg, or mm/s for m/s in v"), (1e-3, "t for kg"), (2.2046226, "lb for kg")),
     "centre of mass": ((1e3, "mm for m"), (1e2, "cm for m"), (39.370079, "inches for metres")),
     "inertia": (
         (1e6, "kg mm^2 for kg m^2"),
