@@ -180,6 +180,26 @@ def test_demo_names_its_files(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert json.loads(out)["figures"] == {"seed": 5}
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "simulate RIG -o",
+        "plan RIG -o",
+        "plan RIG --tool -o",
+        "calibrate RIG LOG -o",
+        "tool RIG LOG -o",
+        "demo -o",
+    ],
+)
+def test_a_path_below_a_file_is_2_before_any_work(
+    run: Run, rig_file: Path, command: str, tmp_path: Path
+) -> None:
+    words = [{"RIG": rig_file, "LOG": tmp_path / "log.csv"}.get(word, word) for word in command.split()]
+    status, _, err = run(*words, rig_file / "x.csv")
+    assert status == 2
+    assert f"a path below the file {rig_file.name}" in err
+
+
 @pytest.mark.parametrize("command", ["calibrate", "stream --calibrate"])
 def test_a_calibration_is_not_written_over_the_rig_that_it_is_made_with(
     run: Run, rig_file: Path, command: str, tmp_path: Path

@@ -230,8 +230,6 @@ def test_a_mass_in_grams_is_named_where_moments_are_all_lever() -> None:
     wrong = rig.to_mapping()
     wrong["payloads"]["default"]["mass"] *= 1000
     found = calibrate(Rig.from_mapping(wrong), simulate(rig).log, held_out=False)
-    assert (
-        "mass of the payload 1000 times too large (g for kg, or mm/s for m/s in v)"
-        in found.verdict.reasons[0]
-    )
+    words = "mass of the payload 1000 times too large (g for kg, or mm/s for m/s in v)"
+    assert words in found.verdict.reasons[0]
     assert not any("centre of mass" in reason for reason in found.verdict.reasons)

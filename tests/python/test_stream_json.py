@@ -169,6 +169,13 @@ def test_wrong_line_gets_an_error_in_its_place_and_no_wrench(correct: Any) -> No
             assert out["time_ns"] == 5
 
 
+def test_readings_that_no_sensor_of_this_range_has_are_told_once(correct: Any) -> None:
+    done = correct(line(1) + line(2, [1e9] * 6) + line(3, [1e9] * 6))
+    assert len(done.lines) == 3
+    (said,) = done.complaints
+    assert "is beyond 3 times its range" in said
+
+
 def test_a_stamp_from_far_ahead_costs_no_line_after_it(correct: Any) -> None:
     ahead = 4_000_000_000_000_000_000
     done = correct(line(10) + line(ahead) + line(20) + line(20) + line(30))

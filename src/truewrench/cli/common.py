@@ -64,8 +64,9 @@ def check_folder(path: Path, *, write: bool = False) -> None:
 
     Whether it can be written is tried, too, where results that cannot be had again depend on it.
     """
-    if path.exists() and not path.is_dir():
+    if os.path.exists(path) and not path.is_dir():
         raise InputError.at(path, "", "a file", "a folder, or a name that is free")
+    _check_parents(path)
     if write:
         there = next(place for place in (path, *path.absolute().parents) if place.exists())
         try:
@@ -75,6 +76,13 @@ def check_folder(path: Path, *, write: bool = False) -> None:
 
 
 TABLE_NAMES = ("", ".csv", ".txt", ".parquet", ".pq")
+
+
+def _check_parents(path: Path) -> None:
+    """Refuse a path below a file."""
+    there = next(place for place in path.absolute().parents if os.path.exists(place))
+    if not there.is_dir():
+        raise InputError.at(path, "", f"a path below the file {there.name}", "one below a folder")
 
 
 def check_output(
@@ -90,6 +98,7 @@ def check_output(
         raise InputError.at(output, "", "a folder", "a file to write")
     if is_special(output):
         raise InputError.at(output, "", "a device or a pipe", "a file to write")
+    _check_parents(output)
     for given in inputs:
         if given is not None and exists(output) and exists(given) and output.samefile(given):
             raise InputError.at(output, "", "an input of the command itself", "another file to write")

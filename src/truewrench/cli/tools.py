@@ -67,6 +67,7 @@ def tool(
     from truewrench.tool.exports import (
         FILES,
         TARGETS,
+        frames_note,
         left_out,
         remove_exports,
         tool_exports,
@@ -132,6 +133,8 @@ def tool(
     unfit = left_out(found_tool, targets)
     for record in records:
         report_left_out(record)
+    if note := frames_note(found_tool, targets):
+        print(f"truewrench: {note}", file=sys.stderr)  # noqa: T201
     figures = found_tool.to_mapping()
     verdict = figures.pop("verdict")
     for key in ("covariance", "rig"):

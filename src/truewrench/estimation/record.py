@@ -136,7 +136,7 @@ def _stream(
     out.value = np.ascontiguousarray(values[rows])
     out.sigma = sigma
     out.group = np.array(group, dtype=np.int32)
-    # where it was set, the stated prior does not hold: of what is left the steps are known in which it was sought
+    # where it was set, the stated prior does not hold: what is left is known to the steps of the search
     out.time_offset_prior = max(assumptions.time_offset_prior, GRID if log.clock_set != 0.0 else 0.0)
     out.clock_mean = assumptions.clock_mean
     out.kappa_mean = assumptions.kappa_mean

@@ -19,6 +19,7 @@ from truewrench.live.progress import Progress
 from truewrench.live.stamps import Order
 from truewrench.live.stop import Stop
 from truewrench.model.calibration import AXES, Calibration
+from truewrench.model.channels import Ranges
 from truewrench.model.errors import InputError
 
 if TYPE_CHECKING:  # all that an estimate needs takes a second to import
@@ -106,7 +107,7 @@ def correct_lines(
         complain(note)
     n = calibration.n
     sample = np.empty((1, n))
-    lines, order = Lines(output, complain), Order()
+    lines, order, ranges = Lines(output, complain), Order(), Ranges(calibration.rig)
 
     def use(line: bytes) -> None:
         row = read_row(line, n)
@@ -124,6 +125,8 @@ def correct_lines(
             values = [*wrench[0].tolist(), *warmth.widened(std[0], warmth.latest).tolist()]
             if not all(map(math.isfinite, values)):
                 raise LineError("found channels of such a size that no wrench can be told")
+            if far := ranges.told(sample[0]):
+                complain(f"{INPUT}: {far}")
             values = [math.nan if held else x for held, x in zip(withheld, values, strict=True)]
         order.last = row.time_ns
         output.write(_line(row, values))

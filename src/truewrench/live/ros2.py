@@ -31,6 +31,7 @@ from truewrench.live.ros2_types import (
 from truewrench.live.stamps import BeganAgainError, Order
 from truewrench.live.stop import Stop
 from truewrench.model.calibration import Calibration
+from truewrench.model.channels import Ranges
 from truewrench.model.errors import InputError
 from truewrench.model.rig import Rig
 
@@ -140,6 +141,7 @@ def correct_topic(
     for note in (*warmth.note_until, *without_weight(calibration), *used_in_part(calibration)):
         complain(note)
     sensor, order, counts = SensorSource(calibration.rig), Order(), Counts()
+    ranges = Ranges(calibration.rig)
     node = Node(topics.interface)
     name = _sensor_topic(node, sensor, topics, stop)
     wrenches = _Wrenches(node, topics.output, calibration.n)
@@ -163,6 +165,8 @@ def correct_topic(
                 frames.see(header)
                 order.check(stamp, "stamp")
                 order.last = stamp
+                if far := ranges.told(np.asarray(channels)):
+                    complain(f"{name}: {far}")
                 wrenches.write(correct, header, channels, with_std)
             except InputError as error:
                 counts.refused += 1

@@ -146,6 +146,11 @@ class Calibration:
         return wrench
 
     @property
+    def unused(self) -> bool:
+        """Whether nothing of its logs was used: what it holds was known beforehand."""
+        return bool(self.logs) and not any(log.used for log in self.logs)
+
+    @property
     def withheld(self) -> Mask:
         """(6,) wrench axes that are not to be used, of a calibration that is good for others."""
         usable = np.array([self.axes.get(axis, False) for axis in AXES])

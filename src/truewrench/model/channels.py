@@ -14,6 +14,7 @@ AT_RAIL = 1e-3  # share of the samples at one extreme value from which on it cou
 PILED = 10  # if it is so many times as frequent as its neighbours, which coarse readings and pauses are not
 NEIGHBOURS = 3
 IN_A_ROW = 3
+MOST_RANGES = 3.0  # times its range that a sensor reads in 1% of its samples: tolerance
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,24 +146,54 @@ class Rail:
 
 
 class Rails:
-    """The rails of all channels of a log that is read part by part."""
+    """The rails of all channels of a log that is read part by part, and readings beyond all ranges."""
 
     def __init__(self, rig: Rig) -> None:
         self._of = {name: Rail() for name in rig.sensor.channels}
+        self._scale = rig.sensor.channel_scale
+        self._samples, self._beyond = 0, np.zeros(rig.sensor.n, dtype=np.int64)
 
     def add(self, raw: Array) -> None:
         """Samples (N, n)."""
+        self._samples += len(raw)
+        self._beyond += np.count_nonzero(np.abs(raw) > MOST_RANGES * self._scale, axis=0)
         for rail, column in zip(self._of.values(), raw.T, strict=True):
             rail.add(column)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Of channels that stand at a rail."""
-        return tuple(
+        """Of channels that stand at a rail, or read what no sensor of this range does."""
+        far = [
+            f"{beyond_range(name)} in {100.0 * count / self._samples:.2g}% of the samples"
+            for name, count in zip(self._of, self._beyond.tolist(), strict=True)
+            if count > 0.01 * self._samples
+        ]
+        return *far, *(
             f"channel {name} {rail.words}: overload, or range of the driver; no wrench is right there"
             for name, rail in self._of.items()
             if rail.words
         )
+
+
+class Ranges:
+    """Says once, of samples as they come, that one is beyond what any sensor of this range reads."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._names = rig.sensor.channels
+        self._most = MOST_RANGES * rig.sensor.channel_scale
+        self._silent = False
+
+    def told(self, raw: Array) -> str:
+        """What to say after this sample (n,); mostly nothing."""
+        if self._silent or not (far := np.abs(raw) > self._most).any():
+            return ""
+        self._silent = True
+        return f"{beyond_range(self._names[int(np.argmax(far))])}; told once"
+
+
+def beyond_range(channel: str) -> str:
+    """What is said of a reading that no sensor of this range has."""
+    return f"channel {channel} is beyond {MOST_RANGES:g} times its range (other units than the rig's?)"
 
 
 def _longest(at: Mask) -> int:

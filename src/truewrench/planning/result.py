@@ -216,7 +216,6 @@ class Plan:
 def write_design(design: Design, facts: Mapping[str, Any], path: str | Path) -> list[Path]:
     """Write the table of a motion, and beside it `facts` as PATH.plan.yaml and the joints' trajectory."""
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     write_table(target, dict(design.columns))
     written = [target, target.with_name(target.name + ".plan.yaml")]
     write_yaml(written[1], dict(facts))

@@ -40,12 +40,13 @@ def helps(calibration: Calibration) -> Iterator[str]:
             "Calibrate with the estimator `map` (the default): `ekf` and `ls` are there to be compared "
             "with, and are never usable."
         )
-    if not used:
+    if c.unused:
         yield (
-            "Nothing of the record was used. Look at units, axes, sign (`sensor.feels`) and clocks of the "
-            "log with `truewrench inspect`, and at the motion's and the sensor's noise in the rig."
+            "Nothing of the record was used: what the reasons say comes first. Where they name nothing, look "
+            "at units, axes, sign (`sensor.feels`) and clocks of the log with `truewrench inspect`, and at "
+            "the motion's and the sensor's noise in the rig."
         )
-    if c.verdict.undetermined:
+    if c.verdict.undetermined and not c.unused:
         yield (
             "Move so that the directions that are not determined vary on their own, or add a log with "
             "another payload: several logs are pooled into one gain."

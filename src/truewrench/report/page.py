@@ -8,6 +8,7 @@ import base64
 import hashlib
 import json
 import platform
+import re
 from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import version
@@ -19,7 +20,7 @@ import numpy as np
 import yaml
 from bokeh.document import Document
 from bokeh.resources import Resources
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from truewrench import _core
 from truewrench.estimation.evidence import Evidence
@@ -46,7 +47,7 @@ def page(calibration: Calibration, evidence: Evidence) -> str:
         figures=_json(figures),
         sections=shown,
         helps=list(findings.helps(calibration)) if not calibration.verdict.usable else [],
-        undetermined=[] if told else calibration.verdict.undetermined_words,
+        undetermined=[] if told or calibration.unused else calibration.verdict.undetermined_words,
         unfit=[axis for axis, fit in calibration.axes.items() if not fit],
         notes=calibration.figures.get("notes") or [],
         stated=float(np.sqrt(np.mean(calibration.gain_std_normalised**2))),
@@ -115,7 +116,13 @@ def _template() -> jinja2.Template:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+    environment.filters["prose"] = _prose
     return environment.get_template("report.html.j2")
+
+
+def _prose(text: str) -> Markup:
+    """Escaped, names between backticks as code."""
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def write_report(path: str | Path, calibration: Calibration, evidence: Evidence) -> None:

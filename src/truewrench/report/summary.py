@@ -69,10 +69,12 @@ def _verdict(calibration: Calibration) -> RenderableType:
     unfit = [axis for axis, fit in calibration.axes.items() if not fit]
     if unfit:
         text.append(f"\nAxes that may not be used: {', '.join(unfit)}.")
-    if verdict.undetermined:
+    if calibration.unused:
+        text.append("\nNothing was estimated: gains and their sigma are what was known beforehand.")
+    elif verdict.undetermined:
         text.append("\nThe data do not determine:")
-    for words in verdict.undetermined_words:
-        text.append(f"\n  - {words}")
+        for words in verdict.undetermined_words:
+            text.append(f"\n  - {words}")
     for note in calibration.figures.get("notes", ()):
         text.append(f"\nNote: {note}")
     return text

@@ -167,7 +167,6 @@ def write_run(path: str | Path, log: Log, truth: Truth, joints: Sequence[str] = 
     Joints are named where the log has any.
     """
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     columns: dict[str, Integers | Array] = {"time_ns": log.time_ns}
     columns |= {f"raw_{i}": channel for i, channel in enumerate(log.raw.T)}
     for names, block in (

@@ -29,6 +29,7 @@ _FROZEN = 5e-3  # of the way that its direction should have gone; tolerance
 _DEGREES = np.radians([0.8, 1.25])  # share of -Omega x g that is found where Omega is in degrees; tolerance
 _LARGEST = 1e6  # of a mass: tolerance
 _FARTHEST = 10.0  # [m] between frames of one wrist: tolerance
+_HEAVIEST = 50.0  # [kg] of a sensor's housing: tolerance
 _LIKE = 0.2  # of the squares of the change of g that another unit leaves unexplained; tolerance
 
 
@@ -60,6 +61,8 @@ def check_options(
             raise InputError.at(None, f"--{name}", f"{given!r}", f"{count} finite numbers in SI units")
         if name == "housing" and values[0] < 0.0:
             raise InputError.at(None, f"--{name}", f"a mass of {values[0]:g}", "a number of at least 0")
+        if name == "housing" and values[0] > _HEAVIEST:
+            raise InputError.at(None, f"--{name}", f"{values[0]:g} kg", f"at most {_HEAVIEST:g} kg (g?)")
         check_place(f"--{name}", values[1:] if name == "housing" else values)
     for name, sigma in sigmas.items():
         if sigma is not None and not 0.0 <= sigma <= np.pi:

@@ -41,6 +41,7 @@ FILES = {
 """What each target's files are called, in the folder of tool.yaml."""
 
 _WITH_OFFSET = FILES["ros"][2:]
+_AT_FLANGE = ("ur", "franka", "urdf", "abb", "kuka")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +98,17 @@ def left_out(tool: Tool, targets: Sequence[str]) -> dict[str, str]:
     return dict.fromkeys(_WITH_OFFSET, reason)
 
 
+def frames_note(tool: Tool, targets: Sequence[str]) -> str:
+    """What is worth saying of the frame of what was exported; nothing where the flange was told."""
+    told = [target for target in targets if target in _AT_FLANGE]
+    if not told or np.any(tool.flange):
+        return ""
+    return (
+        f"{', '.join(told)}: the sensor frame is taken for the flange, which these controllers have in mind; "
+        "--flange says where it stands"
+    )
+
+
 def write_tool_exports(tool: Tool, targets: Sequence[str], folder: str | Path) -> list[Path]:
     """Write a tool for some targets, as `tool_exports` has it, beside tool.yaml; the files are returned."""
     written = []
@@ -134,7 +146,8 @@ def _held(tool: Tool) -> _Held:
         f"truewrench {tool.version}, {tool.created}: mass {whole.mass:.6g} kg, "
         f"1 sigma {whole.mass_std:.2g} kg",
         "Flange axes; the sensor frame stands at x y z roll pitch yaw = "
-        + " ".join(f"{value:.6g}" for value in tool.flange),
+        + " ".join(f"{value:.6g}" for value in tool.flange)
+        + ("" if np.any(tool.flange) else ": taken for the flange"),
     ]
     if tool.below is not None:
         words.append(f"With the tool below it, of {np.exp(tool.below[0]):.6g} kg.")

@@ -11,7 +11,7 @@ from truewrench import _core
 from truewrench.estimation.estimate import AGREE, odd_log, worst_of_halves, worst_of_logs
 from truewrench.estimation.static_poses import MOVING, REPEATABILITY, WALK, Poses
 from truewrench.model.arrays import Array, Integers
-from truewrench.model.channels import channel_faults
+from truewrench.model.channels import MOST_RANGES, channel_faults
 from truewrench.model.log import Log, log_name
 from truewrench.model.rig import Rig
 from truewrench.tool.bodies import nearest_physical
@@ -23,7 +23,6 @@ from truewrench.tool.solve import Solution, solve
 from truewrench.tool.undetermined import directions_in, undetermined
 
 CHANCE = 1e-6  # of a test of the set-up
-MOST_RANGES = 3.0  # that a sensor reads in 1% of its samples: tolerance
 WORST_WALK = 50.0  # times its start
 SUSPECT_WALK = 20.0
 FAR = 25.0  # squared distance to a physical body, 4.4 where all is well

@@ -31,6 +31,7 @@ def _page(tool: Tool, evidence: Evidence) -> str:
     word = "Usable" if verdict.usable else "Not to be used as it stands"
     parts = [
         f'<h1 class="{"good" if verdict.usable else "bad"}">{word}</h1>',
+        f"<p>{escape(_of(tool))}</p>",
         _list(verdict.reasons),
         _table(tool),
         "<h2>What the data do not tell</h2>" + _list(one.words for one in verdict.undetermined),
@@ -56,6 +57,15 @@ def _page(tool: Tool, evidence: Evidence) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{policy}"><style>{_STYLE}</style></head><body>'
         + "\n".join(part for part in parts if part)
         + f"<p>truewrench {escape(tool.version)}, {escape(tool.created)}</p></body></html>\n"
+    )
+
+
+def _of(tool: Tool) -> str:
+    """What it was found from, and the frame of every number."""
+    logs = ", ".join(Path(str(log["path"])).name for log in tool.logs)
+    return (
+        f"A tool from {logs}. In the axes of the sensor frame: the centre of mass from its origin, the "
+        "inertia about the centre of mass."
     )
 
 
