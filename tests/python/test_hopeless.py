@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import truewrench as tw
 from truewrench.calibrating.hopeless import hopeless, plain_gain
+from truewrench.estimation.logged_otherwise import logged_otherwise
 from truewrench.model.log import Log
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
@@ -313,6 +314,16 @@ def test_a_tool_is_refused_by_the_same_words(arm: tuple[Rig, Log]) -> None:
     rig, log = arm
     with pytest.raises(tw.InputError, match=r"panda_joint4.*against its velocities"):
         tw.identify_tool(rig, changed(log, 3, lambda q: -q, same))
+
+
+def test_a_tool_is_not_fitted_to_a_motion_that_was_logged_otherwise(arm_rig: Callable[..., Rig]) -> None:
+    """Whatever the gripper weighs and the sensor gains: a fit took minutes, and named nothing."""
+    rig = arm_rig("panda_ground", plan={"duration": 10}, simulate={"rate": 125, "sensor_rate": 500})
+    log = tw.simulate_arm(rig, seed=1).log
+    assert logged_otherwise(rig, as_read(log)) == ""
+    turned = changed(as_read(log), 3, np.negative, np.negative)
+    with pytest.raises(tw.InputError, match=r"joint panda_joint4: its sign is turned"):
+        tw.identify_tool(rig, turned)
 
 
 def test_a_stray_row_comes_back_and_is_no_jump(arm: tuple[Rig, Log]) -> None:

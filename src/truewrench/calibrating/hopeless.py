@@ -1,6 +1,6 @@
 """What needs no estimate to be refused: the joints themselves, or least squares on a few seconds, tell it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 
@@ -9,6 +9,15 @@ import numpy as np
 from truewrench import _core
 from truewrench.estimation.estimator import estimate
 from truewrench.estimation.least_squares import least_squares
+from truewrench.estimation.logged_otherwise import (
+    BETTER,
+    FOLLOWED,
+    LEFT,
+    MISFIT,
+    Guess,
+    explains,
+    guesses_of_motion,
+)
 from truewrench.judging import gross_errors
 from truewrench.model.arrays import Array
 from truewrench.model.errors import InputError
@@ -16,25 +25,12 @@ from truewrench.model.log import Log, log_name
 from truewrench.model.motion.smooth import covered
 from truewrench.model.rig import Rig
 from truewrench.model.split import rows_of
-from truewrench.robot.arm import robot_of, turning
 from truewrench.robot.joint_faults import gravity_faults, joint_faults
 from truewrench.robot.track import with_twist
 
 SECONDS, CONFIRMING = 4.0, 12.0  # of each log, from its middle: for least squares, and for the estimator
 LARGEST = 40.0  # of nominal: what is larger is noise to the estimator, and the gain of no sensor
 FREE = 1e3  # 1 sigma of the gains that pulls none
-FOLLOWED = 0.02  # share of the raw output that least squares leave, up to which its gain is the sensor's
-LEFT, MISFIT = 0.003, 4.0  # the same, and chi-square, from which on joints may be logged otherwise,
-STANDARD = 9.81  # [m/s^2] of free fall
-BETTER = 10.0  # and how many times less must be left then
-_SAME = 0.1  # of it, within which the free fall is the stated one: tolerance
-
-TWISTS: dict[str, Callable[[Array], Array]] = {
-    "wx wy wz are in degrees per second": lambda nu: nu * np.repeat([1.0, np.pi / 180.0], 3),
-    "vx vy vz are in mm/s": lambda nu: nu * np.repeat([1e-3, 1.0], 3),
-    "vx vy vz are the angular velocities, and wx wy wz the linear ones": lambda nu: np.roll(nu, 3, axis=1),
-}
-"""What a twist (N, 6) may have been logged as, and the one that was meant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,22 +139,16 @@ def _logged_otherwise(rig: Rig, logs: Sequence[Log], plain: _Plain) -> list[str]
     if not (plain.left > LEFT and plain.chi_square > MISFIT):
         return []
     best, said = min(plain.left / BETTER, FOLLOWED), ""
-    for words, stated, guess in chain(_of_payloads(rig, logs), _of_motion(rig, logs)):
+    for words, stated, guess in chain(_of_payloads(rig, logs), guesses_of_motion(rig, logs)):
         other = _plain(stated, guess)
         if other is not None and other.left < best and _largest(stated, other) < LARGEST:
             best, said = other.left, words
     if not said:
         return []
-    return [
-        f"{said}: so the motion explains all but {100 * best:.2g}% of the raw output, as it is logged all "
-        f"but {100 * plain.left:.2g}%"
-    ]
+    return [explains(said, best, plain.left)]
 
 
-_Guess = tuple[str, Rig, list[Log]]  # in words, as a rig, and as logs, what may have been meant
-
-
-def _of_payloads(rig: Rig, logs: Sequence[Log]) -> Iterator[_Guess]:
+def _of_payloads(rig: Rig, logs: Sequence[Log]) -> Iterator[Guess]:
     known = [name for name, payload in rig.payloads.items() if not payload.unknown]
     for k, log in enumerate(logs):
         for name in known:
@@ -171,52 +161,6 @@ def _of_payloads(rig: Rig, logs: Sequence[Log]) -> Iterator[_Guess]:
             swapped[i] = replace(logs[i], payload=logs[j].payload)
             swapped[j] = replace(logs[j], payload=logs[i].payload)
             yield f"{log_name(logs, i)} and {log_name(logs, j)} carry each other's payload", rig, swapped
-
-
-def _of_motion(rig: Rig, logs: Sequence[Log]) -> Iterator[_Guess]:
-    if rig.motion.source != "joints":
-        if all(log.gravity is not None and log.attitude is None for log in logs):
-            up = [replace(log, gravity=None if log.gravity is None else -log.gravity) for log in logs]
-            yield "gx gy gz point up, as what an accelerometer reads at rest does", rig, up
-        if rig.motion.source == "twist":
-            for words, as_meant in TWISTS.items():
-                yield (
-                    words,
-                    rig,
-                    [log if log.twist is None else replace(log, twist=as_meant(log.twist)) for log in logs],
-                )
-        return
-
-    def scaled(factor: Array) -> list[Log]:
-        return [_scaled(log, factor) for log in logs]
-
-    robot = robot_of(rig)
-    turns = turning(robot)
-    yield "the joints are in degrees", rig, scaled(np.where(turns, np.pi / 180.0, 1.0))
-    if not turns.all():
-        yield "the joints that slide are in mm", rig, scaled(np.where(turns, 1.0, 1e-3))
-    for j, name in enumerate(robot.joints):
-        words = (
-            f"joint {name}: its sign is turned, or its axis is the other way round in the robot's description"
-        )
-        yield words, rig, scaled(np.where(np.arange(robot.n) == j, -1.0, 1.0))
-    for axis in np.vstack([np.eye(3), -np.eye(3)]):
-        fall = tuple((STANDARD * axis + 0.0).tolist())
-        if np.linalg.norm(rig.gravity_array - fall) < _SAME * STANDARD:  # it is what is stated
-            continue
-        words = f"gravity is not {_listed(rig.gravity)} in the root frame, but {_listed(fall)}"
-        yield words, rig.model_copy(update={"gravity": fall}), scaled(np.ones(robot.n))
-
-
-def _listed(values: Sequence[float]) -> str:
-    return f"[{', '.join(f'{x:g}' for x in values)}]"
-
-
-def _scaled(log: Log, factor: Array) -> Log:
-    """The log with other joints, from which its motion follows anew."""
-    position = None if log.position is None else log.position * factor
-    velocity = None if log.velocity is None else log.velocity * factor
-    return replace(log, position=position, velocity=velocity, twist=None, gravity=None, tracking=None)
 
 
 def _middle(log: Log, seconds: float) -> Log:

@@ -268,6 +268,14 @@ def _check_motion(rig: Rig, logs: Sequence[Log], estimator: EstimatorName) -> No
     if rig.motion.source == "imu":
         expected = f"`twist` or `joints`: `{estimator}` knows no motion of an IMU"
         raise UnsupportedError.at(rig.path, "motion.source", "`imu`", expected)
+    fused = rig.motion.acceleration_noise is not None and any(log.acceleration is not None for log in logs)
+    drifts = rig.temperature.prior != 0.0 and any(log.temperature is not None for log in logs)
+    for key, unsupported, found, stated in (
+        ("motion.acceleration_noise", fused, "a value, and accelerations in a log", "none"),
+        ("temperature.prior", drifts, f"{rig.temperature.prior:g}, and temperatures in a log", "0"),
+    ):
+        if unsupported:
+            raise UnsupportedError.at(rig.path, key, found, f"{stated}: `{estimator}` knows no other")
     for log in logs:
         if not known_payload(rig, log):
             expected = f"a known payload: `{estimator}` takes it as exact"

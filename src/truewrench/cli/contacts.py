@@ -30,7 +30,12 @@ def sensor_and_tool(source: Path, tool: Path) -> tuple[Calibration | None, Tool,
     sensor, found = read_sensor(source), read_tool(tool)
     made = None if isinstance(sensor, Rig) else sensor
     of_rig = isinstance(sensor, Rig)
-    check_same_sensor(found, sensor if isinstance(sensor, Rig) else sensor.rig, tool, arm=of_rig)
+    rig = sensor if isinstance(sensor, Rig) else sensor.rig
+    check_same_sensor(found, rig, tool, arm=of_rig)
+    # topics are of what is read now, not of what the tool was found from
+    topics = {key: getattr(rig.recording, key) for key in rig.recording.model_fields_set}
+    recording = found.rig.recording.model_copy(update=topics)
+    found = dataclasses.replace(found, rig=found.rig.model_copy(update={"recording": recording}))
     reasons = [*found.verdict.reasons, *(() if made is None else made.verdict.reasons)]
     usable = found.verdict.usable and (made is None or made.verdict.usable)
     return made, found, {"usable": usable, "reasons": reasons}

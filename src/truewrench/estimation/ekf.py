@@ -53,7 +53,7 @@ def estimate_ekf(
     axis, is the paper's tuning parameter; `acceleration_prior` is 1 sigma of the acceleration at the start of
     a log [m/s^2, rad/s^2]. `history_every`: rows between two entries of the history.
     """
-    _refuse_unsupported(rig, logs)
+    _refuse_unsupported(rig)
     settings = _settings(rig, published)
     if process_density is not None:
         settings.process_density = np.broadcast_to(np.asarray(process_density, dtype=np.float64), 6).copy()
@@ -88,19 +88,10 @@ def estimate_ekf(
     )
 
 
-def _refuse_unsupported(rig: Rig, logs: Sequence[Log]) -> None:
-    motion, temperature = rig.motion, rig.temperature.prior
-    fused = motion.acceleration_noise is not None and any(log.acceleration is not None for log in logs)
-    drifts = temperature != 0.0 and any(log.temperature is not None for log in logs)
-    for key, unsupported, found, expected in (
-        ("sensor.channels", rig.sensor.n != 6, f"{rig.sensor.n} channels", "6"),
-        ("motion.acceleration_noise", fused, "a value, and accelerations in a log", "none"),
-        ("temperature.prior", drifts, f"{temperature:g}, and temperatures in a log", "0"),
-    ):
-        if unsupported:
-            raise UnsupportedError.at(
-                rig.path, key, found, f"{expected}: the published filter knows no other"
-            )
+def _refuse_unsupported(rig: Rig) -> None:
+    if rig.sensor.n != 6:
+        expected = "6: the published filter knows no other"
+        raise UnsupportedError.at(rig.path, "sensor.channels", f"{rig.sensor.n} channels", expected)
 
 
 def _settings(rig: Rig, published: bool) -> _core.EkfSettings:

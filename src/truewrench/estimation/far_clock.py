@@ -95,6 +95,19 @@ def _late(rig: Rig, log: Log) -> float:
     return found
 
 
+def left_of_any_body(rig: Rig, log: Log) -> tuple[float, float] | None:
+    """What no gain and no body explain of the raw output of a log, on the clock that it has.
+
+    As a share of it, and as a mean square over the noise's; None where nothing tells the motion.
+    """
+    with np.errstate(all="ignore"):  # whatever the cells hold
+        asked = _Asked.of(rig, log, 0.0, GRID)
+        if asked is None:
+            return None
+        left, whole = asked.left(0.0), float(np.var(asked.raw, axis=0).mean())
+    return (left / whole, left) if np.isfinite(left) and whole > 0.0 else None
+
+
 def _middle(log: Log, seconds: float) -> Log:
     """So many seconds of a log."""
     rows = np.abs(log.time - 0.5 * log.time[-1:]) <= 0.5 * seconds

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from truewrench.estimation.far_clock import with_clock_set
+from truewrench.estimation.logged_otherwise import logged_otherwise
 from truewrench.estimation.static_poses import Split, split_poses
 from truewrench.model.arrays import Array
 from truewrench.model.calibration import Calibration
@@ -107,6 +108,9 @@ def identify_tool(
     check_known(known or {})
     check_logs(rig, records)
     check_session(rig, records, on)
+    for log in records:
+        if log.reference is None and (words := logged_otherwise(rig, log)):
+            raise InputError(f"{log.path}: {words}")
     if rig.sensor.subtracted is not None:
         records = tracked(rig, records)
         late = [with_clock_set(rig, log).clock_set for log in records]
