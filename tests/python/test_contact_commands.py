@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from tool_cases import a_rig
 
 from truewrench.cli import main
+from truewrench.cli.contacts import sensor_and_tool
 from truewrench.correction.contact.apply import apply_contact
 from truewrench.correction.contact.log import contact
 from truewrench.correction.contact.run import NEW_COLUMNS, ContactRun
@@ -71,6 +72,14 @@ def test_apply_adds_columns_and_tells_events(
     assert np.abs(cells[inside, :6].mean(axis=0) - HIT).max() < 0.2
     assert (cells[inside, 12] > 48.4).all()
     assert out.read_text().splitlines()[1].startswith(log.read_text().splitlines()[1])
+
+
+def test_topics_are_those_of_the_rig_that_is_named(files: tuple[Path, Path, Path]) -> None:
+    """A tool that was found from a table serves a recording."""
+    rig, tool, _ = files
+    assert sensor_and_tool(rig, tool)[1].rig.recording.gravity_topic is None
+    rig.write_text(rig.read_text() + "recording: {gravity_topic: /down}\n")
+    assert sensor_and_tool(rig, tool)[1].rig.recording.gravity_topic == "/down"
 
 
 def test_a_channel_at_its_rail_is_told(files: tuple[Path, Path, Path]) -> None:

@@ -376,3 +376,22 @@ def test_rails_are_those_of_the_log_as_it_was_read(seed: int) -> None:
     )
     short = replace(log, raw=np.minimum(log.raw, np.quantile(log.raw, 0.97, axis=0)))
     assert "extreme value" in calibrate(rig, short, held_out=False).verdict.reasons[0]
+
+
+def test_per_cent_where_fractions_are_meant_is_told() -> None:
+    rig = rig_of(required=2, plan={"duration": 8})
+    log = simulate(rig, seed=0).log
+    notes = calibrate(rig, log, held_out=False).figures["notes"]
+    assert "`required` is 2, and so 200% of range: 0.02 is 2%" in notes
+    assert not any("of range: 0.02" in note for note in calibrate(rig_of(), log).figures["notes"])
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "ls"])
+def test_references_refuse_a_temperature_that_they_do_not_know(
+    estimator: Literal["ekf", "ls"],
+) -> None:
+    rig = rig_of(temperature={"prior": 0.01}, plan={"duration": 8})
+    log = simulate(rig, seed=0).log
+    warm = replace(log, temperature=np.full(len(log.time_ns), 25.0))
+    with pytest.raises(InputError, match=r"temperature\.prior.*knows no other"):
+        calibrate(rig, warm, estimator)

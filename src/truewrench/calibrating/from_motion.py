@@ -121,6 +121,7 @@ def calibrate_from_motion(
             "notes": [
                 *log_notes(logs),
                 *estimate.notes,
+                *_gates(rig),
                 *still_motion(moving),
                 *judgement.notes,
                 *notes_on_bodies(rig, logs, estimate.payloads),
@@ -228,3 +229,17 @@ def _comparisons(
         else (),
         hopeless=tuple(refused),
     )
+
+
+def _gates(rig: Rig) -> list[str]:
+    """What is worth saying of fractions of range that look like per cent."""
+    asked = rig.required_array
+    largest = {
+        "required": float(np.max(asked[np.isfinite(asked)], initial=0.0)),
+        "sensor.gain_prior": rig.sensor.gain_prior,
+    }
+    return [
+        f"`{key}` is {value:g}, and so {100.0 * value:g}% of range: 0.02 is 2%"
+        for key, value in largest.items()
+        if value >= 1.0
+    ]
