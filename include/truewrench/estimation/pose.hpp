@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace truewrench {
 
@@ -72,7 +73,7 @@ class PoseSums {
     PoseSums next;
     next.all_ = all_;
     next.rated_ = rated_;
-    *this = next;
+    *this = std::move(next);
   }
 
   PoseShare share(bool arm = false) const {
