@@ -75,7 +75,7 @@ def simulate(
         InputError: for a payload that the rig does not have, or an imperfection that the motion cannot have.
     """
     if rig.motion.source != "twist":
-        expected = "`twist`: arms move in `simulate_arm`"
+        expected = "`twist` (arms move in `simulate_arm`); what an IMU reads is not simulated"
         raise UnsupportedError.at(rig.path, "motion.source", rig.motion.source, expected)
     name, truth = begin(rig, payload, seed)
     motion = default_trajectory(rig) if trajectory is None else trajectory
