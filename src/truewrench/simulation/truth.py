@@ -209,7 +209,8 @@ def draw_truth(rig: Rig, seed: int) -> Truth:
     drawn_offset = sensor.offset_prior_array * rng.standard_normal(sensor.n)
     gain = sensor.nominal_gain_array
     if options.gain == "random":
-        gain = gain + departure * sensor.gain_unit
+        # not by `gain_unit`: a seed keeps its bits
+        gain = gain + departure * sensor.channel_scale[:, None] / sensor.range_array
     elif options.gain != "nominal":
         gain = np.array(options.gain)
     if options.offset == "random":
