@@ -31,7 +31,10 @@ PAGES = {"README.md": "quickstart.md", "CONTRIBUTING.md": "contributing.md", "CH
 
 _LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?\)")
 _EQUATION = re.compile(r"^\$\$(.*?)\$\$$", re.MULTILINE | re.DOTALL)
-_STYLE = "display: flex; align-items: center; justify-content: space-between; margin: 1em 0; overflow: auto hidden; padding: .3em 0"
+_STYLE = (
+    "display: flex; align-items: center; justify-content: space-between; margin: 1em 0; "
+    "overflow: auto hidden; padding: .3em 0"
+)
 _TAG = re.compile(r"\\tag\{([^}]*)\}")
 
 
